@@ -1,0 +1,1 @@
+//! Classical reconstruction on the same scanner.

@@ -1,0 +1,112 @@
+//! The one error type: what was wrong, what was found, what was expected, and what to do about it.
+
+use std::path::{Path, PathBuf};
+
+/// Everything that can go wrong at the borders of the library.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A file or folder could not be read.
+    #[error("cannot read {}: {source}; check the path and its permissions", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A file or folder could not be written; nothing half-written was left behind.
+    #[error("cannot write {}: {source}; check that the folder exists, is writable and has space", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A file was read, but its content is not what it should be.
+    #[error("{}: {what}: got {got}, expected {expected}; {remedy}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Which part of it.
+        what: String,
+        /// What stands there.
+        got: String,
+        /// What should stand there.
+        expected: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// A value given by the user is unusable.
+    #[error("{what}: got {got}, expected {expected}; {remedy}")]
+    Invalid {
+        /// Which value.
+        what: String,
+        /// What was given.
+        got: String,
+        /// What is allowed.
+        expected: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// A computation produced a value that is not finite. It is never repaired in silence.
+    #[error("{stage}: {value} at index {index:?}, step {step}; the first non-finite value ends the run")]
+    NonFinite {
+        /// Which computation.
+        stage: &'static str,
+        /// The value found.
+        value: f64,
+        /// Where, in the array that the stage produces.
+        index: Vec<usize>,
+        /// Training iteration, or 0 outside of training.
+        step: usize,
+    },
+    /// The user stopped the run.
+    #[error("interrupted at iteration {step}; {remedy}")]
+    Interrupted {
+        /// The iteration reached.
+        step: usize,
+        /// What was saved and how to go on.
+        remedy: String,
+    },
+}
+
+/// `std::result::Result` with [`Error`].
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    /// An [`Error::Invalid`] from anything that prints.
+    pub fn invalid(
+        what: impl Into<String>,
+        got: impl ToString,
+        expected: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into(), remedy: remedy.into() }
+    }
+
+    /// An [`Error::Format`] from anything that prints.
+    pub fn format(
+        path: &Path,
+        what: impl Into<String>,
+        got: impl ToString,
+        expected: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Format {
+            path: path.into(),
+            what: what.into(),
+            got: got.to_string(),
+            expected: expected.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// An [`Error::Read`] for `path`.
+    pub fn read(path: &Path, source: std::io::Error) -> Self {
+        Self::Read { path: path.into(), source }
+    }
+
+    /// An [`Error::Write`] for `path`.
+    pub fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::Write { path: path.into(), source }
+    }
+}

@@ -1,0 +1,100 @@
+//! Losses on images and blocks of voxels: values and gradients. They know no primitives.
+//!
+//! A gradient is ∂loss/∂prediction, an array of the prediction's shape: the cotangent that the projector's or
+//! the voxelizer's `vjp` takes. Values are f64, summed in a tree that depends on the shape alone.
+
+pub mod l1;
+pub mod ssim;
+pub mod tv;
+
+pub use ssim::{Ssim, SsimTarget};
+
+use crate::numeric::Real;
+use ndarray::{Array2, ArrayView2, Zip};
+
+/// What a projection has to answer for: the parts of the data loss and its gradient.
+#[derive(Clone, Debug)]
+pub struct ImageLoss<R> {
+    /// `l1 + weight·d_ssim`.
+    pub total: f64,
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// `1 - SSIM`, between 0 and 2.
+    pub d_ssim: f64,
+    /// ∂total/∂prediction `[v, u]`.
+    pub cotangent: Array2<R>,
+}
+
+/// Data loss of one projection, `L1 + weight·(1 - SSIM)`.
+///
+/// Not in the paper: taken from R²-Gaussian, with its weight of 0.25. The weights add up, they do not mix:
+/// L1 always counts in full. The third part, [`tv::tv`], is of the volume and not of the image.
+///
+/// # Panics
+/// When the prediction and the target differ in shape.
+pub fn image_loss<R: Real>(
+    ssim: &Ssim<R>,
+    weight: f64,
+    prediction: ArrayView2<R>,
+    target: &SsimTarget<R>,
+) -> ImageLoss<R> {
+    let (l1, mut cotangent) = l1::l1(prediction, target.image());
+    let (similarity, gradient) = ssim.value_and_gradient(prediction, target);
+    let minus_weight = R::from_f64(-weight);
+    Zip::from(&mut cotangent).and(&gradient).for_each(|d, &g| *d += minus_weight * g);
+    let d_ssim = 1.0 - similarity;
+    ImageLoss { total: l1 + weight * d_ssim, l1, d_ssim, cotangent }
+}
+
+#[cfg(test)]
+mod testing {
+    use ndarray::{Array, Dimension};
+
+    /// Compares a gradient with central differences of `value` at every `stride`-th element.
+    pub(super) fn assert_matches_central_differences<D: Dimension>(
+        at: &Array<f64, D>,
+        gradient: &Array<f64, D>,
+        stride: usize,
+        tolerance: f64,
+        value: impl Fn(&Array<f64, D>) -> f64,
+    ) {
+        const STEP: f64 = 1e-5;
+        let moved = |i: usize, by: f64| {
+            let mut x = at.clone();
+            x.as_slice_mut().unwrap()[i] += by;
+            value(&x)
+        };
+        for i in (0..at.len()).step_by(stride) {
+            let difference = (moved(i, STEP) - moved(i, -STEP)) / (2.0 * STEP);
+            let analytic = gradient.as_slice().unwrap()[i];
+            assert!((analytic - difference).abs() <= tolerance, "element {i}: {analytic:e} against {difference:e}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gradient_of_the_image_loss_matches_central_differences() {
+        let ssim = Ssim::<f64>::default();
+        let target =
+            SsimTarget::new(&ssim, Array2::from_shape_fn((9, 14), |(r, c)| ((r * 5 + c * 3) % 7) as f64 / 5.0).view());
+        let prediction = Array2::from_shape_fn((9, 14), |(r, c)| ((r * 3 + c * 4) % 11) as f64 / 9.0 + 0.01);
+        let loss = image_loss(&ssim, 0.25, prediction.view(), &target);
+        assert_eq!(loss.total, loss.l1 + 0.25 * loss.d_ssim);
+        testing::assert_matches_central_differences(&prediction, &loss.cotangent, 1, 1e-9, |p| {
+            image_loss(&ssim, 0.25, p.view(), &target).total
+        });
+    }
+
+    #[test]
+    fn a_perfect_image_has_no_loss_and_no_gradient() {
+        let ssim = Ssim::<f64>::default();
+        let image = Array2::from_shape_fn((8, 8), |(r, c)| (r * c) as f64 / 64.0);
+        let loss = image_loss(&ssim, 0.25, image.view(), &SsimTarget::new(&ssim, image.view()));
+        assert!(loss.total.abs() < 1e-15, "{}", loss.total);
+        assert!(loss.cotangent.iter().all(|d| d.abs() < 1e-15));
+    }
+}

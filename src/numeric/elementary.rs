@@ -1,0 +1,45 @@
+//! Transcendental functions with the same bits on every machine: the `libm` crate's, which are
+//! compiled from source instead of taken from the platform. The hot kernels have their own
+//! ([`super::lanes`]).
+
+pub use libm::{atan2, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
+
+/// Logistic function `1/(1+e^-x)`, without overflow.
+pub fn sigmoid(x: f64) -> f64 {
+    if x >= 0.0 {
+        1.0 / (1.0 + exp(-x))
+    } else {
+        let e = exp(x);
+        e / (1.0 + e)
+    }
+}
+
+/// Inverse of [`sigmoid`] on (0, 1).
+pub fn logit(p: f64) -> f64 {
+    log(p / (1.0 - p))
+}
+
+/// `ln(1+e^x)`, without overflow.
+pub fn softplus(x: f64) -> f64 {
+    if x > 0.0 { x + log1p(exp(-x)) } else { log1p(exp(x)) }
+}
+
+/// Inverse of [`softplus`] on (0, ∞).
+pub fn softplus_inverse(y: f64) -> f64 {
+    y + log(-expm1(-y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inverses_invert() {
+        for x in [-30.0, -3.0, -0.1, 0.0, 0.7, 5.0, 30.0] {
+            approx::assert_relative_eq!(softplus_inverse(softplus(x)), x, epsilon = 1e-13, max_relative = 1e-13);
+        }
+        for x in [-30.0, -3.0, 0.0, 0.7, 5.0] {
+            approx::assert_relative_eq!(logit(sigmoid(x)), x, epsilon = 1e-13, max_relative = 1e-13);
+        }
+    }
+}

@@ -1,0 +1,352 @@
+//! Scalars and SIMD lanes: one kernel text for f32 and f64, for every instruction set.
+//!
+//! The virtual width is a constant of the algorithm, 16 lanes of f32 and 8 of f64; a build without wide
+//! registers emulates it lane by lane, so sums have the same tree everywhere. Products and sums are rounded
+//! separately: fused multiply-add would change the bits from one build to another.
+
+use std::fmt::{Debug, Display};
+use std::iter::Sum;
+use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+use wide::{f32x16, f64x8, u32x16, u64x8};
+
+/// A floating-point scalar that the pixel kernels can run in.
+pub trait Real:
+    Copy
+    + Debug
+    + Default
+    + Display
+    + PartialOrd
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + SubAssign
+    + Mul<Output = Self>
+    + MulAssign
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + Sum
+{
+    /// Its SIMD lanes.
+    type Lanes: Lanes<Scalar = Self>;
+    /// 0
+    const ZERO: Self;
+    /// 1
+    const ONE: Self;
+    /// Distance from 1 to the next number.
+    const EPSILON: Self;
+    /// Largest n for which the kernels produce 2^-n; smaller values are zero.
+    const HORIZON: f64;
+    /// Largest distance in units of a primitive's scale that is told apart; keeps squares finite.
+    const FAR: f64;
+
+    /// Rounds to nearest.
+    fn from_f64(value: f64) -> Self;
+    /// Exact.
+    fn to_f64(self) -> f64;
+    /// Correctly rounded square root.
+    fn sqrt(self) -> Self;
+    /// Absolute value.
+    fn abs(self) -> Self;
+    /// Not NaN or infinite.
+    fn is_finite(self) -> bool;
+}
+
+/// `WIDTH` scalars that are computed together.
+pub trait Lanes:
+    Copy
+    + Default
+    + Send
+    + Sync
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// One lane.
+    type Scalar: Real<Lanes = Self>;
+    /// Number of lanes, even.
+    const WIDTH: usize;
+
+    /// The same value in every lane.
+    fn splat(value: Self::Scalar) -> Self;
+    /// Lanes from two rows of `WIDTH/2` contiguous values.
+    fn from_rows(top: &[Self::Scalar], bottom: &[Self::Scalar]) -> Self;
+    /// Adds the lanes onto two rows of `WIDTH/2` contiguous values.
+    fn add_to_rows(self, top: &mut [Self::Scalar], bottom: &mut [Self::Scalar]);
+    /// Lanes from a function of the lane's number.
+    fn from_fn(value: impl FnMut(usize) -> Self::Scalar) -> Self;
+    /// Square root, correctly rounded.
+    fn sqrt(self) -> Self;
+    /// The smaller of both, `other` where `self` is NaN.
+    fn at_most(self, other: Self) -> Self;
+    /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
+    fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
+    /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0.
+    fn log2_1p(self) -> Self;
+    /// `2^t` for `-HORIZON ≤ t ≤ 0`.
+    fn exp2(self) -> Self;
+    /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
+    fn sum(self) -> f64;
+}
+
+/// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, every product and sum rounded.
+#[inline(always)]
+fn polynomial<L: Lanes, const N: usize>(x: L, coefficients: &[L::Scalar; N]) -> L {
+    let mut value = L::splat(coefficients[N - 1]);
+    for &c in coefficients[..N - 1].iter().rev() {
+        value = value * x + L::splat(c);
+    }
+    value
+}
+
+// The coefficients are minimax in relative error, from reference/generate/polynomials.py.
+
+/// `log2(1+f) = f·P(f)` on [√½-1, √2-1]; 2.9e-8.
+const LOG2_F32: [f32; 9] = [
+    1.442695e+00,
+    -7.213474e-01,
+    4.8090905e-01,
+    -3.6070004e-01,
+    2.8795016e-01,
+    -2.3902889e-01,
+    2.1552761e-01,
+    -2.0669751e-01,
+    1.2560181e-01,
+];
+/// `log2(1+f) = s·Q(s²)` with `s = f/(2+f)`, same interval; 1.4e-17.
+const LOG2_F64: [f64; 8] = [
+    2.8853900817779268e+00,
+    9.617966939261154e-01,
+    5.770780162765302e-01,
+    4.121986000339649e-01,
+    3.205971463235787e-01,
+    2.6240400417314974e-01,
+    2.1918244659274513e-01,
+    2.305381423985441e-01,
+];
+/// `2^t = 1 + t·P(t)` on [-½, ½]; 3.0e-9.
+const EXP2_F32: [f32; 6] = [6.931472e-01, 2.4022648e-01, 5.5503596e-02, 9.618499e-03, 1.339097e-03, 1.5329279e-04];
+/// `2^t = 1 + t·P(t)` on [-½, ½]; 4.1e-18.
+const EXP2_F64: [f64; 11] = [
+    6.931471805599453e-01,
+    2.4022650695910108e-01,
+    5.550410866482172e-02,
+    9.618129107601608e-03,
+    1.3333558146546372e-03,
+    1.5403530449030215e-04,
+    1.5252733634030488e-05,
+    1.3215438839373654e-06,
+    1.0178159958915822e-07,
+    7.073232407660214e-09,
+    4.4388850923243237e-10,
+];
+
+/// Implements [`Real`] and [`Lanes`] for one precision. `log2_of_1_plus` is the series on [√½-1, √2-1].
+macro_rules! precision {
+    (
+        $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
+        horizon $horizon:literal, far $far:literal, rounder $rounder:literal, exp2 $exp2:ident,
+        log2_of_1_plus |$f:ident| $series:expr
+    ) => {
+        impl Real for $scalar {
+            type Lanes = $lanes;
+            const ZERO: Self = 0.0;
+            const ONE: Self = 1.0;
+            const EPSILON: Self = $scalar::EPSILON;
+            const HORIZON: f64 = $horizon;
+            const FAR: f64 = $far;
+
+            #[inline(always)]
+            fn from_f64(value: f64) -> Self {
+                value as Self
+            }
+            #[inline(always)]
+            fn to_f64(self) -> f64 {
+                self.into()
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                self.sqrt()
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                self.abs()
+            }
+            #[inline(always)]
+            fn is_finite(self) -> bool {
+                self.is_finite()
+            }
+        }
+
+        impl Lanes for $lanes {
+            type Scalar = $scalar;
+            const WIDTH: usize = $width;
+
+            #[inline(always)]
+            fn splat(value: $scalar) -> Self {
+                $lanes::splat(value)
+            }
+            #[inline(always)]
+            fn from_rows(top: &[$scalar], bottom: &[$scalar]) -> Self {
+                let mut lanes = [0.0; $width];
+                lanes[..$width / 2].copy_from_slice(&top[..$width / 2]);
+                lanes[$width / 2..].copy_from_slice(&bottom[..$width / 2]);
+                $lanes::new(lanes)
+            }
+            #[inline(always)]
+            fn add_to_rows(self, top: &mut [$scalar], bottom: &mut [$scalar]) {
+                let sum = (Self::from_rows(top, bottom) + self).to_array();
+                top[..$width / 2].copy_from_slice(&sum[..$width / 2]);
+                bottom[..$width / 2].copy_from_slice(&sum[$width / 2..]);
+            }
+            #[inline(always)]
+            fn from_fn(value: impl FnMut(usize) -> $scalar) -> Self {
+                $lanes::new(std::array::from_fn(value))
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $lanes::sqrt(self)
+            }
+            #[inline(always)]
+            fn at_most(self, other: Self) -> Self {
+                self.fast_min(other)
+            }
+            #[inline(always)]
+            fn select_le(self, limit: Self, yes: Self, no: Self) -> Self {
+                self.simd_le(limit).select(yes, no)
+            }
+
+            // 1+x = 2^k·(1+f) with 1+f in [√½, √2): the exponent k is read off the rounded 1+x, then
+            // f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
+            #[inline(always)]
+            fn log2_1p(self) -> Self {
+                const ROOT_HALF: $unsigned = std::$scalar::consts::FRAC_1_SQRT_2.to_bits();
+                // The bits of 2^mantissa: an integer or-ed into them is the number 2^mantissa + integer.
+                const INTEGER: $scalar = ((1 as $unsigned) << $mantissa) as $scalar;
+                const ONE_BITS: $unsigned = (1.0 as $scalar).to_bits();
+                let one = Self::splat(1.0);
+                let bits: $bits = bytemuck::cast(one + self);
+                let exponent = (bits - $bits::splat(ROOT_HALF)).unbounded_shr_scalar($mantissa);
+                let scale: Self = bytemuck::cast($bits::splat(ONE_BITS) - exponent.unbounded_shl_scalar($mantissa));
+                let k: Self = bytemuck::cast(exponent | $bits::splat(INTEGER.to_bits()));
+                let $f = self * scale + (scale - one);
+                (k - Self::splat(INTEGER)) + $series
+            }
+
+            // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits.
+            #[inline(always)]
+            fn exp2(self) -> Self {
+                const ONE_BITS: $unsigned = (1.0 as $scalar).to_bits();
+                let shifted = self + Self::splat($rounder);
+                let fraction = self - (shifted - Self::splat($rounder));
+                let bits: $bits = bytemuck::cast(shifted);
+                let scale: Self = bytemuck::cast(bits.unbounded_shl_scalar($mantissa) + $bits::splat(ONE_BITS));
+                (fraction * polynomial(fraction, &$exp2) + Self::splat(1.0)) * scale
+            }
+
+            #[inline(always)]
+            fn sum(self) -> f64 {
+                let mut lanes = self.to_array().map(f64::from);
+                let mut half = $width / 2;
+                while half > 0 {
+                    for i in 0..half {
+                        lanes[i] += lanes[i + half];
+                    }
+                    half /= 2;
+                }
+                lanes[0]
+            }
+        }
+    };
+}
+
+precision!(
+    f32, f32x16, u32x16, u32, width 16, mantissa 23, horizon 126.0, far 1e15, rounder 12_582_912.0, exp2 EXP2_F32,
+    log2_of_1_plus |f| f * polynomial(f, &LOG2_F32)
+);
+precision!(
+    f64, f64x8, u64x8, u64, width 8, mantissa 52, horizon 1022.0, far 1e120, rounder 6_755_399_441_055_744.0, exp2 EXP2_F64,
+    log2_of_1_plus |f| {
+        let s = f / (f + Self::splat(2.0));
+        s * polynomial(s * s, &LOG2_F64)
+    }
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Largest error of (1+x)^-q, relative to its peak 1, over the whole range of x.
+    fn worst_error_of_the_t_kernel<R: Real>(nu: f64) -> f64 {
+        let q = (nu + 2.0) / 2.0;
+        let minus_q = R::from_f64(-q);
+        let mut worst = 0.0_f64;
+        for i in 0..40_000 {
+            // δ from 1e-8 to 1e6, evenly in its logarithm.
+            let x = R::from_f64(libm::pow(10.0, -8.0 + 14.0 * f64::from(i) / 40_000.0) / nu);
+            let truth = libm::exp(-q * libm::log1p(x.to_f64()));
+            if truth < 1e-36 {
+                continue;
+            }
+            let value = (R::Lanes::splat(x).log2_1p() * R::Lanes::splat(minus_q)).exp2();
+            worst = worst.max((value.sum() / R::Lanes::WIDTH as f64 - truth).abs());
+        }
+        worst
+    }
+
+    #[test]
+    fn t_kernel_in_f32_is_within_1_5e_7_of_its_peak_for_every_nu() {
+        for nu in [1.0, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4] {
+            let worst = worst_error_of_the_t_kernel::<f32>(nu);
+            assert!(worst <= 1.5e-7, "ν = {nu}: {worst:e}");
+        }
+    }
+
+    #[test]
+    fn t_kernel_in_f64_is_within_5e_16_of_its_peak_for_every_nu() {
+        for nu in [1.0, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4] {
+            let worst = worst_error_of_the_t_kernel::<f64>(nu);
+            assert!(worst <= 5e-16, "ν = {nu}: {worst:e}");
+        }
+    }
+
+    #[test]
+    fn log2_1p_keeps_the_relative_accuracy_of_tiny_arguments() {
+        for x in [1e-30, 1e-20, 3e-9, 1e-5, 0.3, 0.41, 0.42, 1.0, 7.0, 1e6, 1e20] {
+            let truth = libm::log1p(x) / std::f64::consts::LN_2;
+            let double = f64x8::splat(x).log2_1p().to_array()[3];
+            let single = f64::from(f32x16::splat(x as f32).log2_1p().to_array()[11]);
+            let truth_of_single = libm::log1p(f64::from(x as f32)) / std::f64::consts::LN_2;
+            assert!((double / truth - 1.0).abs() <= 7e-16, "{x}: {double} against {truth}");
+            assert!((single / truth_of_single - 1.0).abs() <= 2.5e-7, "{x}: {single} against {truth_of_single}");
+        }
+    }
+
+    #[test]
+    fn exp2_is_exact_at_the_integers_down_to_the_horizon() {
+        for n in 0..=126 {
+            assert_eq!(f32x16::splat(-(n as f32)).exp2().to_array()[0], libm::exp2f(-(n as f32)));
+            assert_eq!(f64x8::splat(-f64::from(n)).exp2().to_array()[7], libm::exp2(-f64::from(n)));
+        }
+        assert_eq!(f64x8::splat(-1022.0).exp2().to_array()[7], f64::MIN_POSITIVE);
+    }
+
+    #[test]
+    fn lanes_agree_with_each_other_and_the_sum_has_a_fixed_tree() {
+        let lanes = f32x16::from_fn(|i| 0.1 + i as f32);
+        assert_eq!(Lanes::sum(lanes), (0..16).map(|i| f64::from(0.1 + i as f32)).sum::<f64>());
+        let rows: Vec<f32> = (0..20).map(|i| i as f32).collect();
+        let mut target = rows.clone();
+        let (top, bottom) = target.split_at_mut(10);
+        f32x16::from_rows(&rows[..8], &rows[10..18]).add_to_rows(&mut top[..8], &mut bottom[..8]);
+        assert_eq!(
+            target,
+            [0., 2., 4., 6., 8., 10., 12., 14., 8., 9., 20., 22., 24., 26., 28., 30., 32., 34., 18., 19.]
+        );
+    }
+}

@@ -1,0 +1,55 @@
+//! Counter-based random numbers: a draw is a function of (seed, purpose, step, id, component),
+//! so it does not depend on the order of the work or on what else was drawn.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+/// What the numbers are for. Each purpose has its own key, so two never share a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub enum Purpose {
+    /// Photon and electronic noise; step = view, id = pixel.
+    Noise = 1,
+    /// Choice of initial points.
+    Initialisation = 2,
+    /// Order of the views; step = epoch.
+    ViewOrder = 3,
+    /// Position of the total-variation block; step = iteration.
+    TotalVariation = 4,
+    /// Test angles of a simulation.
+    TestAngles = 5,
+    /// Solids of a procedural phantom; id = solid.
+    Phantom = 6,
+}
+
+/// The generator for one (seed, purpose, step, id); its successive draws are the components.
+pub fn stream(seed: u64, purpose: Purpose, step: u64, id: u64) -> ChaCha8Rng {
+    let mut key = [0_u8; 32];
+    for (slot, word) in key.chunks_exact_mut(8).zip([seed, purpose as u64, step, 0x7472_6773]) {
+        slot.copy_from_slice(&word.to_le_bytes());
+    }
+    let mut generator = ChaCha8Rng::from_seed(key);
+    generator.set_stream(id);
+    generator
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::Rng;
+
+    #[test]
+    fn every_part_of_the_address_changes_the_draw() {
+        let draw = |seed, purpose, step, id| stream(seed, purpose, step, id).next_u64();
+        let base = draw(0, Purpose::Noise, 0, 0);
+        assert_eq!(base, draw(0, Purpose::Noise, 0, 0));
+        for other in [
+            draw(1, Purpose::Noise, 0, 0),
+            draw(0, Purpose::ViewOrder, 0, 0),
+            draw(0, Purpose::Noise, 1, 0),
+            draw(0, Purpose::Noise, 0, 1),
+        ] {
+            assert_ne!(base, other);
+        }
+    }
+}

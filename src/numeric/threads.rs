@@ -1,0 +1,36 @@
+//! The only user of threads. Work is cut by sizes alone, never by the size of the pool, and
+//! results come back in index order: the number of threads cannot change a bit.
+
+use crate::error::{Error, Result};
+use rayon::prelude::*;
+
+/// Runs `work` on a pool of `threads` workers (0: one for each core).
+///
+/// # Errors
+/// When the operating system refuses to start the threads.
+pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|source| {
+        Error::invalid(
+            "--threads",
+            format!("{threads} ({source})"),
+            "as many as the system can start",
+            "ask for fewer threads",
+        )
+    })?;
+    Ok(pool.install(work))
+}
+
+/// The number of workers that share the current work.
+pub fn count() -> usize {
+    rayon::current_num_threads()
+}
+
+/// `[f(0), f(1), … f(n-1)]`, computed in parallel, in index order.
+pub fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..n).into_par_iter().with_max_len(1).map(f).collect()
+}
+
+/// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).
+pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
+    values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
+}

@@ -1,0 +1,180 @@
+//! Raw ↔ physical parameters: the raw ones are free real numbers that an optimiser may move anywhere.
+//!
+//! | physical | raw | range |
+//! |---|---|---|
+//! | μ | itself | everywhere |
+//! | s | `min + (max-min)·σ(raw)` | open interval |
+//! | q | itself; its length does not matter | not zero |
+//! | ρ | `softplus(raw)` | positive |
+//! | ν | `min + (max-min)·σ(raw)` | open interval |
+//!
+//! Not in the paper: its parametrisation is not given; scales and densities follow R²-Gaussian.
+
+use super::{Kernel, Parameters, Primitives};
+use crate::numeric::elementary::{logit, sigmoid, softplus, softplus_inverse};
+use crate::numeric::threads;
+
+/// Primitives worked on together.
+const CHUNK: usize = 1024;
+/// How close to a bound a value may be given, as a fraction of the interval.
+const MARGIN: f64 = 1e-5;
+
+/// An open interval that a sigmoid maps onto.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// Lower end, not reached.
+    pub min: f64,
+    /// Upper end, not reached.
+    pub max: f64,
+}
+
+/// The map from raw to physical parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Activation {
+    /// The kernel of the primitives it makes.
+    pub kernel: Kernel,
+    /// Range of the scales, scene units.
+    pub scale: Interval,
+    /// Range of ν.
+    pub nu: Interval,
+}
+
+impl Interval {
+    fn physical(&self, raw: f64) -> f64 {
+        self.min + (self.max - self.min) * sigmoid(raw)
+    }
+
+    /// The raw value; what lies outside is first moved just inside.
+    fn raw(&self, value: f64) -> f64 {
+        let fraction = (value - self.min) / (self.max - self.min);
+        logit(fraction.clamp(MARGIN, 1.0 - MARGIN))
+    }
+
+    /// d physical / d raw, from the physical value.
+    fn slope(&self, value: f64) -> f64 {
+        (value - self.min) * (self.max - value) / (self.max - self.min)
+    }
+}
+
+impl Activation {
+    /// Physical values of raw parameters.
+    pub fn forward(&self, raw: &Parameters) -> Primitives {
+        let mut parameters = raw.clone();
+        threads::for_each_chunk(&mut parameters.scale, CHUNK, |_, chunk| {
+            chunk.as_flattened_mut().iter_mut().for_each(|s| *s = self.scale.physical(*s));
+        });
+        threads::for_each_chunk(&mut parameters.density, CHUNK, |_, chunk| {
+            chunk.iter_mut().for_each(|x| *x = softplus(*x))
+        });
+        match self.kernel {
+            Kernel::Gaussian => parameters.nu.fill(f64::INFINITY),
+            Kernel::StudentT => threads::for_each_chunk(&mut parameters.nu, CHUNK, |_, chunk| {
+                chunk.iter_mut().for_each(|x| *x = self.nu.physical(*x))
+            }),
+        }
+        Primitives { kernel: self.kernel, parameters }
+    }
+
+    /// Raw parameters of physical values; values at or outside of a range come to lie just inside.
+    pub fn inverse(&self, physical: &Parameters) -> Parameters {
+        let mut raw = physical.clone();
+        raw.scale.as_flattened_mut().iter_mut().for_each(|s| *s = self.scale.raw(*s));
+        raw.density.iter_mut().for_each(|x| *x = softplus_inverse(x.max(1e-12)));
+        match self.kernel {
+            Kernel::Gaussian => raw.nu.fill(0.0),
+            Kernel::StudentT => raw.nu.iter_mut().for_each(|x| *x = self.nu.raw(*x)),
+        }
+        raw
+    }
+
+    /// Turns a gradient to the physical values into the gradient to the raw ones, in place.
+    pub fn vjp(&self, physical: &Primitives, gradient: &mut Parameters) {
+        let values = &physical.parameters;
+        for (d_scale, scale) in gradient.scale.as_flattened_mut().iter_mut().zip(values.scale.as_flattened()) {
+            *d_scale *= self.scale.slope(*scale);
+        }
+        // d softplus / d raw = 1 - e^-ρ, without the raw value.
+        for (d_density, density) in gradient.density.iter_mut().zip(&values.density) {
+            *d_density *= -libm::expm1(-density);
+        }
+        match self.kernel {
+            Kernel::Gaussian => gradient.nu.fill(0.0),
+            Kernel::StudentT => {
+                gradient.nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn activation(kernel: Kernel) -> Activation {
+        Activation { kernel, scale: Interval { min: 0.001, max: 1.0 }, nu: Interval { min: 2.0, max: 100.0 } }
+    }
+
+    fn raw() -> Parameters {
+        Parameters {
+            mean: vec![[0.1, -0.2, 0.3]],
+            scale: vec![[-2.0, 0.4, 1.7]],
+            quaternion: vec![[0.3, -0.4, 0.8, 0.1]],
+            density: vec![-0.7],
+            nu: vec![-1.3],
+        }
+    }
+
+    #[test]
+    fn inverse_undoes_forward() {
+        let a = activation(Kernel::StudentT);
+        let back = a.inverse(&a.forward(&raw()).parameters);
+        for group in super::super::Group::ALL {
+            for (x, y) in back.group(group).iter().zip(raw().group(group)) {
+                approx::assert_relative_eq!(x, y, max_relative = 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn vjp_matches_central_differences() {
+        let a = activation(Kernel::StudentT);
+        let weights = Parameters {
+            mean: vec![[1.0, 2.0, 3.0]],
+            scale: vec![[0.5, -1.0, 2.0]],
+            quaternion: vec![[1.0; 4]],
+            density: vec![-3.0],
+            nu: vec![0.7],
+        };
+        let loss = |raw: &Parameters| {
+            let p = a.forward(raw).parameters;
+            super::super::Group::ALL
+                .iter()
+                .flat_map(|g| p.group(*g).iter().zip(weights.group(*g)))
+                .map(|(x, w)| x * w)
+                .sum::<f64>()
+        };
+        let mut gradient = weights.clone();
+        a.vjp(&a.forward(&raw()), &mut gradient);
+        for group in super::super::Group::ALL {
+            for i in 0..group.width() {
+                let shifted = |h: f64| {
+                    let mut p = raw();
+                    p.group_mut(group)[i] += h;
+                    loss(&p)
+                };
+                let difference = (shifted(1e-5) - shifted(-1e-5)) / 2e-5;
+                approx::assert_relative_eq!(gradient.group(group)[i], difference, max_relative = 1e-8);
+            }
+        }
+    }
+
+    #[test]
+    fn values_outside_of_their_range_come_to_lie_just_inside() {
+        let a = activation(Kernel::StudentT);
+        let mut physical = a.forward(&raw()).parameters;
+        physical.scale[0] = [0.0, 5.0, 0.5];
+        physical.nu[0] = f64::INFINITY;
+        let p = a.forward(&a.inverse(&physical)).parameters;
+        assert!(p.scale[0][0] > 0.001 && p.scale[0][1] < 1.0 && p.nu[0] < 100.0);
+    }
+}

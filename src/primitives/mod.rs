@@ -1,0 +1,217 @@
+//! What is fitted: M kernels, each with a mean, three scales, a rotation, a density and degrees of freedom.
+//!
+//! `f(x) = Σ ρᵢ Tᵢ(x)` `[Eq. 1]`, with `T = (1+δ/ν)^(-(ν+3)/2)` `[Eq. 2]` or its limit `exp(-δ/2)`,
+//! `δ = (x-μ)ᵀΣ⁻¹(x-μ)` and `Σ = R diag(s²) Rᵀ` `[Eq. 3]`.
+
+pub mod activation;
+pub mod gaussian;
+pub mod initialisation;
+pub mod student_t;
+
+pub use activation::Activation;
+
+use crate::error::{Error, Result};
+
+/// Which profile all primitives of a scene have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kernel {
+    /// `(1+δ/ν)^(-(ν+3)/2)`.
+    StudentT,
+    /// `exp(-δ/2)`; ν is infinite.
+    Gaussian,
+}
+
+/// Twelve numbers per primitive, an array per kind: parameters, their gradients, an optimiser's moments.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Parameters {
+    /// Centre μ, scene units, `[M,3]`.
+    pub mean: Vec<[f64; 3]>,
+    /// Standard deviations s along the principal axes, scene units, `[M,3]`.
+    pub scale: Vec<[f64; 3]>,
+    /// Rotation (w,x,y,z), of any length but zero, `[M,4]`.
+    pub quaternion: Vec<[f64; 4]>,
+    /// Density ρ at the centre, attenuation per scene unit, `[M]`.
+    pub density: Vec<f64>,
+    /// Degrees of freedom ν, `[M]`.
+    pub nu: Vec<f64>,
+}
+
+/// Physical parameters with their kernel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Primitives {
+    /// The profile.
+    pub kernel: Kernel,
+    /// Physical values, not raw ones.
+    pub parameters: Parameters,
+}
+
+/// The five kinds of parameters, in the order of all files and logs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// μ
+    Mean,
+    /// s
+    Scale,
+    /// q
+    Quaternion,
+    /// ρ
+    Density,
+    /// ν
+    Nu,
+}
+
+impl Group {
+    /// All groups, in order.
+    pub const ALL: [Self; 5] = [Self::Mean, Self::Scale, Self::Quaternion, Self::Density, Self::Nu];
+
+    /// The key in MODEL.npz and GRAD.npz.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::Scale => "scale",
+            Self::Quaternion => "quaternion",
+            Self::Density => "density",
+            Self::Nu => "nu",
+        }
+    }
+
+    /// Numbers per primitive.
+    pub fn width(self) -> usize {
+        match self {
+            Self::Mean | Self::Scale => 3,
+            Self::Quaternion => 4,
+            Self::Density | Self::Nu => 1,
+        }
+    }
+}
+
+impl Parameters {
+    /// `m` primitives of zeros.
+    pub fn zeros(m: usize) -> Self {
+        Self {
+            mean: vec![[0.0; 3]; m],
+            scale: vec![[0.0; 3]; m],
+            quaternion: vec![[0.0; 4]; m],
+            density: vec![0.0; m],
+            nu: vec![0.0; m],
+        }
+    }
+
+    /// Number of primitives.
+    pub fn len(&self) -> usize {
+        self.density.len()
+    }
+
+    /// Whether there is no primitive.
+    pub fn is_empty(&self) -> bool {
+        self.density.is_empty()
+    }
+
+    /// One group as a flat slice of `M·width` numbers.
+    pub fn group(&self, group: Group) -> &[f64] {
+        match group {
+            Group::Mean => self.mean.as_flattened(),
+            Group::Scale => self.scale.as_flattened(),
+            Group::Quaternion => self.quaternion.as_flattened(),
+            Group::Density => &self.density,
+            Group::Nu => &self.nu,
+        }
+    }
+
+    /// One group as a flat mutable slice.
+    pub fn group_mut(&mut self, group: Group) -> &mut [f64] {
+        match group {
+            Group::Mean => self.mean.as_flattened_mut(),
+            Group::Scale => self.scale.as_flattened_mut(),
+            Group::Quaternion => self.quaternion.as_flattened_mut(),
+            Group::Density => &mut self.density,
+            Group::Nu => &mut self.nu,
+        }
+    }
+
+    /// The first number that is not finite, as an error of the given stage.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the group's number, the primitive and the component as index.
+    pub fn check_finite(&self, stage: &'static str, step: usize) -> Result<()> {
+        for (number, group) in Group::ALL.into_iter().enumerate() {
+            let values = self.group(group);
+            if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+                let index = vec![number, i / group.width(), i % group.width()];
+                return Err(Error::NonFinite { stage, value: values[i], index, step });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Primitives {
+    /// Number of primitives.
+    pub fn len(&self) -> usize {
+        self.parameters.len()
+    }
+
+    /// Whether there is no primitive.
+    pub fn is_empty(&self) -> bool {
+        self.parameters.is_empty()
+    }
+
+    /// Checked primitives: equal lengths, finite numbers, positive scales and ν, quaternions that have a direction.
+    /// The kernel is Gaussian if every ν is infinite.
+    ///
+    /// # Errors
+    /// One clear error for the first value that is unusable.
+    pub fn new(mut parameters: Parameters) -> Result<Self> {
+        let m = parameters.len();
+        for group in Group::ALL {
+            let got = parameters.group(group).len() / group.width();
+            if got != m {
+                return Err(Error::invalid(
+                    group.key(),
+                    format!("{got} rows"),
+                    format!("{m}, as many as densities"),
+                    "all arrays of a model have one row per primitive",
+                ));
+            }
+        }
+        let infinite = parameters.nu.iter().filter(|nu| **nu == f64::INFINITY).count();
+        let kernel = if m > 0 && infinite == m { Kernel::Gaussian } else { Kernel::StudentT };
+        let bad = |what: &str, i: usize, got: &dyn std::fmt::Debug, expected: &str| {
+            Err(Error::invalid(
+                format!("{what} of primitive {i}"),
+                format!("{got:?}"),
+                expected,
+                "check the model file: values are physical, not raw",
+            ))
+        };
+        for i in 0..m {
+            let (mean, scale, q, nu) =
+                (parameters.mean[i], parameters.scale[i], parameters.quaternion[i], parameters.nu[i]);
+            if !mean.iter().all(|x| x.is_finite()) {
+                return bad("mean", i, &mean, "finite coordinates");
+            }
+            if !scale.iter().all(|s| *s > 0.0 && s.is_finite()) {
+                return bad("scale", i, &scale, "positive lengths");
+            }
+            let norm = q.iter().map(|x| x * x).sum::<f64>();
+            if !(norm >= f64::MIN_POSITIVE && norm.is_finite()) {
+                return bad("quaternion", i, &q, "four finite numbers (w,x,y,z), not all zero");
+            }
+            if !parameters.density[i].is_finite() {
+                return bad("density", i, &parameters.density[i], "a finite number");
+            }
+            if kernel == Kernel::StudentT && !(nu > 0.0 && nu.is_finite()) {
+                return bad(
+                    "nu",
+                    i,
+                    &nu,
+                    "a positive number (infinite only if it is for all: then the kernel is Gaussian)",
+                );
+            }
+        }
+        if kernel == Kernel::Gaussian {
+            parameters.nu.fill(f64::INFINITY);
+        }
+        Ok(Self { kernel, parameters })
+    }
+}

@@ -1,0 +1,170 @@
+//! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
+
+use super::footprint::Footprint;
+use super::kernel::{self, Canvas, Plane, STRIP, Sums};
+use super::shape::CHUNK;
+use super::{Field, FieldGradient, Projection};
+use crate::numeric::{Real, threads};
+use crate::primitives::Kernel;
+use crate::scene::{Beam, Scanner, View};
+use ndarray::{Array2, ArrayView2};
+use std::ops::Range;
+
+/// Primitives whose gradients one task gathers.
+const GATHER: usize = 64;
+
+type Forward<R> = fn(&Plane, Range<usize>, Range<usize>, &mut Canvas<R>, usize);
+type Backward<R> = fn(&Plane, Range<usize>, Range<usize>, &Canvas<R>) -> Sums;
+
+/// The footprints of a [`Field`]'s primitives on the detector of one view.
+pub struct ViewField<'a, R> {
+    field: &'a Field<R>,
+    scanner: Scanner,
+    view: View,
+    projection: Projection,
+    footprints: Vec<Footprint>,
+}
+
+/// The kernel for a profile and a projection, chosen outside of the loop over primitives.
+pub(super) fn forward_kernel<R: Real>(kernel: Kernel, projection: Projection) -> Forward<R> {
+    match (kernel, projection) {
+        (Kernel::StudentT, Projection::Exact) => kernel::forward::<R, true, true>,
+        (Kernel::StudentT, Projection::Affine) => kernel::forward::<R, true, false>,
+        (Kernel::Gaussian, Projection::Exact) => kernel::forward::<R, false, true>,
+        (Kernel::Gaussian, Projection::Affine) => kernel::forward::<R, false, false>,
+    }
+}
+
+/// The gradient's kernel for a profile and a projection.
+pub(super) fn backward_kernel<R: Real>(kernel: Kernel, projection: Projection) -> Backward<R> {
+    match (kernel, projection) {
+        (Kernel::StudentT, Projection::Exact) => kernel::backward::<R, true, true>,
+        (Kernel::StudentT, Projection::Affine) => kernel::backward::<R, true, false>,
+        (Kernel::Gaussian, Projection::Exact) => kernel::backward::<R, false, true>,
+        (Kernel::Gaussian, Projection::Affine) => kernel::backward::<R, false, false>,
+    }
+}
+
+/// A range that starts at an even row, as the kernels want it.
+pub(super) fn from_even(rows: Range<usize>) -> Range<usize> {
+    rows.start & !1..rows.end
+}
+
+impl<'a, R: Real> ViewField<'a, R> {
+    pub(super) fn new(field: &'a Field<R>, scanner: &Scanner, angle: f64, projection: Projection) -> Self {
+        let view = scanner.view(angle);
+        // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
+        let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
+        let mut footprints = vec![Footprint::default(); field.shapes.len()];
+        threads::for_each_chunk(&mut footprints, CHUNK, |chunk, footprints| {
+            for (footprint, shape) in footprints.iter_mut().zip(&field.shapes[chunk * CHUNK..]) {
+                *footprint = Footprint::new(shape, scanner, &view, projection);
+            }
+        });
+        Self { field, scanner: *scanner, view, projection, footprints }
+    }
+
+    /// The image `[v, u]`.
+    pub fn image(&self) -> Array2<R> {
+        let kernel = forward_kernel::<R>(self.field.kernel, self.projection);
+        let mut image = self.bands(kernel);
+        if self.projection == Projection::Exact {
+            let columns = self.scanner.detector.columns;
+            threads::for_each_chunk(image.as_slice_mut().expect("standard layout"), columns, |row, pixels| {
+                for (column, pixel) in pixels.iter_mut().enumerate() {
+                    *pixel *= self.ray_length(row, column);
+                }
+            });
+        }
+        image
+    }
+
+    /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
+    /// of |ρ| · line integral · largest scale · ε.
+    pub fn truncation_bound(&self) -> Array2<f64> {
+        let bound = |i: usize| self.field.shapes[i].truncation_bound(self.field.cutoff);
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let mut bounds = Array2::from_elem((rows, columns), 0.0);
+        for (i, footprint) in self.footprints.iter().enumerate() {
+            bounds += bound(i);
+            for row in footprint.rows.clone() {
+                for column in footprint.columns.clone() {
+                    if footprint.plane.reaches(row, column) {
+                        bounds[[row, column]] -= bound(i);
+                    }
+                }
+            }
+        }
+        bounds.mapv_into(|bound: f64| bound.max(0.0))
+    }
+
+    /// Adds the gradient of `Σ cotangent·image`; `cotangent` is `[v, u]`.
+    ///
+    /// # Panics
+    /// If the cotangent does not have the detector's shape, or the gradient belongs to another field.
+    pub fn pull_back(&self, cotangent: ArrayView2<'_, R>, gradient: &mut FieldGradient) {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
+        assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
+        let mut canvas = Canvas::<R>::new(rows, columns);
+        for row in 0..rows {
+            for (column, pixel) in canvas.row_mut(row, columns).iter_mut().enumerate() {
+                *pixel = cotangent[[row, column]];
+                if self.projection == Projection::Exact {
+                    *pixel *= self.ray_length(row, column);
+                }
+            }
+        }
+        let kernel = backward_kernel::<R>(self.field.kernel, self.projection);
+        threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
+            let first = chunk * GATHER;
+            for (i, gradient) in gradients.iter_mut().enumerate() {
+                let footprint = &self.footprints[first + i];
+                if !footprint.is_empty() {
+                    let sums =
+                        kernel(&footprint.plane, from_even(footprint.rows.clone()), footprint.columns.clone(), &canvas);
+                    gradient.add(&footprint.pull_back(
+                        &self.field.shapes[first + i],
+                        &self.view,
+                        self.projection,
+                        &sums,
+                    ));
+                }
+            }
+        });
+    }
+
+    /// Runs a kernel over all footprints: bands of [`STRIP`] rows in parallel, primitives in index order.
+    fn bands(&self, kernel: Forward<R>) -> Array2<R> {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let mut members = vec![Vec::new(); rows.div_ceil(STRIP)];
+        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
+            for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
+                band.push(i as u32);
+            }
+        }
+        let bands = threads::map(members.len(), |band| {
+            let origin = band * STRIP;
+            let height = STRIP.min(rows - origin);
+            let mut canvas = Canvas::<R>::new(height, columns);
+            for &i in &members[band] {
+                let footprint = &self.footprints[i as usize];
+                let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
+                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin);
+            }
+            (0..height).flat_map(|row| canvas.row(row, columns).to_vec()).collect::<Vec<_>>()
+        });
+        Array2::from_shape_vec((rows, columns), bands.concat()).expect("bands make up the image")
+    }
+
+    /// Length |d| of a pixel's ray between planes of unit distance.
+    fn ray_length(&self, row: usize, column: usize) -> R {
+        match self.scanner.beam {
+            Beam::Parallel { .. } => R::ONE,
+            Beam::Cone { dsd, .. } => {
+                let (u, v) = self.scanner.detector.position(row as f64, column as f64);
+                R::from_f64((1.0 + (u * u + v * v) / (dsd * dsd)).sqrt())
+            }
+        }
+    }
+}

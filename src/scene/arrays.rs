@@ -1,0 +1,97 @@
+//! What is measured and what is made of it: projections and volumes with their geometry.
+
+use super::geometry::Grid;
+use crate::error::{Error, Result};
+use ndarray::{Array3, ArrayView2, Axis};
+
+/// A density per voxel, attenuation per scene unit of length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Volume {
+    /// Where the voxels lie.
+    pub grid: Grid,
+    /// `[x, y, z]`, z fastest.
+    pub values: Array3<f32>,
+}
+
+/// Line integrals, an image per view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Projections {
+    /// Rotation of each view, radians.
+    pub angles: Vec<f64>,
+    /// `[view, v, u]`, row 0 on top.
+    pub images: Array3<f32>,
+}
+
+impl Volume {
+    /// A volume, checked against its grid.
+    ///
+    /// # Errors
+    /// When the shape differs from the grid's, or a value is not finite.
+    pub fn new(grid: Grid, values: Array3<f32>) -> Result<Self> {
+        if values.shape() != grid.shape {
+            return Err(Error::invalid(
+                "volume",
+                format!("shape {:?}", values.shape()),
+                format!("{:?} = [x, y, z]", grid.shape),
+                "check nVoxel and the order of the axes",
+            ));
+        }
+        check_finite("volume", &values)?;
+        Ok(Self { grid, values: values.as_standard_layout().into_owned() })
+    }
+}
+
+impl Projections {
+    /// Projections, checked: at least one view, an angle for each, finite values.
+    ///
+    /// # Errors
+    /// For the first of these that fails.
+    pub fn new(angles: Vec<f64>, images: Array3<f32>) -> Result<Self> {
+        if angles.is_empty() || images.shape()[0] != angles.len() {
+            return Err(Error::invalid(
+                "projections",
+                format!("{} images for {} angles", images.shape()[0], angles.len()),
+                "one image per angle, at least one",
+                "check the list of views",
+            ));
+        }
+        if let Some(bad) = angles.iter().find(|a| !a.is_finite()) {
+            return Err(Error::invalid("angle", bad, "a finite number of radians", "check meta_data.json"));
+        }
+        check_finite("projections", &images)?;
+        Ok(Self { angles, images: images.as_standard_layout().into_owned() })
+    }
+
+    /// Number of views.
+    pub fn len(&self) -> usize {
+        self.angles.len()
+    }
+
+    /// Never true for checked projections.
+    pub fn is_empty(&self) -> bool {
+        self.angles.is_empty()
+    }
+
+    /// The image `[v, u]` of one view.
+    pub fn image(&self, view: usize) -> ArrayView2<'_, f32> {
+        self.images.index_axis(Axis(0), view)
+    }
+
+    /// The views with the given indices, in that order.
+    pub fn select(&self, views: &[usize]) -> Self {
+        Self { angles: views.iter().map(|&i| self.angles[i]).collect(), images: self.images.select(Axis(0), views) }
+    }
+}
+
+/// An error that names the first value that is not finite.
+pub(crate) fn check_finite(what: &str, values: &Array3<f32>) -> Result<()> {
+    match values.indexed_iter().find(|(_, value)| !value.is_finite()) {
+        None => Ok(()),
+        Some((index, value)) => Err(Error::invalid(
+            what,
+            format!("{value} at {index:?}"),
+            "finite numbers only",
+            "repair or leave out the damaged part: it is never guessed",
+        )),
+    }
+}

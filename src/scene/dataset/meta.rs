@@ -1,0 +1,313 @@
+//! `meta_data.json`, and what its fields mean.
+
+use crate::error::{Error, Result};
+use crate::output::write_atomically;
+use crate::scene::geometry::{Beam, Detector, Grid, Scanner};
+use crate::scene::noise::Noise;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::path::Path;
+
+/// Relative deviation from `s = n·d` that is taken for rounding to a few digits.
+const ROUNDED: f64 = 1e-3;
+/// Relative deviation up to which a pixel or voxel size as written is more exact than total size over number.
+const EXACT: f64 = 1e-9;
+/// Source to axis where a parallel scan does not say, scene units. No value depends on it.
+const PARALLEL_DSO: f64 = 5.0;
+
+/// The whole file. Fields that are not listed are ignored.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Meta {
+    pub(super) scanner: ScannerMeta,
+    /// The volume's file, relative to the folder.
+    pub(super) vol: Option<String>,
+    /// Another name for `vol`, written by the generator for real data.
+    #[serde(skip_serializing)]
+    pub(super) ct: Option<String>,
+    /// `[[min], [max]]` of the volume, x, y, z.
+    pub(super) bbox: Option<[[f64; 3]; 2]>,
+    #[serde(default)]
+    pub(super) proj_train: Vec<ViewMeta>,
+    #[serde(default)]
+    pub(super) proj_test: Vec<ViewMeta>,
+}
+
+/// One projection.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct ViewMeta {
+    /// Relative to the folder.
+    pub(super) file_path: String,
+    /// Radians.
+    pub(super) angle: f64,
+    /// Distance of the source from the axis, written by the generator for real data.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) radius: Option<f64>,
+}
+
+/// The scanner, in any one unit of length. Beware of the orders: they differ from field to field.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct ScannerMeta {
+    /// `cone` or `parallel`.
+    mode: String,
+    /// Source to detector.
+    #[serde(rename = "DSD")]
+    dsd: Option<f64>,
+    /// Source to rotation axis.
+    #[serde(rename = "DSO")]
+    dso: Option<f64>,
+    /// Pixels, `[v, u]`.
+    #[serde(rename = "nDetector")]
+    n_detector: Vec<f64>,
+    /// Total size, `[v, u]`.
+    #[serde(rename = "sDetector")]
+    s_detector: Vec<f64>,
+    /// Pixel size, `[v, u]`.
+    #[serde(rename = "dDetector")]
+    d_detector: Option<Vec<f64>>,
+    /// Voxels, `[x, y, z]`.
+    #[serde(rename = "nVoxel")]
+    n_voxel: Vec<f64>,
+    /// Total size, `[x, y, z]`.
+    #[serde(rename = "sVoxel")]
+    s_voxel: Vec<f64>,
+    /// Voxel size, `[x, y, z]`.
+    #[serde(rename = "dVoxel")]
+    d_voxel: Option<Vec<f64>>,
+    /// Centre of the volume, `[x, y, z]`.
+    #[serde(rename = "offOrigin")]
+    off_origin: Option<Vec<f64>>,
+    /// Shift of the detector, `[u, v]`, along the axes of the geometry page: v points down the rows.
+    #[serde(rename = "offDetector")]
+    off_detector: Option<Vec<f64>>,
+    /// Step of an interpolating projector in voxels. Other readers ask for it.
+    #[serde(default)]
+    accuracy: Option<f64>,
+    /// Span of the training views, degrees.
+    #[serde(rename = "totalAngle", default)]
+    total_angle: Option<f64>,
+    /// First training view, degrees.
+    #[serde(rename = "startAngle", default)]
+    start_angle: Option<f64>,
+    /// Whether noise was added.
+    #[serde(default)]
+    noise: Value,
+    /// Photons per pixel; the spelling is the format's.
+    #[serde(default)]
+    possion_noise: Value,
+    /// `[mean, standard deviation]` in counts.
+    #[serde(default)]
+    gaussian_noise: Value,
+    /// Window of the ramp filter, or null.
+    #[serde(default)]
+    filter: Option<String>,
+}
+
+/// A scanner in scene units and what it takes to get there.
+#[derive(Debug)]
+pub(super) struct Interpreted {
+    pub(super) scanner: Scanner,
+    /// Scene units per unit of the file.
+    pub(super) scale: f64,
+    pub(super) noise: Noise,
+    pub(super) oddities: Vec<String>,
+}
+
+impl Meta {
+    pub(super) fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        serde_json::from_slice(&text).map_err(|error| {
+            Error::format(
+                path,
+                "scan description",
+                error,
+                "JSON with the scanner's fields and the lists proj_train and proj_test",
+                "compare it with one that `trgs simulate` writes",
+            )
+        })
+    }
+
+    pub(super) fn write(&self, path: &Path) -> Result<()> {
+        write_atomically(path, |file| Ok(serde_json::to_writer_pretty(file, self)?))
+    }
+
+    /// The scanner in scene units, checked.
+    pub(super) fn interpret(&self, path: &Path) -> Result<Interpreted> {
+        let mut interpreted = self.scanner.interpret().map_err(|error| in_file(path, error))?;
+        let Interpreted { scanner, scale, oddities, .. } = &mut interpreted;
+        if let Some(corners) = self.bbox {
+            let found = corners.map(|corner| DVec3::from_array(corner) * *scale);
+            let expected = [scanner.grid.min, scanner.grid.max()];
+            // The format's own generator writes this box in scene units, whatever the unit of the rest.
+            let agrees = |found: [DVec3; 2]| (0..2).all(|i| (found[i] - expected[i]).abs().max_element() < 1e-3);
+            if !agrees(found) && !agrees(corners.map(DVec3::from_array)) {
+                oddities.push(format!("bbox {corners:?} is not offOrigin ± sVoxel/2; it is ignored"));
+            }
+        }
+        let dso = scanner.beam.dso();
+        let radii = self.proj_train.iter().chain(&self.proj_test).filter_map(|view| view.radius);
+        if let Some(radius) =
+            radii.filter(|radius| [1.0, *scale].iter().all(|s| (radius * s - dso).abs() > 1e-3 * dso)).next()
+        {
+            oddities.push(format!("a view has the radius {radius}, which is not DSO; it is ignored"));
+        }
+        Ok(interpreted)
+    }
+}
+
+impl ScannerMeta {
+    /// The description of `scanner` in scene units, with `angles` as its training views.
+    pub(super) fn describe(scanner: &Scanner, angles: &[f64], noise: Noise) -> Self {
+        let Scanner { beam, detector: d, grid } = scanner;
+        let (mode, dsd) = match *beam {
+            Beam::Cone { dsd, .. } => ("cone", dsd),
+            // It means nothing in a parallel beam, but readers ask for it.
+            Beam::Parallel { dso } => ("parallel", 2.0 * dso),
+        };
+        let n = angles.len() as f64;
+        let first = angles.first().copied().unwrap_or(0.0);
+        let gap = angles.get(1).map_or(0.0, |second| second - first);
+        let uniform = gap > 0.0 && angles.windows(2).all(|pair| (pair[1] - pair[0] - gap).abs() < 1e-9);
+        let (noisy, photons, sigma) = match noise {
+            Noise::None => (false, 0.0, 0.0),
+            Noise::Counts { photons, sigma } => (true, photons, sigma),
+        };
+        Self {
+            mode: mode.into(),
+            dsd: Some(dsd),
+            dso: Some(beam.dso()),
+            n_detector: vec![d.rows as f64, d.columns as f64],
+            s_detector: vec![d.rows as f64 * d.pitch_v, d.columns as f64 * d.pitch_u],
+            d_detector: Some(vec![d.pitch_v, d.pitch_u]),
+            n_voxel: grid.shape.map(|n| n as f64).to_vec(),
+            s_voxel: grid.size().to_array().to_vec(),
+            d_voxel: Some(grid.spacing.to_array().to_vec()),
+            off_origin: Some((grid.min + grid.size() / 2.0).to_array().to_vec()),
+            off_detector: Some(vec![d.offset_u, d.offset_v]),
+            accuracy: Some(0.5),
+            total_angle: Some(if uniform { (n * gap).to_degrees() } else { 360.0 }),
+            start_angle: Some(first.to_degrees()),
+            noise: noisy.into(),
+            possion_noise: photons.into(),
+            gaussian_noise: vec![0.0, sigma].into(),
+            filter: None,
+        }
+    }
+
+    fn interpret(&self) -> Result<Interpreted> {
+        let mut oddities = Vec::new();
+        let n_detector = counts("nDetector", &self.n_detector)?;
+        let n_voxel = counts("nVoxel", &self.n_voxel)?;
+        let s_voxel: [f64; 3] = sizes("sVoxel", &self.s_voxel)?;
+        let s_detector: [f64; 2] = sizes("sDetector", &self.s_detector)?;
+        let [pitch_v, pitch_u] = pitches("Detector", n_detector, s_detector, self.d_detector.as_deref())?;
+        let spacing = pitches("Voxel", n_voxel, s_voxel, self.d_voxel.as_deref())?;
+        let off_origin: [f64; 3] = entries("offOrigin", self.off_origin.as_deref().unwrap_or(&[0.0; 3]))?;
+        let off_detector: [f64; 2] = entries("offDetector", self.off_detector.as_deref().unwrap_or(&[0.0; 2]))?;
+
+        let longest = DVec3::from_array(s_voxel).max_element();
+        let scale = if (longest / 2.0 - 1.0).abs() < EXACT { 1.0 } else { 2.0 / longest };
+        let spacing = DVec3::from_array(spacing) * scale;
+        let size = spacing * DVec3::from_array(n_voxel.map(|n| n as f64));
+        let grid = Grid { shape: n_voxel, min: DVec3::from_array(off_origin) * scale - size / 2.0, spacing };
+        let [rows, columns] = n_detector;
+        let [offset_u, offset_v] = off_detector.map(|offset| offset * scale);
+        let detector =
+            Detector { rows, columns, pitch_v: pitch_v * scale, pitch_u: pitch_u * scale, offset_u, offset_v };
+        if offset_v != 0.0 {
+            oddities.push(format!(
+                "offDetector moves the detector by {} along v, read as down the rows; TIGRE counts it upwards",
+                off_detector[1]
+            ));
+        }
+
+        let distance = |name: &str, value: Option<f64>| {
+            value.map(|value| value * scale).ok_or_else(|| {
+                Error::invalid(name, "nothing", "a length: a cone beam needs it", "add it to the scanner's fields")
+            })
+        };
+        let beam = match self.mode.as_str() {
+            "cone" => Beam::Cone { dso: distance("DSO", self.dso)?, dsd: distance("DSD", self.dsd)? },
+            "parallel" => {
+                // R²-Gaussian draws parallel views on a detector as wide as the volume, whatever the file says.
+                if s_detector.iter().any(|s| (s / longest - 1.0).abs() > ROUNDED) {
+                    oddities.push(format!(
+                        "parallel beam with sDetector {s_detector:?} and max(sVoxel) {longest}: the detector has the size it says; \
+                         R²-Gaussian would take it to be as large as the volume"
+                    ));
+                }
+                Beam::Parallel { dso: self.dso.map_or(PARALLEL_DSO, |dso| dso * scale) }
+            }
+            other => {
+                return Err(Error::invalid("mode", format!("{other:?}"), "\"cone\" or \"parallel\"", "correct it"));
+            }
+        };
+        let scanner = Scanner { beam, detector, grid };
+        scanner.validate()?;
+        Ok(Interpreted { scanner, scale, noise: self.noise(), oddities })
+    }
+
+    /// The noise as described, [`Noise::None`] where it is not, or in another way.
+    fn noise(&self) -> Noise {
+        let number = |value: &Value| value.as_f64().filter(|number| *number >= 0.0);
+        match (self.noise.as_bool(), number(&self.possion_noise), self.gaussian_noise.get(1).and_then(number)) {
+            (Some(true), Some(photons), Some(sigma)) if photons > 0.0 => Noise::Counts { photons, sigma },
+            _ => Noise::None,
+        }
+    }
+}
+
+/// A field with one number per axis.
+fn entries<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
+    values
+        .try_into()
+        .map_err(|_| Error::invalid(name, format!("{values:?}"), format!("{N} numbers, one per axis"), "correct it"))
+}
+
+/// Numbers of pixels or voxels.
+fn counts<const N: usize>(name: &str, values: &[f64]) -> Result<[usize; N]> {
+    let values: [f64; N] = entries(name, values)?;
+    if values.iter().all(|n| n.fract() == 0.0 && (1.0..=65_536.0).contains(n)) {
+        return Ok(values.map(|n| n as usize));
+    }
+    Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "correct it"))
+}
+
+/// Total sizes.
+fn sizes<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
+    let values: [f64; N] = entries(name, values)?;
+    if values.iter().all(|s| *s > 0.0 && s.is_finite()) {
+        return Ok(values);
+    }
+    Err(Error::invalid(name, format!("{values:?}"), "positive lengths: the total size", "correct it"))
+}
+
+/// Sizes of pixels or voxels, `s/n`, compared with `d` where that is given.
+fn pitches<const N: usize>(name: &str, n: [usize; N], s: [f64; N], d: Option<&[f64]>) -> Result<[f64; N]> {
+    let derived: [f64; N] = std::array::from_fn(|i| s[i] / n[i] as f64);
+    let Some(d) = d else { return Ok(derived) };
+    let d: [f64; N] = entries(&format!("d{name}"), d)?;
+    let within = |limit: f64| d.iter().zip(&derived).all(|(d, derived)| (d / derived - 1.0).abs() <= limit);
+    if within(EXACT) {
+        Ok(d)
+    } else if within(ROUNDED) {
+        Ok(derived)
+    } else {
+        Err(Error::invalid(
+            format!("d{name}"),
+            format!("{d:?}"),
+            format!("s{name}/n{name} = {derived:?}"),
+            format!("s{name} is the total size, not that of one element: correct it, or leave d{name} out"),
+        ))
+    }
+}
+
+/// Says in which file an unusable value stands.
+pub(super) fn in_file(path: &Path, error: Error) -> Error {
+    match error {
+        Error::Invalid { what, got, expected, remedy } => {
+            Error::Format { path: path.into(), what, got, expected, remedy }
+        }
+        other => other,
+    }
+}

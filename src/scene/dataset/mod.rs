@@ -1,0 +1,235 @@
+//! A scan as a folder, in the format of R²-Gaussian:
+//!
+//! ```text
+//! meta_data.json                     scanner, file names, angles in radians
+//! vol_gt.npy                         true volume [x, y, z], optional
+//! proj_train/proj_train_0000.npy     one projection [v, u] per file, row 0 on top
+//! proj_test/proj_test_0000.npy       projections to judge by, optional
+//! init_<name>.npy                    initial points [M, 4] = x, y, z, density, optional
+//! ```
+//!
+//! Lengths may have any one unit. On reading they are multiplied by `scale = 2/max(sVoxel)`, which makes the longest
+//! side of the volume 2, and so are the projections. The volume is not: densities stay what they are per unit of the
+//! file. Initial points are in scene units already. Writing is in scene units, where the scale is 1.
+
+mod meta;
+
+use super::arrays::{Projections, Volume};
+use super::geometry::Scanner;
+use super::noise::Noise;
+use super::npy;
+use crate::error::{Error, Result};
+use crate::output::{create_folder, stage_folder};
+use meta::{Meta, ScannerMeta, ViewMeta, in_file};
+use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2, Ix3};
+use std::path::{Path, PathBuf};
+
+/// Larger angles are probably degrees.
+const LARGEST_USUAL_ANGLE: f64 = 4.0 * std::f64::consts::PI;
+
+/// A scan: what was measured, and if known what is true.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// The folder's name.
+    pub name: String,
+    /// The scanner, scene units.
+    pub scanner: Scanner,
+    /// Scene units per unit of length of the files.
+    pub scale: f64,
+    /// Noise of the training views, as far as the files tell.
+    pub noise: Noise,
+    /// What to reconstruct from.
+    pub train: Projections,
+    /// What to judge by.
+    pub test: Option<Projections>,
+    /// The volume that was scanned.
+    pub truth: Option<Volume>,
+    /// Initial points, `[M, 4]` = x, y, z in scene units and density.
+    pub initial_points: Option<Array2<f64>>,
+    /// What is unusual about the files, a sentence each. Nothing here keeps the scan from being used.
+    pub oddities: Vec<String>,
+}
+
+/// Reads the scanner of a dataset in scene units, without any projection; `path` is the folder or its `meta_data.json`.
+///
+/// # Errors
+/// [`Error::Read`] or [`Error::Format`].
+pub fn read_scanner(path: &Path) -> Result<Scanner> {
+    let path = meta_path(path);
+    Ok(Meta::read(&path)?.interpret(&path)?.scanner)
+}
+
+impl Dataset {
+    /// Reads a dataset; `path` is the folder or its `meta_data.json`.
+    ///
+    /// # Errors
+    /// [`Error::Read`] or [`Error::Format`] for the first file that is missing, damaged or does not fit the scanner, and
+    /// for values that are not finite.
+    pub fn read(path: &Path) -> Result<Self> {
+        let meta_path = meta_path(path);
+        let meta = Meta::read(&meta_path)?;
+        let meta::Interpreted { scanner, scale, noise, mut oddities } = meta.interpret(&meta_path)?;
+        let folder = meta_path.parent().unwrap_or(Path::new("."));
+        let name = folder.canonicalize().ok().and_then(|f| Some(f.file_name()?.to_string_lossy().into_owned()));
+        let name = name.unwrap_or_else(|| "scan".into());
+
+        if meta.proj_train.is_empty() {
+            return Err(Error::format(&meta_path, "proj_train", "no view", "at least one", "list the projections"));
+        }
+        if meta.vol.is_none() && meta.ct.is_some() {
+            oddities.push("the volume is listed as `ct`; R²-Gaussian's own reader only knows `vol`".into());
+        }
+        let largest = meta.proj_train.iter().chain(&meta.proj_test).map(|view| view.angle.abs()).fold(0.0, f64::max);
+        if largest > LARGEST_USUAL_ANGLE {
+            oddities.push(format!("angles reach {largest}: they are read as radians, but look like degrees"));
+        }
+
+        let train = read_views(folder, &meta_path, &meta.proj_train, &scanner, scale)?;
+        let test = match meta.proj_test.as_slice() {
+            [] => None,
+            views => Some(read_views(folder, &meta_path, views, &scanner, scale)?),
+        };
+        let truth = meta.vol.as_ref().or(meta.ct.as_ref()).map(|file| read_volume(&folder.join(file), &scanner));
+        let initial_points = find_points(folder, &name, &mut oddities)?.map(|path| read_points(&path));
+        Ok(Self {
+            name,
+            scanner,
+            scale,
+            noise,
+            train,
+            test,
+            truth: truth.transpose()?,
+            initial_points: initial_points.transpose()?,
+            oddities,
+        })
+    }
+
+    /// Writes the dataset in scene units as the folder `folder`, which appears as a whole or not at all (see
+    /// [`crate::output::StagedFolder::commit`] for what may be there already).
+    ///
+    /// # Errors
+    /// [`Error::Write`], or [`Error::Invalid`] when the folder holds something else.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let staged = stage_folder(folder)?;
+        let at = |file: &str| staged.path().join(file);
+        let views = |name: &str, projections: Option<&Projections>| -> Result<Vec<ViewMeta>> {
+            let Some(projections) = projections else { return Ok(Vec::new()) };
+            create_folder(&at(name))?;
+            let mut list = Vec::new();
+            for (i, &angle) in projections.angles.iter().enumerate() {
+                let file_path = format!("{name}/{name}_{i:04}.npy");
+                npy::write(&at(&file_path), projections.image(i))?;
+                list.push(ViewMeta { file_path, angle, radius: None });
+            }
+            Ok(list)
+        };
+        let vol = match &self.truth {
+            Some(volume) => {
+                npy::write(&at("vol_gt.npy"), volume.values.view())?;
+                Some("vol_gt.npy".into())
+            }
+            None => None,
+        };
+        if let Some(points) = &self.initial_points {
+            let name = folder.file_name().map_or_else(|| self.name.clone(), |name| name.to_string_lossy().into_owned());
+            npy::write(&at(&format!("init_{name}.npy")), points.view())?;
+        }
+        let meta = Meta {
+            scanner: ScannerMeta::describe(&self.scanner, &self.train.angles, self.noise),
+            vol,
+            ct: None,
+            bbox: Some([self.scanner.grid.min.to_array(), self.scanner.grid.max().to_array()]),
+            proj_train: views("proj_train", Some(&self.train))?,
+            proj_test: views("proj_test", self.test.as_ref())?,
+        };
+        meta.write(&at("meta_data.json"))?;
+        staged.commit()
+    }
+}
+
+/// The description of a dataset that is given by its folder or by the description itself.
+fn meta_path(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join("meta_data.json") } else { path.into() }
+}
+
+fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner, scale: f64) -> Result<Projections> {
+    let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
+    let mut values = Vec::new();
+    for view in views {
+        let path = folder.join(&view.file_path);
+        let image = npy::read_f32::<Ix2>(&path, "[v, u]")?;
+        if image.dim() != (rows, columns) {
+            return Err(Error::format(
+                &path,
+                "projection",
+                format!("shape {:?}", image.shape()),
+                format!("[{rows}, {columns}] = nDetector = [v, u]"),
+                "check nDetector and the order of the axes",
+            ));
+        }
+        // Rounding once, from f64, keeps a scale of 1 exact.
+        let image = image.mapv(|value| (f64::from(value) * scale) as f32);
+        check_finite(&path, "projection", image.view())?;
+        values.extend(image);
+    }
+    let images =
+        Array3::from_shape_vec((views.len(), rows, columns), values).expect("every image has the detector's shape");
+    Projections::new(views.iter().map(|view| view.angle).collect(), images).map_err(|error| in_file(meta, error))
+}
+
+fn read_volume(path: &Path, scanner: &Scanner) -> Result<Volume> {
+    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
+    check_finite(path, "volume", values.view())?;
+    Volume::new(scanner.grid, values).map_err(|error| in_file(path, error))
+}
+
+fn read_points(path: &Path) -> Result<Array2<f64>> {
+    let points = npy::read_f64::<Ix2>(path, "[M, 4] = x, y, z, density")?;
+    if points.ncols() != 4 {
+        let got = format!("shape {:?}", points.shape());
+        return Err(Error::format(
+            path,
+            "initial points",
+            got,
+            "[M, 4] = x, y, z, density",
+            "make them again, or remove the file",
+        ));
+    }
+    check_finite(path, "initial points", points.view())?;
+    Ok(points)
+}
+
+/// `init_<name>.npy`, or the only other `init_*.npy`.
+fn find_points(folder: &Path, name: &str, oddities: &mut Vec<String>) -> Result<Option<PathBuf>> {
+    let failed = |source| Error::read(folder, source);
+    let mut found = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        let file = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
+        if file.starts_with("init_") && file.ends_with(".npy") {
+            found.push(file);
+        }
+    }
+    found.sort();
+    let own = format!("init_{name}.npy");
+    let chosen = found.iter().find(|file| **file == own).or(found.first());
+    if let (Some(chosen), true) = (chosen, found.len() > 1) {
+        oddities.push(format!("{} files with initial points: {chosen} is used", found.len()));
+    }
+    Ok(chosen.map(|file| folder.join(file)))
+}
+
+/// An error that names the file and the first value in it that is not finite.
+fn check_finite<T: Copy + Into<f64>, D: Dimension>(path: &Path, what: &str, values: ArrayView<'_, T, D>) -> Result<()> {
+    let finite = |value: &T| -> bool { (*value).into().is_finite() };
+    match values.indexed_iter().find(|(_, value)| !finite(value)) {
+        None => Ok(()),
+        Some((index, value)) => {
+            let got = format!("{} at index {index:?}", (*value).into());
+            let remedy = "repair or leave out the damaged part: it is never guessed";
+            Err(Error::format(path, what, got, "finite numbers only", remedy))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,417 @@
+//! **The geometry page.** Every axis, sign, unit and index order of the project is decided here.
+//!
+//! ```text
+//!                     z (rotation axis)          World: right-handed, scene units. The longest side of the
+//!                     │   ╭──── volume           volume is 2, so it lies in [-1,1]³ (files in other units are
+//!                     │  ╱│                      scaled on reading, and projections with them).
+//!       source ●──────┼─╱─┼────▶ w    ┌───┐u→    Volume: array [x,y,z], z fastest; the centre of voxel i lies at
+//!     at dso·(cos φ,  │╱  │           │  v│      min + (i+½)·spacing.
+//!        sin φ, 0)    ●───┼──▶ y      │  ↓│      Detector: array [v,u], rows v first. Columns run along u,
+//!                    ╱                └───┘      rows along v, so row 0 is the top (+z).
+//!                   x                detector    Projections: array [view, v, u].
+//!                                    at dsd
+//! ```
+//!
+//! View at angle φ (radians, counter-clockwise seen from +z; φ = 0 has the source on +x):
+//!
+//! | axis | at angle φ | at φ = 0 |
+//! |---|---|---|
+//! | source | `dso·(cos φ, sin φ, 0)` | `(dso, 0, 0)` |
+//! | `w`, forward | `(-cos φ, -sin φ, 0)` | `-x` |
+//! | `u`, along the columns | `(-sin φ, cos φ, 0)` | `+y` |
+//! | `v`, down the rows | `(0, 0, -1)` | `-z` |
+//!
+//! `u × v = w`: the camera frame (u,v,w) is right-handed. The centre of pixel (row, column) lies at
+//! `((column+½-columns/2)·pitch_u + offset_u, (row+½-rows/2)·pitch_v + offset_v)` on the detector, which is
+//! perpendicular to `w` at distance `dsd` from the source. In a parallel beam all rays run along `w`,
+//! the detector has the size of its own shadow, and `dsd` means nothing.
+//!
+//! A projection value is the integral of the density along the whole ray, in scene units of true length.
+
+use crate::error::{Error, Result};
+use crate::numeric::elementary::{cos, sin};
+use glam::DVec3;
+
+/// How the rays run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Beam {
+    /// From a point source at distance `dso` from the rotation axis to a flat detector at distance `dsd` from the source.
+    Cone {
+        /// Source to origin, scene units.
+        dso: f64,
+        /// Source to detector, scene units.
+        dsd: f64,
+    },
+    /// Along `w`, perpendicular to the detector.
+    Parallel {
+        /// Where views are said to be taken from, scene units. No value depends on it.
+        dso: f64,
+    },
+}
+
+/// A flat detector of `rows` × `columns` pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detector {
+    /// Pixels along v.
+    pub rows: usize,
+    /// Pixels along u.
+    pub columns: usize,
+    /// Distance of rows, scene units.
+    pub pitch_v: f64,
+    /// Distance of columns, scene units.
+    pub pitch_u: f64,
+    /// Shift of the detector along u, scene units.
+    pub offset_u: f64,
+    /// Shift of the detector along v, scene units.
+    pub offset_v: f64,
+}
+
+/// An axis-aligned grid of voxels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// Voxels along x, y, z.
+    pub shape: [usize; 3],
+    /// The corner with the smallest coordinates, scene units.
+    pub min: DVec3,
+    /// Voxel size along x, y, z, scene units.
+    pub spacing: DVec3,
+}
+
+/// The fixed part of a scan: beam, detector and the grid to reconstruct on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scanner {
+    /// Cone or parallel.
+    pub beam: Beam,
+    /// The detector.
+    pub detector: Detector,
+    /// The volume's grid.
+    pub grid: Grid,
+}
+
+/// The moving part of a scan at one angle: where the source is and where the detector's axes point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Rotation, radians.
+    pub angle: f64,
+    /// Source position; for a parallel beam a point on the central ray.
+    pub source: DVec3,
+    /// Unit vector along the columns.
+    pub u: DVec3,
+    /// Unit vector down the rows.
+    pub v: DVec3,
+    /// Unit vector forward.
+    pub w: DVec3,
+}
+
+/// A ray with unit direction: `origin + t·direction`, t in scene units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// A point on the ray: the source, or for a parallel beam the foot of the ray in the source's plane.
+    pub origin: DVec3,
+    /// Unit vector.
+    pub direction: DVec3,
+}
+
+impl Beam {
+    /// Source to origin, scene units.
+    pub fn dso(&self) -> f64 {
+        match *self {
+            Self::Cone { dso, .. } | Self::Parallel { dso } => dso,
+        }
+    }
+}
+
+impl Detector {
+    /// Position of the centre of a pixel on the detector, (u, v) in scene units. Fractions are allowed.
+    pub fn position(&self, row: f64, column: f64) -> (f64, f64) {
+        (
+            (column + 0.5 - self.columns as f64 / 2.0) * self.pitch_u + self.offset_u,
+            (row + 0.5 - self.rows as f64 / 2.0) * self.pitch_v + self.offset_v,
+        )
+    }
+
+    /// Row and column (with fractions) of a position on the detector; inverse of [`Self::position`].
+    pub fn pixel(&self, u: f64, v: f64) -> (f64, f64) {
+        (
+            (v - self.offset_v) / self.pitch_v + self.rows as f64 / 2.0 - 0.5,
+            (u - self.offset_u) / self.pitch_u + self.columns as f64 / 2.0 - 0.5,
+        )
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.rows * self.columns
+    }
+}
+
+impl Grid {
+    /// A grid of `shape` voxels over the box from `min` to `max`.
+    ///
+    /// # Errors
+    /// On an empty shape or a box without volume.
+    pub fn new(shape: [usize; 3], min: DVec3, max: DVec3) -> Result<Self> {
+        if shape.contains(&0) {
+            return Err(Error::invalid(
+                "grid shape",
+                format!("{shape:?}"),
+                "at least one voxel on each axis",
+                "enlarge it",
+            ));
+        }
+        let size = max - min;
+        if !(size.x > 0.0 && size.y > 0.0 && size.z > 0.0 && size.is_finite() && min.is_finite()) {
+            return Err(Error::invalid(
+                "box of the grid",
+                format!("{min} to {max}"),
+                "finite corners, the first below the second",
+                "swap or enlarge them",
+            ));
+        }
+        Ok(Self { shape, min, spacing: size / DVec3::new(shape[0] as f64, shape[1] as f64, shape[2] as f64) })
+    }
+
+    /// The cube [-1,1]³ with `n` voxels on each side.
+    pub fn cube(n: usize) -> Self {
+        Self { shape: [n; 3], min: DVec3::NEG_ONE, spacing: DVec3::splat(2.0 / n as f64) }
+    }
+
+    /// Centre of voxel (x,y,z).
+    pub fn centre(&self, index: [usize; 3]) -> DVec3 {
+        self.min + (DVec3::new(index[0] as f64, index[1] as f64, index[2] as f64) + 0.5) * self.spacing
+    }
+
+    /// Side lengths, scene units.
+    pub fn size(&self) -> DVec3 {
+        self.spacing * DVec3::new(self.shape[0] as f64, self.shape[1] as f64, self.shape[2] as f64)
+    }
+
+    /// The corner with the largest coordinates.
+    pub fn max(&self) -> DVec3 {
+        self.min + self.size()
+    }
+
+    /// Number of voxels.
+    pub fn voxels(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// The part of the grid that starts at voxel `start` and has `shape` voxels.
+    pub fn block(&self, start: [usize; 3], shape: [usize; 3]) -> Self {
+        let offset = DVec3::new(start[0] as f64, start[1] as f64, start[2] as f64);
+        Self { shape, min: self.min + offset * self.spacing, spacing: self.spacing }
+    }
+}
+
+impl View {
+    /// The view at `angle` (radians).
+    pub fn new(beam: &Beam, angle: f64) -> Self {
+        let (s, c) = (sin(angle), cos(angle));
+        Self {
+            angle,
+            source: DVec3::new(beam.dso() * c, beam.dso() * s, 0.0),
+            u: DVec3::new(-s, c, 0.0),
+            v: DVec3::NEG_Z,
+            w: DVec3::new(-c, -s, 0.0),
+        }
+    }
+
+    /// World → camera: components along (u, v, w) seen from the source.
+    pub fn to_camera(&self, point: DVec3) -> DVec3 {
+        let offset = point - self.source;
+        DVec3::new(self.u.dot(offset), self.v.dot(offset), self.w.dot(offset))
+    }
+}
+
+impl Scanner {
+    /// `n` angles from `start`, evenly over `span` (radians), the last point excluded.
+    pub fn uniform_angles(n: usize, start: f64, span: f64) -> Vec<f64> {
+        (0..n).map(|i| start + span * i as f64 / n as f64).collect()
+    }
+
+    /// The view at `angle` (radians).
+    pub fn view(&self, angle: f64) -> View {
+        View::new(&self.beam, angle)
+    }
+
+    /// The ray through the centre of a pixel.
+    pub fn ray(&self, view: &View, row: usize, column: usize) -> Ray {
+        let (u, v) = self.detector.position(row as f64, column as f64);
+        match self.beam {
+            Beam::Cone { dsd, .. } => {
+                Ray { origin: view.source, direction: (view.u * u + view.v * v + view.w * dsd).normalize() }
+            }
+            Beam::Parallel { .. } => Ray { origin: view.source + view.u * u + view.v * v, direction: view.w },
+        }
+    }
+
+    /// Detector position (u, v) of the shadow of a point in camera coordinates, or `None` at or behind the source of a cone beam.
+    pub fn project(&self, camera: DVec3) -> Option<(f64, f64)> {
+        match self.beam {
+            Beam::Cone { dsd, .. } => (camera.z > 0.0).then(|| (dsd * camera.x / camera.z, dsd * camera.y / camera.z)),
+            Beam::Parallel { .. } => Some((camera.x, camera.y)),
+        }
+    }
+
+    /// Checks sizes, distances and that the detector sees the volume.
+    ///
+    /// # Errors
+    /// One clear error for the first thing that cannot work.
+    pub fn validate(&self) -> Result<()> {
+        let d = &self.detector;
+        if d.rows == 0 || d.columns == 0 {
+            return Err(Error::invalid(
+                "detector",
+                format!("{} rows × {} columns", d.rows, d.columns),
+                "at least one pixel",
+                "check nDetector = [v, u]",
+            ));
+        }
+        for (what, value) in
+            [("pitch of the detector's rows", d.pitch_v), ("pitch of the detector's columns", d.pitch_u)]
+        {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::invalid(
+                    what,
+                    value,
+                    "a positive length",
+                    "check sDetector = [v, u], the total size",
+                ));
+            }
+        }
+        if !(d.offset_u.is_finite() && d.offset_v.is_finite()) {
+            return Err(Error::invalid(
+                "detector offset",
+                format!("[{}, {}]", d.offset_u, d.offset_v),
+                "finite lengths",
+                "check offDetector = [u, v]",
+            ));
+        }
+        Grid::new(self.grid.shape, self.grid.min, self.grid.max())?;
+        let dso = self.beam.dso();
+        if !(dso > 0.0 && dso.is_finite()) {
+            return Err(Error::invalid(
+                "DSO",
+                dso,
+                "a positive length",
+                "give the distance from source to rotation axis",
+            ));
+        }
+        if let Beam::Cone { dsd, .. } = self.beam {
+            if !(dsd > 0.0 && dsd.is_finite()) {
+                return Err(Error::invalid(
+                    "DSD",
+                    dsd,
+                    "a positive length",
+                    "give the distance from source to detector",
+                ));
+            }
+            let radius = self.radius_around_axis();
+            if radius >= dso {
+                return Err(Error::invalid(
+                    "DSO",
+                    dso,
+                    format!("more than {radius}, the volume's reach around the axis"),
+                    "the source would pass through the volume: check units and sVoxel",
+                ));
+            }
+        }
+        self.sees_volume()
+    }
+
+    /// Largest distance of a corner of the volume from the rotation axis.
+    fn radius_around_axis(&self) -> f64 {
+        self.corners().map(|p| p.truncate().length()).fold(0.0, f64::max)
+    }
+
+    fn corners(&self) -> impl Iterator<Item = DVec3> {
+        let (min, size) = (self.grid.min, self.grid.size());
+        (0..8).map(move |k| min + size * DVec3::new((k & 1) as f64, (k >> 1 & 1) as f64, (k >> 2) as f64))
+    }
+
+    /// An error when the shadow of the volume misses the detector in every view of a full turn.
+    fn sees_volume(&self) -> Result<()> {
+        let d = &self.detector;
+        let (half_u, half_v) = (d.columns as f64 * d.pitch_u / 2.0, d.rows as f64 * d.pitch_v / 2.0);
+        for angle in Self::uniform_angles(16, 0.0, std::f64::consts::TAU) {
+            let view = self.view(angle);
+            let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+            for (u, v) in self.corners().filter_map(|p| self.project(view.to_camera(p))) {
+                for (axis, value) in [u, v].into_iter().enumerate() {
+                    low[axis] = low[axis].min(value);
+                    high[axis] = high[axis].max(value);
+                }
+            }
+            let overlaps = |low: f64, high: f64, offset: f64, half: f64| low < offset + half && high > offset - half;
+            if overlaps(low[0], high[0], d.offset_u, half_u) && overlaps(low[1], high[1], d.offset_v, half_v) {
+                return Ok(());
+            }
+        }
+        Err(Error::invalid(
+            "detector",
+            format!("offset [{}, {}], half size [{half_u}, {half_v}] along [u, v]", d.offset_u, d.offset_v),
+            "a detector that the volume's shadow reaches in some view",
+            "check offDetector = [u, v], sDetector = [v, u] and offOrigin, all in the same unit of length",
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scanner() -> Scanner {
+        Scanner {
+            beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+            detector: Detector { rows: 6, columns: 9, pitch_v: 0.5, pitch_u: 0.4, offset_u: 0.3, offset_v: -0.2 },
+            grid: Grid::cube(8),
+        }
+    }
+
+    #[test]
+    fn axes_at_angle_zero_are_those_of_the_page() {
+        let view = scanner().view(0.0);
+        assert_eq!(
+            (view.source, view.u, view.v, view.w),
+            (DVec3::new(5.0, 0.0, 0.0), DVec3::Y, DVec3::NEG_Z, DVec3::NEG_X)
+        );
+    }
+
+    #[test]
+    fn camera_frame_is_right_handed_at_every_angle() {
+        for angle in Scanner::uniform_angles(7, 0.3, 6.0) {
+            let view = scanner().view(angle);
+            assert!((view.u.cross(view.v) - view.w).length() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_ray_through_a_pixel_projects_onto_its_centre() {
+        let s = scanner();
+        let view = s.view(1.1);
+        for (row, column) in [(0, 0), (5, 8), (2, 3)] {
+            let ray = s.ray(&view, row, column);
+            let (u, v) = s.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
+            let (r, c) = s.detector.pixel(u, v);
+            assert!(
+                (r - row as f64).abs() < 1e-12 && (c - column as f64).abs() < 1e-12,
+                "({row},{column}) became ({r},{c})"
+            );
+        }
+    }
+
+    #[test]
+    fn a_detector_beside_the_shadow_is_refused() {
+        let mut s = scanner();
+        s.validate().unwrap();
+        s.detector.offset_v = 40.0;
+        let message = s.validate().unwrap_err().to_string();
+        assert!(message.contains("offDetector"), "{message}");
+    }
+
+    #[test]
+    fn a_source_inside_the_volume_is_refused() {
+        let mut s = scanner();
+        s.beam = Beam::Cone { dso: 1.2, dsd: 7.0 };
+        assert!(s.validate().is_err());
+    }
+}

@@ -1,0 +1,13 @@
+//! What is measured: geometry, volumes, projections, phantoms, noise and file formats.
+
+pub mod arrays;
+pub mod dataset;
+pub mod geometry;
+pub mod noise;
+pub mod npy;
+pub mod npz;
+
+pub use arrays::{Projections, Volume};
+pub use dataset::Dataset;
+pub use geometry::{Beam, Detector, Grid, Ray, Scanner, View};
+pub use noise::Noise;

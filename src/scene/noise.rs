@@ -1,0 +1,204 @@
+//! Photon and electronic noise of a detector.
+//!
+//! Source: the noise model of TIGRE (`CTnoise`), which the published experiments used. With p_max the largest line
+//! integral of the whole stack, a pixel's expected count is `I = I0·exp(-p/p_max)`, the reading
+//! `Ĩ = Poisson(I) + N(0, σ²)` and the noisy line integral `p̃ = -ln(Ĩ/I0)·p_max`. Because p is divided by p_max, the
+//! darkest pixel always expects I0/e photons, whatever the object's real attenuation.
+//!
+//! Two rules of our own, where TIGRE yields NaN or is silent: a reading below [`FLOOR`] counts is taken as that many,
+//! and negative line integrals become 0, as in R²-Gaussian's data.
+
+use super::arrays::Projections;
+use crate::error::{Error, Result};
+use crate::numeric::elementary::{exp, log};
+use crate::numeric::rng::{Purpose, stream};
+use crate::numeric::threads;
+use rand_distr::{Distribution, Normal, Poisson};
+use std::fmt;
+use std::str::FromStr;
+
+/// Smallest reading, in counts, that a logarithm is taken of.
+pub const FLOOR: f64 = 0.5;
+
+/// How noisy a scan is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Noise {
+    /// Line integrals as they are.
+    None,
+    /// Poisson counts and electronic noise.
+    Counts {
+        /// Photons per pixel without an object, I0.
+        photons: f64,
+        /// Standard deviation of the electronic noise, counts.
+        sigma: f64,
+    },
+}
+
+impl Noise {
+    /// 10⁵ photons, σ = 10 counts.
+    pub const LOW: Self = Self::Counts { photons: 1e5, sigma: 10.0 };
+    /// 5·10⁴ photons, σ = 20 counts.
+    pub const MEDIUM: Self = Self::Counts { photons: 5e4, sigma: 20.0 };
+    /// 10⁴ photons, σ = 40 counts.
+    pub const HIGH: Self = Self::Counts { photons: 1e4, sigma: 40.0 };
+    /// The levels that have a name.
+    pub const NAMED: [(&str, Self); 4] =
+        [("none", Self::None), ("low", Self::LOW), ("medium", Self::MEDIUM), ("high", Self::HIGH)];
+
+    /// Adds noise. A pixel's draws depend on `seed`, its view and its place alone.
+    ///
+    /// # Errors
+    /// When the expected count of a pixel is not in (0, 10¹⁸], as for very negative line integrals.
+    ///
+    /// Tests: mean and variance against theory; independence of order and threads.
+    pub fn apply(&self, projections: &Projections, seed: u64) -> Result<Projections> {
+        let peak = f64::from(projections.images.iter().fold(0.0_f32, |peak, &p| if p > peak { p } else { peak }));
+        let Self::Counts { photons, sigma } = *self else { return Ok(projections.clone()) };
+        if peak == 0.0 {
+            return Ok(projections.clone());
+        }
+        let mut noisy = projections.clone();
+        let pixels = noisy.images.len() / noisy.len();
+        let lowest = f64::from(noisy.images.iter().fold(f32::INFINITY, |low, &p| if p < low { p } else { low }));
+        let brightest = photons * exp(-lowest / peak);
+        if !(photons > 0.0 && sigma >= 0.0 && brightest <= 1e18) {
+            return Err(Error::invalid(
+                "noise",
+                format!("{photons} photons, σ = {sigma}, up to {brightest} expected in a pixel"),
+                "between 0 and 1e18 photons in every pixel, σ not negative",
+                "change the level, or check the projections for strongly negative values",
+            ));
+        }
+        let images = noisy.images.as_slice_mut().expect("projections are stored in C order");
+        threads::for_each_chunk(images, pixels, |view, image| {
+            for (pixel, p) in image.iter_mut().enumerate() {
+                let mut draws = stream(seed, Purpose::Noise, view as u64, pixel as u64);
+                let expected = photons * exp(-f64::from(*p) / peak);
+                let counts: f64 = Poisson::new(expected).expect("the count was checked").sample(&mut draws);
+                let reading = counts + Normal::new(0.0, sigma).expect("σ was checked").sample(&mut draws);
+                let line_integral = -log(reading.max(FLOOR) / photons) * peak;
+                *p = line_integral.max(0.0) as f32;
+            }
+        });
+        Ok(noisy)
+    }
+}
+
+impl fmt::Display for Noise {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (Self::NAMED.iter().find(|(_, noise)| noise == self), self) {
+            (Some((name, _)), _) => f.write_str(name),
+            (None, Self::Counts { photons, sigma }) => write!(f, "{photons},{sigma}"),
+            (None, Self::None) => f.write_str("none"),
+        }
+    }
+}
+
+impl FromStr for Noise {
+    type Err = Error;
+
+    /// A name, or the two numbers `I0,SIGMA`.
+    fn from_str(text: &str) -> Result<Self> {
+        if let Some((_, noise)) = Self::NAMED.iter().find(|(name, _)| *name == text) {
+            return Ok(*noise);
+        }
+        let numbers = text.split_once(',').and_then(|(photons, sigma)| {
+            Some((photons.trim().parse::<f64>().ok()?, sigma.trim().parse::<f64>().ok()?))
+        });
+        match numbers {
+            Some((photons, sigma)) if photons > 0.0 && photons <= 1e18 && (0.0..1e18).contains(&sigma) => {
+                Ok(Self::Counts { photons, sigma })
+            }
+            _ => Err(Error::invalid(
+                "noise",
+                text,
+                "none, low, medium, high or I0,SIGMA with I0 > 0 photons and SIGMA ≥ 0 counts",
+                "for example --noise low or --noise 1e5,10",
+            )),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array3;
+
+    /// Three views of many equal pixels, the last view the brightest of the stack.
+    fn flat(values: [f32; 3]) -> Projections {
+        let images = Array3::from_shape_fn((3, 100, 150), |(view, _, _)| values[view]);
+        Projections::new(vec![0.0, 1.0, 2.0], images).unwrap()
+    }
+
+    #[test]
+    fn mean_and_variance_are_those_of_the_model() {
+        // First order: the count's variance I + σ² becomes (I + σ²)/I²·p_max², the mean moves by half of that over p_max.
+        let values = [0.4_f32, 1.3, 2.6];
+        for noise in [Noise::HIGH, Noise::Counts { photons: 2e3, sigma: 15.0 }] {
+            let Noise::Counts { photons, sigma } = noise else { unreachable!() };
+            let noisy = noise.apply(&flat(values), 7).unwrap();
+            for (view, value) in values.into_iter().enumerate() {
+                let image = noisy.image(view).mapv(f64::from);
+                let (n, peak) = (image.len() as f64, f64::from(2.6_f32));
+                let (mean, variance) = (image.mean().unwrap(), image.var(1.0));
+                let counts = photons * exp(-f64::from(value) / peak);
+                let expected_variance = (counts + sigma * sigma) / (counts * counts) * peak * peak;
+                let expected_mean = f64::from(value) + expected_variance / (2.0 * peak);
+                let standard_error = (expected_variance / n).sqrt();
+                assert!((mean - expected_mean).abs() < 4.0 * standard_error, "mean {mean}, expected {expected_mean}");
+                let ratio = variance / expected_variance;
+                assert!((ratio - 1.0).abs() < 4.0 * (2.0 / n).sqrt() + 0.02, "variance ratio {ratio} in view {view}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pixel_has_the_same_draws_in_any_company_and_with_any_number_of_threads() {
+        let all = Noise::LOW.apply(&flat([1.0, 2.0, 3.0]), 5).unwrap();
+        let one_thread = threads::install(1, || Noise::LOW.apply(&flat([1.0, 2.0, 3.0]), 5).unwrap()).unwrap();
+        assert_eq!(all, one_thread);
+        let mut other = flat([1.0, 2.5, 3.0]);
+        other
+            .images
+            .indexed_iter_mut()
+            .filter(|((view, row, _), _)| *view == 0 && *row >= 50)
+            .for_each(|(_, p)| *p = 0.1);
+        let other = Noise::LOW.apply(&other, 5).unwrap();
+        for ((view, row, column), p) in all.images.indexed_iter() {
+            assert!(view == 1 || (view == 0 && row >= 50) || *p == other.images[[view, row, column]]);
+        }
+        assert_ne!(all.image(2), Noise::LOW.apply(&flat([1.0, 2.0, 3.0]), 6).unwrap().image(2));
+    }
+
+    #[test]
+    fn readings_without_photons_stay_finite_and_results_stay_positive() {
+        let noisy = Noise::Counts { photons: 3.0, sigma: 5.0 }.apply(&flat([0.0, 0.5, 4.0]), 1).unwrap();
+        let largest = (-log(FLOOR / 3.0) * 4.0) as f32;
+        assert!(noisy.images.iter().all(|&p| (0.0..=largest).contains(&p)));
+        assert!(noisy.images.iter().any(|&p| p == largest) && noisy.images.iter().any(|&p| p == 0.0));
+    }
+
+    #[test]
+    fn nothing_is_added_to_empty_projections_or_without_noise() {
+        let empty = flat([0.0; 3]);
+        assert_eq!(Noise::HIGH.apply(&empty, 0).unwrap(), empty);
+        let some = flat([0.1, -0.2, 0.3]);
+        assert_eq!(Noise::None.apply(&some, 0).unwrap(), some);
+    }
+
+    #[test]
+    fn names_and_pairs_of_numbers_are_understood() {
+        for (name, noise) in Noise::NAMED {
+            assert_eq!(name.parse::<Noise>().unwrap(), noise);
+            assert_eq!(noise.to_string(), name);
+        }
+        let custom: Noise = "1e5, 2.5".parse().unwrap();
+        assert_eq!(custom, Noise::Counts { photons: 1e5, sigma: 2.5 });
+        assert_eq!(custom.to_string().parse::<Noise>().unwrap(), custom);
+        assert_eq!("100000,10".parse::<Noise>().unwrap().to_string(), "low");
+        for bad in ["", "loud", "1e5", "-1,10", "0,1", "1e5,-1", "nan,1", "1,inf"] {
+            assert!(bad.parse::<Noise>().unwrap_err().to_string().contains("I0,SIGMA"), "{bad}");
+        }
+        assert!(Noise::LOW.apply(&flat([1e-3, -1.0, 0.0]), 0).is_err());
+    }
+}

@@ -1,0 +1,5 @@
+//! What several contracts share: scenes, the committed vectors, tolerances.
+#![allow(dead_code)]
+
+pub(crate) mod precision;
+pub(crate) mod scenes;
