@@ -6,6 +6,7 @@
 pub mod activation;
 pub mod gaussian;
 pub mod initialisation;
+pub mod model;
 pub mod student_t;
 
 pub use activation::Activation;

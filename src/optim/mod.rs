@@ -1,0 +1,7 @@
+//! How parameters move. Knows arrays of numbers, no primitives' meaning.
+
+pub mod adam;
+pub mod schedule;
+
+pub use adam::Adam;
+pub use schedule::Exponential;

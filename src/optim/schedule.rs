@@ -1,0 +1,40 @@
+//! Learning rates over a run.
+
+use crate::numeric::elementary::{exp, log};
+
+/// Log-linear decay from `first` at step 0 to `last` at step `steps`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exponential {
+    /// Rate at the first step.
+    pub first: f64,
+    /// Rate at the end.
+    pub last: f64,
+    /// Length of the run.
+    pub steps: usize,
+}
+
+impl Exponential {
+    /// The rate at a step; constant after the end. A rate of zero at either end is zero throughout.
+    pub fn at(&self, step: usize) -> f64 {
+        if self.first == 0.0 || self.last == 0.0 {
+            return 0.0;
+        }
+        let t = (step as f64 / self.steps.max(1) as f64).min(1.0);
+        exp((1.0 - t) * log(self.first) + t * log(self.last))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decay_is_geometric_between_its_ends() {
+        let rate = Exponential { first: 1e-2, last: 1e-4, steps: 100 };
+        approx::assert_relative_eq!(rate.at(0), 1e-2, max_relative = 1e-14);
+        approx::assert_relative_eq!(rate.at(50), 1e-3, max_relative = 1e-13);
+        approx::assert_relative_eq!(rate.at(100), 1e-4, max_relative = 1e-14);
+        assert_eq!(rate.at(500), rate.at(100));
+        assert_eq!(Exponential { first: 0.0, last: 0.0, steps: 10 }.at(3), 0.0);
+    }
+}
