@@ -18,6 +18,7 @@
 use crate::numeric::elementary::exp;
 use crate::numeric::{Real, reduce, threads};
 use ndarray::{Array2, ArrayView2};
+use std::ops::Range;
 
 /// The window reaches this many pixels to each side.
 const RADIUS: usize = 5;
@@ -26,6 +27,8 @@ const TAPS: usize = 2 * RADIUS + 1;
 const SIGMA: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
+/// Lines kept of each row: the derivatives of S by `G a`, `G a²` and `G ab`, and S itself.
+const LINES: usize = 4;
 /// Rows that one task computes: a constant, so the cut does not depend on the threads.
 const BAND: usize = 16;
 
@@ -46,13 +49,6 @@ pub struct SsimTarget<R> {
     variance: Vec<R>,
 }
 
-/// Derivatives of S by the three blurs, and S summed, for the rows of one band.
-struct Band<R> {
-    /// `[row][G a | G a² | G ab][column]`
-    partials: Vec<R>,
-    similarity: f64,
-}
-
 impl<R: Real> Default for Ssim<R> {
     fn default() -> Self {
         let gauss = |d: usize| exp(-((d * d) as f64) / (2.0 * SIGMA * SIGMA));
@@ -69,13 +65,16 @@ impl<R: Real> SsimTarget<R> {
         let values = contiguous(&image.view());
         let bands = threads::map(rows.div_ceil(BAND), |band| {
             let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
+            let inputs = reached_rows(band, rows);
+            let squares = product(values, values, &inputs, columns);
             let band = band_rows(band, rows);
             let (mut mean, mut variance) = (vec![R::ZERO; band.len() * columns], vec![R::ZERO; band.len() * columns]);
             for (slot, row) in band.enumerate() {
                 let here = slot * columns..(slot + 1) * columns;
                 let b = around(row, rows, &zeros, |row| line_of(values, columns, row));
-                ssim.blur(&mut line, &mut mean[here.clone()], |t, j| b[t][j]);
-                ssim.blur(&mut line, &mut variance[here], |t, j| b[t][j] * b[t][j]);
+                let bb = around(row, rows, &zeros, |row| line_of(&squares, columns, row - inputs.start));
+                ssim.blur(b, &mut line, &mut mean[here.clone()]);
+                ssim.blur(bb, &mut line, &mut variance[here]);
             }
             variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v = *v - m * m);
             (mean, variance)
@@ -99,7 +98,7 @@ impl<R: Real> Ssim<R> {
     /// When the shapes differ.
     pub fn value(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> f64 {
         let image = image.as_standard_layout();
-        mean_of(&self.bands(image.view(), target), image.len())
+        mean_similarity(&self.compare(image.view(), target), image.dim())
     }
 
     /// [`Self::value`] and ∂SSIM/∂image, an array of the image's shape.
@@ -108,132 +107,124 @@ impl<R: Real> Ssim<R> {
     /// When the shapes differ.
     pub fn value_and_gradient(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
         let image = image.as_standard_layout();
-        let (rows, columns) = image.dim();
-        let bands = self.bands(image.view(), target);
-        let mut gradient = Array2::default((rows, columns));
+        let mut gradient = Array2::default(image.raw_dim());
+        let lines = self.compare(image.view(), target);
         if !image.is_empty() {
             let values = gradient.as_slice_mut().expect("a new array is contiguous");
-            threads::for_each_chunk(values, BAND * columns, |band, values| {
-                self.pull_back(&bands, image.view(), target, band, values);
+            threads::for_each_chunk(values, BAND * image.ncols(), |band, values| {
+                self.pull_back(&lines, image.view(), target, band, values);
             });
         }
-        (mean_of(&bands, image.len()), gradient)
+        (mean_similarity(&lines, image.dim()), gradient)
     }
 
-    /// S and its derivatives, band by band. `image` is in standard layout.
-    fn bands(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> Vec<Band<R>> {
+    /// S and its derivatives by the three blurs, `[row][line][column]`. `image` is in standard layout.
+    fn compare(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> Vec<R> {
         assert_eq!(image.shape(), target.image.shape(), "SSIM of an image and a target of different shapes");
         let (rows, columns) = image.dim();
+        let mut lines = vec![R::ZERO; LINES * image.len()];
         if image.is_empty() {
-            return Vec::new();
+            return lines;
         }
-        let (values_a, values_b) = (contiguous(&image), contiguous(&target.image.view()));
+        let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let share = R::from_f64(1.0 / image.len() as f64);
-        threads::map(rows.div_ceil(BAND), |band| {
+        threads::for_each_chunk(&mut lines, BAND * LINES * columns, |band, lines| {
             let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
-            let mut similarity = vec![R::ZERO; columns];
-            let mut partials = vec![R::ZERO; band_rows(band, rows).len() * 3 * columns];
-            let mut sums = Vec::with_capacity(BAND);
-            for (row, blurs) in band_rows(band, rows).zip(partials.chunks_exact_mut(3 * columns)) {
-                let a = around(row, rows, &zeros, |row| line_of(values_a, columns, row));
-                let b = around(row, rows, &zeros, |row| line_of(values_b, columns, row));
-                let (blur_a, others) = blurs.split_at_mut(columns);
-                let (blur_aa, blur_ab) = others.split_at_mut(columns);
-                self.blur(&mut line, blur_a, |t, j| a[t][j]);
-                self.blur(&mut line, blur_aa, |t, j| a[t][j] * a[t][j]);
-                self.blur(&mut line, blur_ab, |t, j| a[t][j] * b[t][j]);
-                let here = row * columns..(row + 1) * columns;
-                compare(
-                    [blur_a, blur_aa, blur_ab],
-                    &target.mean[here.clone()],
-                    &target.variance[here],
-                    share,
-                    &mut similarity,
-                );
-                sums.push(reduce::sum(&similarity));
+            let inputs = reached_rows(band, rows);
+            let (aa, ab) = (product(a, a, &inputs, columns), product(a, b, &inputs, columns));
+            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * columns)) {
+                let (of_a, lines) = lines.split_at_mut(columns);
+                let (of_aa, lines) = lines.split_at_mut(columns);
+                let (of_ab, similarity) = lines.split_at_mut(columns);
+                self.blur(around(row, rows, &zeros, |row| line_of(a, columns, row)), &mut line, of_a);
+                self.blur(around(row, rows, &zeros, |row| line_of(&aa, columns, row - inputs.start)), &mut line, of_aa);
+                self.blur(around(row, rows, &zeros, |row| line_of(&ab, columns, row - inputs.start)), &mut line, of_ab);
+                let (mean, variance) = (line_of(&target.mean, columns, row), line_of(&target.variance, columns, row));
+                differentiate(mean, variance, share, of_a, of_aa, of_ab, similarity);
             }
-            Band { partials, similarity: reduce::sum(&sums) }
-        })
+        });
+        lines
     }
 
-    /// The gradient of one band of rows: the transpose of [`Self::bands`].
-    fn pull_back(
-        &self,
-        bands: &[Band<R>],
-        image: ArrayView2<R>,
-        target: &SsimTarget<R>,
-        band: usize,
-        gradient: &mut [R],
-    ) {
+    /// The gradient of one band of rows: the transpose of [`Self::compare`].
+    fn pull_back(&self, lines: &[R], image: ArrayView2<R>, target: &SsimTarget<R>, band: usize, gradient: &mut [R]) {
         let (rows, columns) = image.dim();
-        let (values_a, values_b) = (contiguous(&image), contiguous(&target.image.view()));
+        let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
         let mut blurs = [(); 3].map(|()| vec![R::ZERO; columns]);
         for (row, gradient) in band_rows(band, rows).zip(gradient.chunks_exact_mut(columns)) {
-            for (number, blur) in blurs.iter_mut().enumerate() {
-                let d = around(row, rows, &zeros, |row| {
-                    line_of(&bands[row / BAND].partials, columns, row % BAND * 3 + number)
-                });
-                self.blur(&mut line, blur, |t, j| d[t][j]);
+            for (kind, blur) in blurs.iter_mut().enumerate() {
+                let partial = around(row, rows, &zeros, |row| line_of(lines, columns, row * LINES + kind));
+                self.blur(partial, &mut line, blur);
             }
-            let (a, b) = (line_of(values_a, columns, row), line_of(values_b, columns, row));
+            let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| &blur[..columns]);
+            let (a, b) = (line_of(a, columns, row), line_of(b, columns, row));
             for (j, g) in gradient.iter_mut().enumerate() {
-                *g = blurs[0][j] + a[j] * blurs[1][j] + b[j] * blurs[2][j];
+                *g = of_a[j] + a[j] * of_aa[j] + b[j] * of_ab[j];
             }
         }
     }
 
-    /// One row of `G x`: down the eleven rows around it, given by `x(tap, column)`, then along `line`.
-    #[inline(always)]
-    fn blur(&self, line: &mut [R], out: &mut [R], x: impl Fn(usize, usize) -> R) {
-        let columns = out.len();
-        self.weigh(&mut line[RADIUS..RADIUS + columns], x);
-        let shifted: [&[R]; TAPS] = std::array::from_fn(|t| &line[t..t + columns]);
-        self.weigh(out, |t, j| shifted[t][j]);
+    /// One row of `G x`: down the eleven rows around it into the middle of `line`, then along the line.
+    fn blur(&self, x: [&[R]; TAPS], line: &mut [R], out: &mut [R]) {
+        self.weigh(x, &mut line[RADIUS..][..out.len()]);
+        self.weigh(std::array::from_fn(|t| &line[t..][..out.len()]), out);
     }
 
-    /// `out[j] = Σ_t w_t x(t, j)` over the eleven taps, in the same order for every j.
-    #[inline(always)]
-    fn weigh(&self, out: &mut [R], x: impl Fn(usize, usize) -> R) {
-        for (j, out) in out.iter_mut().enumerate() {
-            let mut sum = self.weights[0] * x(RADIUS, j);
-            for d in 1..=RADIUS {
-                sum += self.weights[d] * (x(RADIUS - d, j) + x(RADIUS + d, j));
-            }
-            *out = sum;
+    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards. The columns are the inner
+    /// loop, over contiguous slices, so that the compiler makes vectors of it.
+    fn weigh(&self, x: [&[R]; TAPS], out: &mut [R]) {
+        out.iter_mut().zip(x[RADIUS]).for_each(|(out, &centre)| *out = self.weights[0] * centre);
+        for d in 1..=RADIUS {
+            let (weight, before, after) = (self.weights[d], x[RADIUS - d], x[RADIUS + d]);
+            out.iter_mut().zip(before).zip(after).for_each(|((out, &x), &y)| *out += weight * (x + y));
         }
     }
 }
 
-/// Turns the blurs of `a`, `a²` and `ab` in one row into `share` times the derivatives of S by them, the
-/// second one doubled because `∂a²/∂a = 2a`; writes S.
-#[inline(always)]
-fn compare<R: Real>(blurs: [&mut [R]; 3], mean: &[R], variance: &[R], share: R, similarity: &mut [R]) {
+/// In one row, turns the blurs of `a`, `a²` and `ab` into `share` times the derivatives of S by them, the
+/// second one doubled because `∂a²/∂a = 2a`, and writes S.
+fn differentiate<R: Real>(
+    mean: &[R],
+    variance: &[R],
+    share: R,
+    of_a: &mut [R],
+    of_aa: &mut [R],
+    of_ab: &mut [R],
+    similarity: &mut [R],
+) {
     let n = similarity.len();
-    let [blur_a, blur_aa, blur_ab] = blurs.map(|blur| &mut blur[..n]);
-    let (mean, variance) = (&mean[..n], &variance[..n]);
+    let (mean, variance, of_a, of_aa, of_ab) =
+        (&mean[..n], &variance[..n], &mut of_a[..n], &mut of_aa[..n], &mut of_ab[..n]);
     let (two, c1, c2) = (R::from_f64(2.0), R::from_f64(C1), R::from_f64(C2));
     for j in 0..n {
-        let (mean_a, mean_b) = (blur_a[j], mean[j]);
+        let (mean_a, mean_b) = (of_a[j], mean[j]);
         let product = mean_a * mean_b;
         let square = mean_a * mean_a;
         let luminance = two * product + c1;
-        let structure = two * (blur_ab[j] - product) + c2;
-        let of_luminance = square + mean_b * mean_b + c1;
-        let of_structure = blur_aa[j] - square + variance[j] + c2;
-        let inverse = R::ONE / (of_luminance * of_structure);
+        let structure = two * (of_ab[j] - product) + c2;
+        let luminance_norm = square + mean_b * mean_b + c1;
+        let structure_norm = of_aa[j] - square + variance[j] + c2;
+        let inverse = R::ONE / (luminance_norm * structure_norm);
         let s = luminance * structure * inverse;
         let factor = two * inverse * share;
         similarity[j] = s;
-        blur_a[j] = factor * (mean_b * (structure - luminance) + mean_a * s * (of_luminance - of_structure));
-        blur_aa[j] = -factor * s * of_luminance;
-        blur_ab[j] = factor * luminance;
+        of_a[j] = factor * (mean_b * (structure - luminance) + mean_a * s * (luminance_norm - structure_norm));
+        of_aa[j] = -factor * s * luminance_norm;
+        of_ab[j] = factor * luminance;
     }
 }
 
-fn mean_of<R>(bands: &[Band<R>], pixels: usize) -> f64 {
-    let sums: Vec<f64> = bands.iter().map(|band| band.similarity).collect();
-    if pixels == 0 { 1.0 } else { reduce::sum(&sums) / pixels as f64 }
+/// Mean of S; rows are summed first, then their sums.
+fn mean_similarity<R: Real>(lines: &[R], (rows, columns): (usize, usize)) -> f64 {
+    if rows * columns == 0 {
+        return 1.0;
+    }
+    let bands = threads::map(rows.div_ceil(BAND), |band| {
+        let sum_of_row = |row| reduce::sum(line_of(lines, columns, row * LINES + LINES - 1));
+        band_rows(band, rows).map(sum_of_row).sum::<f64>()
+    });
+    reduce::sum(&bands) / (rows * columns) as f64
 }
 
 /// The values of an array in standard layout.
@@ -247,8 +238,19 @@ fn line_of<R>(values: &[R], columns: usize, index: usize) -> &[R] {
     &values[index * columns..][..columns]
 }
 
-fn band_rows(band: usize, rows: usize) -> std::ops::Range<usize> {
+fn band_rows(band: usize, rows: usize) -> Range<usize> {
     band * BAND..((band + 1) * BAND).min(rows)
+}
+
+/// The rows that the window reaches from those of a band.
+fn reached_rows(band: usize, rows: usize) -> Range<usize> {
+    (band * BAND).saturating_sub(RADIUS)..((band + 1) * BAND + RADIUS).min(rows)
+}
+
+/// `x·y` on some rows.
+fn product<R: Real>(x: &[R], y: &[R], rows: &Range<usize>, columns: usize) -> Vec<R> {
+    let range = rows.start * columns..rows.end * columns;
+    x[range.clone()].iter().zip(&y[range]).map(|(&x, &y)| x * y).collect()
 }
 
 /// A row with room for the window's reach on both sides, all 0.
@@ -260,7 +262,7 @@ fn padded_line<R: Real>(columns: usize) -> Vec<R> {
 #[inline(always)]
 fn around<'a, R>(row: usize, rows: usize, zeros: &'a [R], at: impl Fn(usize) -> &'a [R]) -> [&'a [R]; TAPS] {
     std::array::from_fn(|t| match (row + t).checked_sub(RADIUS) {
-        Some(row) if row < rows => &at(row)[..zeros.len()],
+        Some(row) if row < rows => at(row),
         _ => zeros,
     })
 }

@@ -4,20 +4,34 @@
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 
-/// Runs `work` on a pool of `threads` workers (0: one for each core).
+/// A number of workers, kept for several pieces of work.
+pub struct Pool(rayon::ThreadPool);
+
+impl Pool {
+    /// `threads` workers (0: one for each core).
+    ///
+    /// # Errors
+    /// When the operating system refuses to start them.
+    pub fn new(threads: usize) -> Result<Self> {
+        let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        built.map(Self).map_err(|source| {
+            let got = format!("{threads} ({source})");
+            Error::invalid("--threads", got, "as many as the system can start", "ask for fewer threads")
+        })
+    }
+
+    /// Runs `work` and all that it maps over on these workers.
+    pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.0.install(work)
+    }
+}
+
+/// Runs `work` on a pool of its own.
 ///
 /// # Errors
 /// When the operating system refuses to start the threads.
 pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Result<T> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|source| {
-        Error::invalid(
-            "--threads",
-            format!("{threads} ({source})"),
-            "as many as the system can start",
-            "ask for fewer threads",
-        )
-    })?;
-    Ok(pool.install(work))
+    Ok(Pool::new(threads)?.run(work))
 }
 
 /// The number of workers that share the current work.

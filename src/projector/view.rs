@@ -64,19 +64,37 @@ impl<'a, R: Real> ViewField<'a, R> {
         Self { field, scanner: *scanner, view, projection, footprints }
     }
 
-    /// The image `[v, u]`.
+    /// Number of (pixel, primitive) pairs in the boxes of all supports: what an image costs.
+    pub fn support_pixels(&self) -> usize {
+        self.footprints.iter().map(|f| f.rows.len() * f.columns.len()).sum()
+    }
+
+    /// The image `[v, u]`: bands of [`STRIP`] rows in parallel, primitives in index order.
     pub fn image(&self) -> Array2<R> {
-        let kernel = forward_kernel::<R>(self.field.kernel, self.projection);
-        let mut image = self.bands(kernel);
-        if self.projection == Projection::Exact {
-            let columns = self.scanner.detector.columns;
-            threads::for_each_chunk(image.as_slice_mut().expect("standard layout"), columns, |row, pixels| {
-                for (column, pixel) in pixels.iter_mut().enumerate() {
-                    *pixel *= self.ray_length(row, column);
-                }
-            });
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let mut members = vec![Vec::new(); rows.div_ceil(STRIP)];
+        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
+            for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
+                band.push(i as u32);
+            }
         }
-        image
+        let kernel = forward_kernel::<R>(self.field.kernel, self.projection);
+        let mut image = vec![R::ZERO; rows * columns];
+        threads::for_each_chunk(&mut image, STRIP * columns, |band, pixels| {
+            let origin = band * STRIP;
+            let height = pixels.len() / columns;
+            let mut canvas = Canvas::<R>::new(height, columns);
+            for &i in &members[band] {
+                let footprint = &self.footprints[i as usize];
+                let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
+                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin);
+            }
+            for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
+                pixels.copy_from_slice(canvas.row(row, columns));
+                self.times_ray_length(origin + row, pixels);
+            }
+        });
+        Array2::from_shape_vec((rows, columns), image).expect("bands make up the image")
     }
 
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
@@ -107,13 +125,10 @@ impl<'a, R: Real> ViewField<'a, R> {
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
         let mut canvas = Canvas::<R>::new(rows, columns);
-        for row in 0..rows {
-            for (column, pixel) in canvas.row_mut(row, columns).iter_mut().enumerate() {
-                *pixel = cotangent[[row, column]];
-                if self.projection == Projection::Exact {
-                    *pixel *= self.ray_length(row, column);
-                }
-            }
+        for (row, values) in cotangent.outer_iter().enumerate() {
+            let pixels = canvas.row_mut(row, columns);
+            pixels.iter_mut().zip(values).for_each(|(pixel, &value)| *pixel = value);
+            self.times_ray_length(row, pixels);
         }
         let kernel = backward_kernel::<R>(self.field.kernel, self.projection);
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
@@ -134,37 +149,18 @@ impl<'a, R: Real> ViewField<'a, R> {
         });
     }
 
-    /// Runs a kernel over all footprints: bands of [`STRIP`] rows in parallel, primitives in index order.
-    fn bands(&self, kernel: Forward<R>) -> Array2<R> {
-        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
-        let mut members = vec![Vec::new(); rows.div_ceil(STRIP)];
-        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
-            for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
-                band.push(i as u32);
-            }
+    /// Multiplies a row of pixels by the length |d| of their rays between planes of unit distance `[X1]`; the affine
+    /// projection has the length of the centre's ray in its weight.
+    fn times_ray_length(&self, row: usize, pixels: &mut [R]) {
+        let Beam::Cone { dsd, .. } = self.scanner.beam else { return };
+        if self.projection == Projection::Affine {
+            return;
         }
-        let bands = threads::map(members.len(), |band| {
-            let origin = band * STRIP;
-            let height = STRIP.min(rows - origin);
-            let mut canvas = Canvas::<R>::new(height, columns);
-            for &i in &members[band] {
-                let footprint = &self.footprints[i as usize];
-                let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
-                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin);
-            }
-            (0..height).flat_map(|row| canvas.row(row, columns).to_vec()).collect::<Vec<_>>()
-        });
-        Array2::from_shape_vec((rows, columns), bands.concat()).expect("bands make up the image")
-    }
-
-    /// Length |d| of a pixel's ray between planes of unit distance.
-    fn ray_length(&self, row: usize, column: usize) -> R {
-        match self.scanner.beam {
-            Beam::Parallel { .. } => R::ONE,
-            Beam::Cone { dsd, .. } => {
-                let (u, v) = self.scanner.detector.position(row as f64, column as f64);
-                R::from_f64((1.0 + (u * u + v * v) / (dsd * dsd)).sqrt())
-            }
+        let (u, v) = self.scanner.detector.position(row as f64, 0.0);
+        let (first, pitch, rest) = (u / dsd, self.scanner.detector.pitch_u / dsd, 1.0 + v / dsd * (v / dsd));
+        for (column, pixel) in pixels.iter_mut().enumerate() {
+            let slope = first + column as f64 * pitch;
+            *pixel *= R::from_f64((rest + slope * slope).sqrt());
         }
     }
 }

@@ -6,8 +6,13 @@ pub mod geometry;
 pub mod noise;
 pub mod npy;
 pub mod npz;
+pub mod phantom;
+pub mod simulate;
+pub mod trace;
+pub mod trilinear;
 
 pub use arrays::{Projections, Volume};
 pub use dataset::Dataset;
 pub use geometry::{Beam, Detector, Grid, Ray, Scanner, View};
 pub use noise::Noise;
+pub use phantom::Phantom;
