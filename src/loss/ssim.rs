@@ -71,8 +71,8 @@ impl<R: Real> SsimTarget<R> {
             let (mut mean, mut variance) = (vec![R::ZERO; band.len() * columns], vec![R::ZERO; band.len() * columns]);
             for (slot, row) in band.enumerate() {
                 let here = slot * columns..(slot + 1) * columns;
-                let b = around(row, rows, &zeros, |row| line_of(values, columns, row));
-                let bb = around(row, rows, &zeros, |row| line_of(&squares, columns, row - inputs.start));
+                let b = around(values, 0, columns, row, &zeros);
+                let bb = around(&squares, inputs.start, columns, row, &zeros);
                 ssim.blur(b, &mut line, &mut mean[here.clone()]);
                 ssim.blur(bb, &mut line, &mut variance[here]);
             }
@@ -136,9 +136,9 @@ impl<R: Real> Ssim<R> {
                 let (of_a, lines) = lines.split_at_mut(columns);
                 let (of_aa, lines) = lines.split_at_mut(columns);
                 let (of_ab, similarity) = lines.split_at_mut(columns);
-                self.blur(around(row, rows, &zeros, |row| line_of(a, columns, row)), &mut line, of_a);
-                self.blur(around(row, rows, &zeros, |row| line_of(&aa, columns, row - inputs.start)), &mut line, of_aa);
-                self.blur(around(row, rows, &zeros, |row| line_of(&ab, columns, row - inputs.start)), &mut line, of_ab);
+                self.blur(around(a, 0, columns, row, &zeros), &mut line, of_a);
+                self.blur(around(&aa, inputs.start, columns, row, &zeros), &mut line, of_aa);
+                self.blur(around(&ab, inputs.start, columns, row, &zeros), &mut line, of_ab);
                 let (mean, variance) = (line_of(&target.mean, columns, row), line_of(&target.variance, columns, row));
                 differentiate(mean, variance, share, of_a, of_aa, of_ab, similarity);
             }
@@ -154,7 +154,7 @@ impl<R: Real> Ssim<R> {
         let mut blurs = [(); 3].map(|()| vec![R::ZERO; columns]);
         for (row, gradient) in band_rows(band, rows).zip(gradient.chunks_exact_mut(columns)) {
             for (kind, blur) in blurs.iter_mut().enumerate() {
-                let partial = around(row, rows, &zeros, |row| line_of(lines, columns, row * LINES + kind));
+                let partial = around(&lines[kind * columns..], 0, LINES * columns, row, &zeros);
                 self.blur(partial, &mut line, blur);
             }
             let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| &blur[..columns]);
@@ -258,12 +258,12 @@ fn padded_line<R: Real>(columns: usize) -> Vec<R> {
     vec![R::ZERO; columns + 2 * RADIUS]
 }
 
-/// The eleven rows around `row`, `zeros` for those outside of the image.
-#[inline(always)]
-fn around<'a, R>(row: usize, rows: usize, zeros: &'a [R], at: impl Fn(usize) -> &'a [R]) -> [&'a [R]; TAPS] {
-    std::array::from_fn(|t| match (row + t).checked_sub(RADIUS) {
-        Some(row) if row < rows => at(row),
-        _ => zeros,
+/// The eleven rows around `row`; `values` holds the image's rows from `first` on, `stride` apart. Those outside
+/// of the image are `zeros`, which has the length of a row.
+fn around<'a, R>(values: &'a [R], first: usize, stride: usize, row: usize, zeros: &'a [R]) -> [&'a [R]; TAPS] {
+    std::array::from_fn(|t| {
+        let index = (row + t).checked_sub(RADIUS + first);
+        index.and_then(|i| values.get(i * stride..)?.get(..zeros.len())).unwrap_or(zeros)
     })
 }
 

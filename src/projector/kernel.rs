@@ -104,10 +104,39 @@ impl<R: Real> Canvas<R> {
     }
 }
 
-/// `first + lane offset` in units of `step`, rounded once: α of a column of registers or β of a register.
+/// The intermediate values of one column of registers. Kept from call to call: clearing it would cost as much as
+/// a small footprint.
+pub(super) struct Scratch<L> {
+    beta: [L; DEPTH],
+    x: [L; DEPTH],
+    delta: [L; DEPTH],
+    h: [L; DEPTH],
+    r: [L; DEPTH],
+    w: [L; DEPTH],
+    log: [L; DEPTH],
+    power: [L; DEPTH],
+}
+
+impl<L: Lanes> Scratch<L> {
+    pub(super) fn new() -> Self {
+        let empty = [L::default(); DEPTH];
+        Self { beta: empty, x: empty, delta: empty, h: empty, r: empty, w: empty, log: empty, power: empty }
+    }
+
+    /// The offsets β of a strip's registers, `first` being its first row.
+    #[inline(always)]
+    fn set_betas(&mut self, plane: &Plane, first: usize, registers: usize) {
+        let lanes = L::from_fn(|i| L::Scalar::from_f64((i / (L::WIDTH / 2)) as f64 * plane.row_step));
+        for (j, beta) in self.beta[..registers].iter_mut().enumerate() {
+            *beta = offset::<L>((first + 2 * j) as f64 - plane.row_centre, plane.row_step) + lanes;
+        }
+    }
+}
+
+/// A distance in pixels as a length, rounded once.
 #[inline(always)]
-fn offsets<L: Lanes>(first: f64, step: f64, lane: impl Fn(usize) -> usize) -> L {
-    L::from_fn(|i| L::Scalar::from_f64((first + lane(i) as f64) * step))
+fn offset<L: Lanes>(pixels: f64, step: f64) -> L {
+    L::splat(L::Scalar::from_f64(pixels * step))
 }
 
 /// What is constant along a column of registers.
@@ -122,7 +151,8 @@ impl<L: Lanes> Column<L> {
     #[inline(always)]
     fn new(plane: &Plane, column: usize) -> Self {
         let real = |value| L::splat(L::Scalar::from_f64(value));
-        let alpha: L = offsets(column as f64 - plane.column_centre, plane.column_step, |i| i % (L::WIDTH / 2));
+        let lanes = L::from_fn(|i| L::Scalar::from_f64((i % (L::WIDTH / 2)) as f64 * plane.column_step));
+        let alpha = offset::<L>(column as f64 - plane.column_centre, plane.column_step) + lanes;
         let z = real(plane.a) * alpha + real(plane.shift_a);
         Self {
             alpha,
@@ -131,16 +161,6 @@ impl<L: Lanes> Column<L> {
             h: real(plane.h_column) * alpha + real(1.0),
         }
     }
-}
-
-/// The offsets β of a strip's registers, `first` being its first row.
-#[inline(always)]
-fn betas<L: Lanes>(plane: &Plane, first: usize, registers: usize) -> [L; DEPTH] {
-    let mut betas = [L::default(); DEPTH];
-    for (j, beta) in betas[..registers].iter_mut().enumerate() {
-        *beta = offsets((first + 2 * j) as f64 - plane.row_centre, plane.row_step, |i| i / (L::WIDTH / 2));
-    }
-    betas
 }
 
 /// Distances of one register: δ/unit, h, and 1/(h²+k·δ/unit).
@@ -167,31 +187,30 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
     columns: Range<usize>,
     canvas: &mut Canvas<R>,
     origin: usize,
+    scratch: &mut Scratch<R::Lanes>,
 ) {
     type L<R> = <R as Real>::Lanes;
     let half = L::<R>::WIDTH / 2;
     let real = |value| L::<R>::splat(R::from_f64(value));
     let registers = rows.len().div_ceil(2);
-    let betas = betas::<L<R>>(plane, rows.start, registers);
+    scratch.set_betas(plane, rows.start, registers);
+    let Scratch { beta, x, r: root, power, .. } = scratch;
     let (b, h_row, k) = (real(plane.b), real(plane.h_row), real(plane.k));
     let (minus_q, weight, limit, zero) = (real(-plane.q), real(plane.weight), real(plane.limit), L::<R>::default());
-    let mut x = [zero; DEPTH];
-    let mut root = [zero; DEPTH];
-    let mut t = [zero; DEPTH];
     for first in columns.step_by(half) {
         let column = Column::new(plane, first);
         for j in 0..registers {
-            let (delta, _, r) = distances::<_, EXACT>((b, h_row, k), &column, betas[j]);
+            let (delta, _, r) = distances::<_, EXACT>((b, h_row, k), &column, beta[j]);
             (x[j], root[j]) = if EXACT { (delta * r, r.sqrt()) } else { (delta, zero) };
         }
         for j in 0..registers {
-            t[j] = if STUDENT { minus_q * x[j].log2_1p() } else { -x[j] };
+            power[j] = if STUDENT { minus_q * x[j].log2_1p() } else { -x[j] };
         }
         for j in 0..registers {
-            t[j] = t[j].exp2();
+            power[j] = power[j].exp2();
         }
         for j in 0..registers {
-            let value = if EXACT { t[j] * root[j] } else { t[j] };
+            let value = if EXACT { power[j] * root[j] } else { power[j] };
             let value = x[j].select_le(limit, value * weight, zero);
             let pixel = (rows.start - origin + 2 * j) * canvas.stride + first;
             let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
@@ -211,6 +230,7 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
     rows: Range<usize>,
     columns: Range<usize>,
     cotangent: &Canvas<R>,
+    scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
     type L<R> = <R as Real>::Lanes;
     let half = L::<R>::WIDTH / 2;
@@ -223,21 +243,15 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
     } else {
         (real(std::f64::consts::LN_2), real(std::f64::consts::LN_2))
     };
-    let mut x = [zero; DEPTH];
-    let mut delta = [zero; DEPTH];
-    let mut h = [zero; DEPTH];
-    let mut r = [zero; DEPTH];
-    let mut w = [zero; DEPTH];
-    let mut log = [zero; DEPTH];
-    let mut power = [zero; DEPTH];
     let mut total = Totals::<L<R>>::default();
     for strip in rows.clone().step_by(STRIP) {
         let registers = (rows.end - strip).min(STRIP).div_ceil(2);
-        let betas = betas::<L<R>>(plane, strip, registers);
+        scratch.set_betas(plane, strip, registers);
+        let Scratch { beta, x, delta, h, r, w, log, power } = &mut *scratch;
         for first in columns.clone().step_by(half) {
             let column = Column::new(plane, first);
             for j in 0..registers {
-                (delta[j], h[j], r[j]) = distances::<_, EXACT>((b, h_row, k), &column, betas[j]);
+                (delta[j], h[j], r[j]) = distances::<_, EXACT>((b, h_row, k), &column, beta[j]);
                 let here = if EXACT { delta[j] * r[j] } else { delta[j] };
                 let pixel = (strip + 2 * j) * cotangent.stride + first;
                 let (top, bottom) = cotangent.pixels[pixel..].split_at(cotangent.stride);
@@ -266,16 +280,16 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
                     let g = b * (slope_x * x[j] - point_five);
                     let gh = g * h[j];
                     part.h[0] += gh;
-                    part.h[1] += gh * betas[j];
+                    part.h[1] += gh * beta[j];
                     part.k += g * delta[j];
                     k * g - slope * b
                 } else {
                     -(slope * a)
                 };
-                let first = distance * betas[j];
+                let first = distance * beta[j];
                 part.distance[0] += distance;
                 part.distance[1] += first;
-                part.distance[2] += first * betas[j];
+                part.distance[2] += first * beta[j];
             }
             total.add::<EXACT>(&part, column.alpha);
         }

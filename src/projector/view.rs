@@ -1,7 +1,7 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
 use super::footprint::Footprint;
-use super::kernel::{self, Canvas, Plane, STRIP, Sums};
+use super::kernel::{self, Canvas, Plane, STRIP, Scratch, Sums};
 use super::shape::CHUNK;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::{Real, threads};
@@ -13,8 +13,8 @@ use std::ops::Range;
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
 
-type Forward<R> = fn(&Plane, Range<usize>, Range<usize>, &mut Canvas<R>, usize);
-type Backward<R> = fn(&Plane, Range<usize>, Range<usize>, &Canvas<R>) -> Sums;
+type Forward<R> = fn(&Plane, Range<usize>, Range<usize>, &mut Canvas<R>, usize, &mut Scratch<<R as Real>::Lanes>);
+type Backward<R> = fn(&Plane, Range<usize>, Range<usize>, &Canvas<R>, &mut Scratch<<R as Real>::Lanes>) -> Sums;
 
 /// The footprints of a [`Field`]'s primitives on the detector of one view.
 pub struct ViewField<'a, R> {
@@ -84,10 +84,11 @@ impl<'a, R: Real> ViewField<'a, R> {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
             let mut canvas = Canvas::<R>::new(height, columns);
+            let mut scratch = Scratch::new();
             for &i in &members[band] {
                 let footprint = &self.footprints[i as usize];
                 let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
-                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin);
+                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin, &mut scratch);
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
                 pixels.copy_from_slice(canvas.row(row, columns));
@@ -133,11 +134,12 @@ impl<'a, R: Real> ViewField<'a, R> {
         let kernel = backward_kernel::<R>(self.field.kernel, self.projection);
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
             let first = chunk * GATHER;
+            let mut scratch = Scratch::new();
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let footprint = &self.footprints[first + i];
                 if !footprint.is_empty() {
                     let sums =
-                        kernel(&footprint.plane, from_even(footprint.rows.clone()), footprint.columns.clone(), &canvas);
+                        kernel(&footprint.plane, from_even(footprint.rows.clone()), footprint.columns.clone(), &canvas, &mut scratch);
                     gradient.add(&footprint.pull_back(
                         &self.field.shapes[first + i],
                         &self.view,

@@ -2,7 +2,7 @@
 //! columns = z) for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`.
 
 use super::footprint::symmetric;
-use super::kernel::{Canvas, Plane, STRIP, Sums};
+use super::kernel::{Canvas, Plane, STRIP, Scratch, Sums};
 use super::shape::{CHUNK, Shape, ShapeGradient};
 use super::view::{backward_kernel, forward_kernel, from_even};
 use super::{Field, FieldGradient, Projection};
@@ -149,10 +149,11 @@ impl<R: Real> Field<R> {
         let kernel = forward_kernel::<R>(self.kernel, Projection::Affine);
         let slices = threads::map(nx, |x| {
             let mut canvas = Canvas::<R>::new(ny, nz);
+            let mut scratch = Scratch::new();
             for &i in &members[x] {
                 let (plane, rows, columns) = solids[i as usize].slice(x, grid);
                 if !columns.is_empty() {
-                    strips(rows).for_each(|strip| kernel(&plane, strip, columns.clone(), &mut canvas, 0));
+                    strips(rows).for_each(|strip| kernel(&plane, strip, columns.clone(), &mut canvas, 0, &mut scratch));
                 }
             }
             (0..ny).flat_map(|y| canvas.row(y, nz).to_vec()).collect::<Vec<_>>()
@@ -178,13 +179,14 @@ impl<R: Real> Field<R> {
         });
         let kernel = backward_kernel::<R>(self.kernel, Projection::Affine);
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
+            let mut scratch = Scratch::new();
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let solid = &solids[chunk * GATHER + i];
                 let shape = &self.shapes[chunk * GATHER + i];
                 for x in solid.slices.clone() {
                     let (plane, rows, columns) = solid.slice(x, grid);
                     if !rows.is_empty() && !columns.is_empty() {
-                        let sums = kernel(&plane, from_even(rows), columns, &canvases[x]);
+                        let sums = kernel(&plane, from_even(rows), columns, &canvases[x], &mut scratch);
                         gradient.add(&solid.pull_back(shape, solid.offset(x), &sums));
                     }
                 }
