@@ -19,7 +19,14 @@ const CUTOFF: f64 = 1e-3;
 fn scanner() -> Scanner {
     Scanner {
         beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
-        detector: Detector { rows: 512, columns: 512, pitch_v: 4.0 / 512.0, pitch_u: 4.0 / 512.0, offset_u: 0.0, offset_v: 0.0 },
+        detector: Detector {
+            rows: 512,
+            columns: 512,
+            pitch_v: 4.0 / 512.0,
+            pitch_u: 4.0 / 512.0,
+            offset_u: 0.0,
+            offset_v: 0.0,
+        },
         grid: Grid::cube(64),
     }
 }
@@ -52,13 +59,23 @@ fn bench<R: Real>(c: &mut Criterion, precision: &str) {
             let scanner = scanner();
             let view = field.view(&scanner, 0.4, projection);
             let pairs = view.support_pixels();
-            let cotangent = Array2::from_shape_fn((512, 512), |(v, u)| R::from_f64((v * 7 + u * 3) as f64 % 11.0 - 5.0));
+            let cotangent =
+                Array2::from_shape_fn((512, 512), |(v, u)| R::from_f64((v * 7 + u * 3) as f64 % 11.0 - 5.0));
             let mut group = c.benchmark_group(format!("{kernel:?}/{projection:?}"));
-            group.throughput(Throughput::Elements(pairs as u64)).measurement_time(Duration::from_secs(3)).sample_size(20);
-            group.bench_function(BenchmarkId::new("forward", precision), |b| b.iter(|| pool.run(|| black_box(view.image()))));
+            group
+                .throughput(Throughput::Elements(pairs as u64))
+                .measurement_time(Duration::from_secs(3))
+                .sample_size(20);
+            group.bench_function(BenchmarkId::new("forward", precision), |b| {
+                b.iter(|| pool.run(|| black_box(view.image())))
+            });
             let mut gradient = field.zero_gradient();
-            group.bench_function(BenchmarkId::new("backward", precision), |b| b.iter(|| pool.run(|| view.pull_back(cotangent.view(), &mut gradient))));
-            group.bench_function(BenchmarkId::new("set-up", precision), |b| b.iter(|| pool.run(|| black_box(field.view(&scanner, 0.4, projection)))));
+            group.bench_function(BenchmarkId::new("backward", precision), |b| {
+                b.iter(|| pool.run(|| view.pull_back(cotangent.view(), &mut gradient)))
+            });
+            group.bench_function(BenchmarkId::new("set-up", precision), |b| {
+                b.iter(|| pool.run(|| black_box(field.view(&scanner, 0.4, projection))))
+            });
             group.finish();
         }
     }

@@ -1,3 +1,7 @@
-//! The program `trgs`.
+//! The program `trgs`: parse, run, answer with an exit code.
 
-fn main() {}
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
+}

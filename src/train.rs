@@ -6,7 +6,7 @@
 //!                                  └─ a random block: voxels → TV ──┴→ gradient → raw gradient → step
 //! ```
 
-use crate::classical::fdk;
+use crate::classical::fdk::{Window, fdk};
 use crate::config::{Config, DensityControl, KernelName, PositionOptimiser, Precision, Start};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
@@ -80,15 +80,23 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
     let start = &config.initialisation;
     let points = match start.from {
         Start::Fdk => {
-            let volume = fdk::fdk(&dataset.scanner, &dataset.train)?;
+            let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak)?;
             initialisation::bright_voxels(&volume, start.threshold, config.model.points, config.seed)?
         }
         Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
         Start::Dataset => {
             let points = dataset.initial_points.as_ref().ok_or_else(|| {
-                Error::invalid("initialisation.from", "dataset", "a dataset with initial points (init_*.npy)", "use fdk or random")
+                Error::invalid(
+                    "initialisation.from",
+                    "dataset",
+                    "a dataset with initial points (init_*.npy)",
+                    "use fdk or random",
+                )
             })?;
-            let point = |row: ndarray::ArrayView1<'_, f64>| Point { position: DVec3::new(row[0], row[1], row[2]), density: row[3] };
+            let point = |row: ndarray::ArrayView1<'_, f64>| Point {
+                position: DVec3::new(row[0], row[1], row[2]),
+                density: row[3],
+            };
             points.rows().into_iter().map(point).collect()
         }
     };
@@ -154,7 +162,12 @@ impl<'a, R: Real> Trainer<'a, R> {
         let (mut log, mut sum, mut since) = (Vec::new(), Losses::default(), 0);
         for iteration in 1..=iterations {
             let losses = self.step(iteration)?;
-            sum = Losses { total: sum.total + losses.total, l1: sum.l1 + losses.l1, d_ssim: sum.d_ssim + losses.d_ssim, tv: sum.tv + losses.tv };
+            sum = Losses {
+                total: sum.total + losses.total,
+                l1: sum.l1 + losses.l1,
+                d_ssim: sum.d_ssim + losses.d_ssim,
+                tv: sum.tv + losses.tv,
+            };
             since += 1;
             let due = iteration % self.config.report_every == 0 || iteration == iterations;
             if due {
@@ -172,7 +185,10 @@ impl<'a, R: Real> Trainer<'a, R> {
                 (sum, since) = (Losses::default(), 0);
             }
             if observe(iteration, log.last().filter(|_| due)).is_break() {
-                return Err(Error::Interrupted { step: iteration, remedy: "nothing was written; start it again".into() });
+                return Err(Error::Interrupted {
+                    step: iteration,
+                    remedy: "nothing was written; start it again".into(),
+                });
             }
         }
         let primitives = self.activation.forward(&self.raw);
@@ -202,7 +218,12 @@ impl<'a, R: Real> Trainer<'a, R> {
     }
 
     /// L1 and D-SSIM of the iteration's view.
-    fn data_loss(&mut self, field: &Field<R>, iteration: usize, gradient: &mut crate::projector::FieldGradient) -> Losses {
+    fn data_loss(
+        &mut self,
+        field: &Field<R>,
+        iteration: usize,
+        gradient: &mut crate::projector::FieldGradient,
+    ) -> Losses {
         let view = self.order.view(iteration - 1);
         let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
         let loss = image_loss(&self.ssim, self.config.loss.d_ssim, seen.image().view(), &self.targets[view]);
@@ -211,7 +232,12 @@ impl<'a, R: Real> Trainer<'a, R> {
     }
 
     /// Total variation of a random block of the volume.
-    fn total_variation(&self, field: &Field<R>, iteration: usize, gradient: &mut crate::projector::FieldGradient) -> f64 {
+    fn total_variation(
+        &self,
+        field: &Field<R>,
+        iteration: usize,
+        gradient: &mut crate::projector::FieldGradient,
+    ) -> f64 {
         let block = random_block(&self.dataset.scanner.grid, self.config.loss.tv_block, self.config.seed, iteration);
         let (value, mut cotangent) = tv(field.voxels(&block).view());
         cotangent.mapv_inplace(|d| d * R::from_f64(self.config.loss.tv));
@@ -270,7 +296,11 @@ impl Optimiser {
                 Group::Density => o.density,
                 Group::Nu => o.nu,
             };
-            (group, Adam::new(m * group.width(), o.beta, o.epsilon), Exponential { first, last, steps: config.iterations })
+            (
+                group,
+                Adam::new(m * group.width(), o.beta, o.epsilon),
+                Exponential { first, last, steps: config.iterations },
+            )
         };
         Self { groups: Group::ALL.map(group).into() }
     }
@@ -303,7 +333,9 @@ mod tests {
     fn random_blocks_lie_within_the_grid_and_move() {
         let grid = Grid::cube(40);
         let blocks: Vec<Grid> = (0..50).map(|i| random_block(&grid, 32, 0, i)).collect();
-        assert!(blocks.iter().all(|b| b.shape == [32; 3] && b.min.cmpge(grid.min - 1e-12).all() && b.max().cmple(grid.max() + 1e-12).all()));
+        assert!(blocks.iter().all(|b| b.shape == [32; 3]
+            && b.min.cmpge(grid.min - 1e-12).all()
+            && b.max().cmple(grid.max() + 1e-12).all()));
         assert!(blocks.iter().any(|b| b.min != blocks[0].min));
         assert_eq!(random_block(&Grid::cube(8), 32, 0, 1), Grid::cube(8));
     }

@@ -76,7 +76,7 @@ impl<R: Real> SsimTarget<R> {
                 ssim.blur(b, &mut line, &mut mean[here.clone()]);
                 ssim.blur(bb, &mut line, &mut variance[here]);
             }
-            variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v = *v - m * m);
+            variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v -= m * m);
             (mean, variance)
         });
         let (means, variances): (Vec<_>, Vec<_>) = bands.into_iter().unzip();

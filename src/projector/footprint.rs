@@ -2,7 +2,8 @@
 //!
 //! With the whitened directions `p0 = M·d0`, `pᵤ = M·u`, `pᵥ = M·v` of the ray through the centre and of the detector's
 //! axes, the form of `[Eq. 4]` is the squared part of `α·pᵤ + β·pᵥ` perpendicular to p0. Its coefficients are taken from
-//! cross products, and its determinant from `det M`, so that needles lose no digits to a difference of squares.
+//! cross products, and its determinant from `det M`, so that needles lose no digits to a difference of squares. The
+//! gradient comes back in the same whitened coordinates, for the same reason.
 
 use super::Projection;
 use super::kernel::{Plane, Sums};
@@ -28,23 +29,35 @@ pub(super) struct Footprint {
 /// What the way back needs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Geometry {
-    /// The centre's ray (world axes), of length 1 along the view's axis.
-    d0: DVec3,
-    /// `(â, b̂)` of that ray.
+    /// `(â, b̂)`: the centre's ray is d0 = (â, b̂, 1) in the camera's axes.
     slope: DVec2,
     /// 1/depth of the centre; 0 for a parallel beam.
     kappa: f64,
-    a0: f64,
+    /// d0, whitened; `A0 = |p0|²`.
+    p0: DVec3,
     /// `uᵀΣ⁻¹d0`, `vᵀΣ⁻¹d0`.
     g: DVec2,
-    /// Schur complement: δ = c₀α² + 2c₁αβ + c₂β².
-    c: [f64; 3],
+    /// The plane's coordinates per length: y = b·β + ab·α, z = a·α.
+    b: f64,
+    ab: f64,
+    a: f64,
 }
 
 impl Geometry {
-    /// `c·x` as a symmetric matrix.
-    fn times_c(&self, x: DVec2) -> DVec2 {
-        DVec2::new(self.c[0] * x.x + self.c[1] * x.y, self.c[1] * x.x + self.c[2] * x.y)
+    /// Orthonormal whitened axes of y and z, perpendicular to p0.
+    fn axes(&self, whitened_v: DVec3) -> (DVec3, DVec3) {
+        let q_y = self.p0.cross(whitened_v).cross(self.p0).normalize();
+        (q_y, q_y.cross(self.p0.normalize()))
+    }
+
+    /// `gᵀ(α, β)` in terms of y and z.
+    fn g_yz(&self) -> DVec2 {
+        DVec2::new(self.g.y / self.b, (self.g.x - self.g.y * self.ab / self.b) / self.a)
+    }
+
+    /// From a vector in the (y, z) axes to its product with the detector's axes, `(pᵤ·, pᵥ·)`.
+    fn to_detector(&self, yz: DVec2) -> DVec2 {
+        DVec2::new(self.ab * yz.x + self.a * yz.y, self.b * yz.x)
     }
 }
 
@@ -77,33 +90,31 @@ impl Footprint {
         let (cu, cv) = (p0.cross(pu), p0.cross(pv));
         let c = [cu.length_squared() / a0, cu.dot(cv) / a0, cv.length_squared() / a0];
         let b = c[2].sqrt();
+        let geometry = Geometry { slope, kappa, p0, g, b, ab: c[1] / b, a: shape.determinant() / (a0.sqrt() * b) };
         let unit_root = shape.unit.sqrt();
-        let hs = g * (kappa / a0);
         let mut plane = Plane {
             row_centre,
             column_centre,
-            row_step: step_v,
-            column_step: step_u,
-            b: b / unit_root,
-            ab: c[1] / (b * unit_root),
-            a: shape.determinant() / (a0.sqrt() * b * unit_root),
+            slant: -geometry.ab * step_u / (b * step_v),
+            b: b * step_v / unit_root,
+            a: geometry.a * step_u / unit_root,
             q: (shape.nu + 2.0) / 2.0,
             weight: shape.density * shape.line.0 / a0.sqrt(),
             limit: shape.limit,
             ..Plane::default()
         };
-        let geometry = Geometry { d0, slope, kappa, a0, g, c };
-        let (s, k) = match projection {
-            Projection::Exact => (hs, kappa * kappa / a0),
-            Projection::Affine => (DVec2::ZERO, 0.0),
-        };
-        plane.h_column = s.x;
-        plane.h_row = s.y;
-        plane.k = k * shape.unit;
-        if projection == Projection::Affine {
-            plane.weight *= d0.length();
+        let (mut s, mut k) = (DVec2::ZERO, 0.0);
+        match projection {
+            Projection::Exact => {
+                (s, k) = (g * (kappa / a0), kappa * kappa / a0);
+                let h = geometry.g_yz() * (kappa / a0 * unit_root);
+                (plane.h_y, plane.h_z, plane.k) = (h.x, h.y, k * shape.unit);
+            }
+            Projection::Affine => plane.weight *= d0.length(),
         }
-        let (rows, columns) = support(&plane, c, s, k, shape.limit * shape.unit, detector.rows, detector.columns);
+        let steps = DVec2::new(step_u, step_v);
+        let (rows, columns) =
+            support(&plane, &geometry, steps, c, s, k, shape.limit * shape.unit, [detector.rows, detector.columns]);
         Self { plane, rows, columns, geometry }
     }
 
@@ -114,60 +125,56 @@ impl Footprint {
 
     /// From sums over pixels to the gradient of mean, precision matrix, density and ν. Mirrors [`Self::new`].
     pub(super) fn pull_back(&self, shape: &Shape, view: &View, projection: Projection, sums: &Sums) -> ShapeGradient {
-        let Geometry { d0, slope, kappa, a0, g, c } = self.geometry;
-        let plane = &self.plane;
-        let weight = plane.weight;
-        // To δ: Σ G αα, αβ, ββ and Σ G α, β; to the slopes of h; to k; all with the weight in.
-        let [_, ga, gb, gaa, gab, gbb] = sums.distance.map(|x| x * weight / shape.unit);
-        let [h1, ha, hb] = sums.h.map(|x| 2.0 * x * weight);
+        let geometry = &self.geometry;
+        let Geometry { slope, kappa, p0, g, .. } = *geometry;
+        let a0 = p0.length_squared();
+        let weight = self.plane.weight;
+        let unit_root = shape.unit.sqrt();
+        // Sums with the weight in and lengths for units: Σ G (y, z), Σ G (yy, yz, zz); the same of h; of k.
+        let [_, y, z, yy, yz, zz] = sums.distance.map(|x| x * weight);
+        let first = DVec2::new(y, z) / unit_root;
+        let [h, hy, hz] = sums.h.map(|x| 2.0 * x * weight);
+        let d_h = DVec2::new(hy, hz) * unit_root;
         let d_k = sums.k * weight * shape.unit;
-        let d_hs = DVec2::new(ha, hb);
-        let hs = DVec2::new(plane.h_column, plane.h_row);
+        let g_yz = geometry.g_yz();
 
         // The weight: ρ · line · a0^-½ (· |d0| if affine).
         let d_weight = sums.value;
-        let mut d_a0 = -0.5 * weight * d_weight / a0;
-        let per_density = shape.line.0 / a0.sqrt() * if projection == Projection::Affine { d0.length() } else { 1.0 };
+        let d0_squared = 1.0 + slope.length_squared();
+        let per_density =
+            shape.line.0 / a0.sqrt() * if projection == Projection::Affine { d0_squared.sqrt() } else { 1.0 };
 
         // ν at constant δ: the exponent's half, the 1/ν's half (Σ a·x, read off the moments), and the line integral.
         let d_nu = if shape.nu.is_finite() {
-            let moment = c[0] * gaa + 2.0 * c[1] * gab + c[2] * gbb;
-            let d_x = (d_k * plane.k / shape.unit - moment) / shape.nu;
+            let d_x = (sums.k * weight * self.plane.k - yy - zz) / shape.nu;
             -0.5 * std::f64::consts::LN_2 * sums.log * weight + d_x + shape.line.1 / shape.line.0 * weight * d_weight
         } else {
             0.0
         };
 
+        // Σ⁻¹ at fixed centre: δ = |e|² for the nearest point e = y·q_y + z·q_z, A0 = |p0|², and h's slope on p0.
+        let (q_y, q_z) = geometry.axes(shape.whitening * view.v);
+        let d_a0 = -(0.5 * weight * d_weight + kappa * kappa * d_k / a0) / a0;
+        let precision = symmetric(q_y, q_y, yy)
+            + symmetric(q_y, q_z, 2.0 * yz)
+            + symmetric(q_z, q_z, zz)
+            + symmetric(q_y * d_h.x + q_z * d_h.y, p0, kappa / a0)
+            + symmetric(p0, p0, d_a0);
+
         // The centre's place in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
-        let d_offset = DVec2::new(2.0 * (c[0] * ga + c[1] * gb), 2.0 * (c[1] * ga + c[2] * gb)) + hs * h1;
+        let hs = if projection == Projection::Exact { g * (kappa / a0) } else { DVec2::ZERO };
+        let d_offset = geometry.to_detector(first) * 2.0 + hs * h;
         let mut d_m = DVec3::new(-d_offset.x, -d_offset.y, 0.0);
         if kappa > 0.0 {
-            let moment = 2.0 * (c[0] * gaa + 2.0 * c[1] * gab + c[2] * gbb) + hs.dot(d_hs);
-            d_m.z = slope.dot(d_offset) + kappa * moment;
-        }
-
-        // The form's coefficients: a displacement x in the plane is e = T x in space, T = [u v] - d0 gᵀ/a0.
-        let (tu, tv) = (view.u - d0 * (g.x / a0), view.v - d0 * (g.y / a0));
-        let mut precision = symmetric(tu, tu, gaa) + symmetric(tu, tv, 2.0 * gab) + symmetric(tv, tv, gbb);
-        let dc_g = DVec2::new(gaa * g.x + gab * g.y, gab * g.x + gbb * g.y);
-        let mut y = dc_g * (-2.0 / a0);
-        let mut along_g = 0.0;
-        if projection == Projection::Exact {
-            y += d_hs * (kappa / a0);
-            precision += symmetric(tu * d_hs.x + tv * d_hs.y, d0, kappa / a0);
-            along_g = -kappa * g.dot(d_hs) / (a0 * a0);
-            d_a0 -= kappa * kappa * d_k / (a0 * a0);
-        }
-        precision += symmetric(d0, d0, d_a0);
-
-        // The ray through the centre, d0 = m/m_z.
-        if kappa > 0.0 {
-            let mut d_slope = self.geometry.times_c(y) + g * (along_g + 2.0 * d_a0);
-            if projection == Projection::Affine {
-                d_slope += slope * (weight * d_weight / d0.length_squared());
-            } else {
-                let d_kappa = g.dot(d_hs) / a0 + 2.0 * kappa * d_k / a0;
-                d_m.z -= kappa * kappa * d_kappa;
+            let g_h = g_yz.dot(d_h);
+            d_m.z = slope.dot(d_offset) + kappa * (2.0 * (yy + zz) + kappa / a0 * g_h);
+            // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|.
+            let along = DVec2::new(yy * g_yz.x + yz * g_yz.y, yz * g_yz.x + zz * g_yz.y);
+            let mut d_slope = geometry.to_detector(along * (-2.0 / a0) + d_h * (kappa / a0));
+            d_slope += g * (2.0 * d_a0 - kappa * g_h / (a0 * a0));
+            match projection {
+                Projection::Affine => d_slope += slope * (weight * d_weight / d0_squared),
+                Projection::Exact => d_m.z -= kappa * kappa * (g_h + 2.0 * kappa * d_k) / a0,
             }
             d_m.x += kappa * d_slope.x;
             d_m.y += kappa * d_slope.y;
@@ -189,51 +196,36 @@ pub(super) fn symmetric(a: DVec3, b: DVec3, factor: f64) -> DMat3 {
 }
 
 /// Rows and columns of the pixels that the support can reach `[X2]`: the exact bounding box of the conic
-/// `δ ≤ cut·(h² + kδ)`, the whole detector where that is no ellipse (the support holds the source or passes beside it).
+/// `δ ≤ cut·(h² + kδ)`, with `h = 1 + s·(α, β)`; the whole detector where that is no ellipse (the support holds the
+/// source or passes beside it).
+#[allow(clippy::too_many_arguments)]
 fn support(
     plane: &Plane,
+    geometry: &Geometry,
+    steps: DVec2,
     c: [f64; 3],
     s: DVec2,
     k: f64,
     cut: f64,
-    rows: usize,
-    columns: usize,
+    size: [usize; 2],
 ) -> (Range<usize>, Range<usize>) {
+    let whole = (0..size[0], 0..size[1]);
     let t = 1.0 / cut - k;
-    let n = [t * c[0] - s.x * s.x, t * c[1] - s.x * s.y, t * c[2] - s.y * s.y];
-    let determinant = n[0] * n[2] - n[1] * n[1];
-    if !(t > 0.0 && n[0] > 0.0 && n[2] > 0.0 && determinant > 1e-12 * n[0] * n[2]) {
-        return whole_or_needle(plane, c, s, k, cut, rows, columns);
+    // The conic's matrix is t·c - s sᵀ; its determinant is taken from that of c, which has all its digits.
+    let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
+    let s_adjugate = DVec2::new(c[2] * s.x - c[1] * s.y, c[0] * s.y - c[1] * s.x);
+    let determinant = t * (t * det_c - s.dot(s_adjugate));
+    let n = [t * c[0] - s.x * s.x, t * c[2] - s.y * s.y];
+    if !(t > 0.0 && n[0] > 0.0 && n[1] > 0.0 && determinant > 1e-9 * t * t * det_c) {
+        return whole;
     }
-    let centre = DVec2::new(n[2] * s.x - n[1] * s.y, n[0] * s.y - n[1] * s.x) / determinant;
+    let centre = s_adjugate * (t / determinant);
     let radius = 1.0 + s.dot(centre);
-    let half = DVec2::new((radius * n[2] / determinant).sqrt(), (radius * n[0] / determinant).sqrt());
+    let half = DVec2::new((radius * n[1] / determinant).sqrt(), (radius * n[0] / determinant).sqrt());
     (
-        pixels(plane.row_centre, plane.row_step, centre.y, half.y, rows),
-        pixels(plane.column_centre, plane.column_step, centre.x, half.x, columns),
+        pixels(plane.row_centre, steps.y, centre.y, half.y, size[0]),
+        pixels(plane.column_centre, steps.x, centre.x, half.x, size[1]),
     )
-}
-
-/// Without digits enough to invert the conic (needles seen from the side): affine forms still have a safe box.
-fn whole_or_needle(
-    plane: &Plane,
-    c: [f64; 3],
-    s: DVec2,
-    k: f64,
-    cut: f64,
-    rows: usize,
-    columns: usize,
-) -> (Range<usize>, Range<usize>) {
-    let determinant = plane.a * plane.a * plane.b * plane.b;
-    if s == DVec2::ZERO && k == 0.0 && determinant > 0.0 && cut.is_finite() {
-        let unit = c[2] / (plane.b * plane.b);
-        let half = DVec2::new((cut * c[2] / determinant).sqrt(), (cut * c[0] / determinant).sqrt()) / unit;
-        return (
-            pixels(plane.row_centre, plane.row_step, 0.0, half.y, rows),
-            pixels(plane.column_centre, plane.column_step, 0.0, half.x, columns),
-        );
-    }
-    (0..rows, 0..columns)
 }
 
 /// Indices of the pixel centres within `half` of the offset `middle`, with a breath of rounding to spare.

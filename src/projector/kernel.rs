@@ -2,8 +2,8 @@
 //!
 //! A strip is `WIDTH/2` columns × 2 rows per SIMD register, [`DEPTH`] registers tall. The work is split into
 //! stages that each run over the whole strip (distance, logarithm, exponential, use), so that the long chains
-//! of one register hide behind those of the others. Within a column of registers the column offset α is
-//! constant: half of the quadratic form and two thirds of the moments leave the inner loop.
+//! of one register hide behind those of the others. Within a column of registers the coordinate z of [`Plane`]
+//! is constant: half of the quadratic form and two thirds of the moments leave the inner loop.
 //!
 //! Everything is a power of two. With Δ the squared Mahalanobis distance of the primitive's centre from the
 //! ray, x = Δ/unit and root = √r:
@@ -17,6 +17,7 @@
 //! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
 
 use crate::numeric::{Lanes, Real};
+use std::f64::consts::LN_2;
 use std::ops::Range;
 
 /// Registers in a strip, each two rows tall.
@@ -24,25 +25,27 @@ pub(super) const DEPTH: usize = 16;
 /// Rows in a strip.
 pub(super) const STRIP: usize = 2 * DEPTH;
 
-/// A primitive seen on a plane of pixels: `α = (column-centre)·step`, `β = (row-centre)·step` and
+/// A primitive seen on a plane of pixels, in coordinates in which its form is a sum of squares:
 ///
-/// `δ/unit = (b·β + ab·α + shift_b)² + (a·α + shift_a)² + floor`, never negative whatever the rounding.
+/// ```text
+/// δ/unit = y² + z² + floor,   z = a·(column - column_centre) + shift,   y = b·(row - ridge(column)),
+/// ridge  = row_centre + slant·(column - column_centre)
+/// ```
 ///
-/// The exact projection divides by `A/A0 = h² + k·δ/unit`, `h = 1 + h_row·β + h_column·α` `[X1]`.
+/// It is never negative whatever the rounding, and thin oblique primitives keep their digits because a row's distance
+/// from the ridge is taken in pixels, integer part first. The exact projection divides by
+/// `A/A0 = h² + k·δ/unit`, `h = 1 + h_y·y + h_z·z` `[X1]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Plane {
     pub(super) row_centre: f64,
     pub(super) column_centre: f64,
-    pub(super) row_step: f64,
-    pub(super) column_step: f64,
+    pub(super) slant: f64,
     pub(super) b: f64,
-    pub(super) ab: f64,
     pub(super) a: f64,
-    pub(super) shift_b: f64,
-    pub(super) shift_a: f64,
+    pub(super) shift: f64,
     pub(super) floor: f64,
-    pub(super) h_row: f64,
-    pub(super) h_column: f64,
+    pub(super) h_y: f64,
+    pub(super) h_z: f64,
     pub(super) k: f64,
     /// Exponent of the t-kernel.
     pub(super) q: f64,
@@ -61,9 +64,9 @@ pub(super) struct Canvas<R> {
 /// `Σ over pixels of cotangent × derivative`, per unit of `weight`, in the terms of [`Plane`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Sums {
-    /// Derivative to δ/unit (at constant h), times 1, α, β, α², αβ, β².
+    /// Derivative to δ/unit (at constant h), times 1, y, z, y², yz, z².
     pub(super) distance: [f64; 6],
-    /// Half the derivative to h, times 1, α, β. Exact projection only.
+    /// Half the derivative to h, times 1, y, z. Exact projection only.
     pub(super) h: [f64; 3],
     /// Derivative to k. Exact projection only.
     pub(super) k: f64,
@@ -76,12 +79,11 @@ pub(super) struct Sums {
 impl Plane {
     /// Whether a pixel lies within the support: x ≤ limit.
     pub(super) fn reaches(&self, row: usize, column: usize) -> bool {
-        let alpha = (column as f64 - self.column_centre) * self.column_step;
-        let beta = (row as f64 - self.row_centre) * self.row_step;
-        let y = self.b * beta + self.ab * alpha + self.shift_b;
-        let z = self.a * alpha + self.shift_a;
+        let across = column as f64 - self.column_centre;
+        let y = self.b * (row as f64 - self.row_centre - self.slant * across);
+        let z = self.a * across + self.shift;
         let delta = y * y + z * z + self.floor;
-        let h = 1.0 + self.h_row * beta + self.h_column * alpha;
+        let h = 1.0 + self.h_y * y + self.h_z * z;
         delta / (h * h + self.k * delta) <= self.limit
     }
 }
@@ -107,73 +109,85 @@ impl<R: Real> Canvas<R> {
 /// The intermediate values of one column of registers. Kept from call to call: clearing it would cost as much as
 /// a small footprint.
 pub(super) struct Scratch<L> {
-    beta: [L; DEPTH],
     x: [L; DEPTH],
+    y: [L; DEPTH],
     delta: [L; DEPTH],
     h: [L; DEPTH],
     r: [L; DEPTH],
     w: [L; DEPTH],
     log: [L; DEPTH],
     power: [L; DEPTH],
+    /// Rows of each register's lanes, from the strip's first row on.
+    row: [L; DEPTH],
 }
 
 impl<L: Lanes> Scratch<L> {
     pub(super) fn new() -> Self {
         let empty = [L::default(); DEPTH];
-        Self { beta: empty, x: empty, delta: empty, h: empty, r: empty, w: empty, log: empty, power: empty }
+        let row = std::array::from_fn(|j| L::from_fn(|i| L::Scalar::from_f64((2 * j + i / (L::WIDTH / 2)) as f64)));
+        Self { x: empty, y: empty, delta: empty, h: empty, r: empty, w: empty, log: empty, power: empty, row }
     }
-
-    /// The offsets β of a strip's registers, `first` being its first row.
-    #[inline(always)]
-    fn set_betas(&mut self, plane: &Plane, first: usize, registers: usize) {
-        let lanes = L::from_fn(|i| L::Scalar::from_f64((i / (L::WIDTH / 2)) as f64 * plane.row_step));
-        for (j, beta) in self.beta[..registers].iter_mut().enumerate() {
-            *beta = offset::<L>((first + 2 * j) as f64 - plane.row_centre, plane.row_step) + lanes;
-        }
-    }
-}
-
-/// A distance in pixels as a length, rounded once.
-#[inline(always)]
-fn offset<L: Lanes>(pixels: f64, step: f64) -> L {
-    L::splat(L::Scalar::from_f64(pixels * step))
 }
 
 /// What is constant along a column of registers.
 struct Column<L> {
-    alpha: L,
-    y: L,
+    z: L,
     floor: L,
     h: L,
+    /// The ridge from the strip's first row on: rounded to an integer, and the rest.
+    ridge: [L; 2],
 }
 
 impl<L: Lanes> Column<L> {
     #[inline(always)]
-    fn new(plane: &Plane, column: usize) -> Self {
-        let real = |value| L::splat(L::Scalar::from_f64(value));
-        let lanes = L::from_fn(|i| L::Scalar::from_f64((i % (L::WIDTH / 2)) as f64 * plane.column_step));
-        let alpha = offset::<L>(column as f64 - plane.column_centre, plane.column_step) + lanes;
-        let z = real(plane.a) * alpha + real(plane.shift_a);
+    fn new(plane: &Plane, first_row: usize, column: usize) -> Self {
+        let first = column as f64 - plane.column_centre;
+        let across = |i: usize| first + (i % (L::WIDTH / 2)) as f64;
+        let ridge = |i: usize| plane.row_centre - first_row as f64 + plane.slant * across(i);
+        let z = L::from_fn(|i| L::Scalar::from_f64(plane.a * across(i) + plane.shift));
         Self {
-            alpha,
-            y: real(plane.ab) * alpha + real(plane.shift_b),
+            z,
             floor: z * z + real(plane.floor),
-            h: real(plane.h_column) * alpha + real(1.0),
+            h: real::<L>(plane.h_z) * z + real(1.0),
+            ridge: [
+                L::from_fn(|i| L::Scalar::from_f64(ridge(i).floor())),
+                L::from_fn(|i| L::Scalar::from_f64(ridge(i) - ridge(i).floor())),
+            ],
         }
     }
 }
 
-/// Distances of one register: δ/unit, h, and 1/(h²+k·δ/unit).
+/// The same number in every lane.
 #[inline(always)]
-fn distances<L: Lanes, const EXACT: bool>(plane: (L, L, L), column: &Column<L>, beta: L) -> (L, L, L) {
-    let (b, h_row, k) = plane;
-    let y = b * beta + column.y;
-    let delta = (y * y + column.floor).at_most(L::splat(L::Scalar::from_f64(L::Scalar::FAR)));
-    if EXACT {
-        let h = h_row * beta + column.h;
-        (delta, h, L::splat(L::Scalar::ONE) / (h * h + k * delta))
-    } else {
-        (delta, L::default(), L::default())
+fn real<L: Lanes>(value: f64) -> L {
+    L::splat(L::Scalar::from_f64(value))
+}
+
+/// What all kernels need of a plane, in every lane.
+struct Shared<L> {
+    b: L,
+    h_y: L,
+    k: L,
+    limit: L,
+}
+
+impl<L: Lanes> Shared<L> {
+    #[inline(always)]
+    fn new(plane: &Plane) -> Self {
+        Self { b: real(plane.b), h_y: real(plane.h_y), k: real(plane.k), limit: real(plane.limit) }
+    }
+
+    /// Distances of one register: y, δ/unit, h, and 1/(h²+k·δ/unit).
+    #[inline(always)]
+    fn distances<const EXACT: bool>(&self, column: &Column<L>, row: L) -> (L, L, L, L) {
+        let y = self.b * (row - column.ridge[0] - column.ridge[1]);
+        let delta = (y * y + column.floor).at_most(real(L::Scalar::FAR));
+        if EXACT {
+            let h = self.h_y * y + column.h;
+            (y, delta, h, real::<L>(1.0) / (h * h + self.k * delta))
+        } else {
+            (y, delta, L::default(), L::default())
+        }
     }
 }
 
@@ -189,18 +203,15 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
     origin: usize,
     scratch: &mut Scratch<R::Lanes>,
 ) {
-    type L<R> = <R as Real>::Lanes;
-    let half = L::<R>::WIDTH / 2;
-    let real = |value| L::<R>::splat(R::from_f64(value));
+    let half = R::Lanes::WIDTH / 2;
     let registers = rows.len().div_ceil(2);
-    scratch.set_betas(plane, rows.start, registers);
-    let Scratch { beta, x, r: root, power, .. } = scratch;
-    let (b, h_row, k) = (real(plane.b), real(plane.h_row), real(plane.k));
-    let (minus_q, weight, limit, zero) = (real(-plane.q), real(plane.weight), real(plane.limit), L::<R>::default());
+    let Scratch { row, x, r: root, power, .. } = scratch;
+    let shared = Shared::<R::Lanes>::new(plane);
+    let (minus_q, weight, zero) = (real::<R::Lanes>(-plane.q), real(plane.weight), R::Lanes::default());
     for first in columns.step_by(half) {
-        let column = Column::new(plane, first);
+        let column = Column::new(plane, rows.start, first);
         for j in 0..registers {
-            let (delta, _, r) = distances::<_, EXACT>((b, h_row, k), &column, beta[j]);
+            let (_, delta, _, r) = shared.distances::<EXACT>(&column, row[j]);
             (x[j], root[j]) = if EXACT { (delta * r, r.sqrt()) } else { (delta, zero) };
         }
         for j in 0..registers {
@@ -211,7 +222,7 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
         }
         for j in 0..registers {
             let value = if EXACT { power[j] * root[j] } else { power[j] };
-            let value = x[j].select_le(limit, value * weight, zero);
+            let value = x[j].select_le(shared.limit, value * weight, zero);
             let pixel = (rows.start - origin + 2 * j) * canvas.stride + first;
             let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
             value.add_to_rows(&mut top[..half], &mut bottom[..half]);
@@ -232,34 +243,28 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
     cotangent: &Canvas<R>,
     scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
-    type L<R> = <R as Real>::Lanes;
-    let half = L::<R>::WIDTH / 2;
-    let real = |value| L::<R>::splat(R::from_f64(value));
-    let (b, h_row, k) = (real(plane.b), real(plane.h_row), real(plane.k));
-    let (limit, zero, point_five) = (real(plane.limit), L::<R>::default(), real(0.5));
-    let minus_q_1 = real(-(plane.q + 1.0));
-    let (slope, slope_x) = if STUDENT {
-        (real(plane.q), real(plane.q - 0.5))
-    } else {
-        (real(std::f64::consts::LN_2), real(std::f64::consts::LN_2))
-    };
-    let mut total = Totals::<L<R>>::default();
+    let half = R::Lanes::WIDTH / 2;
+    let shared = Shared::<R::Lanes>::new(plane);
+    let (zero, point_five) = (R::Lanes::default(), real::<R::Lanes>(0.5));
+    let minus_q_1 = real::<R::Lanes>(-(plane.q + 1.0));
+    let (slope, slope_x) = if STUDENT { (plane.q, plane.q - 0.5) } else { (LN_2, LN_2) };
+    let (slope, slope_x) = (real::<R::Lanes>(slope), real::<R::Lanes>(slope_x));
+    let mut total = Totals::<R::Lanes>::default();
     for strip in rows.clone().step_by(STRIP) {
         let registers = (rows.end - strip).min(STRIP).div_ceil(2);
-        scratch.set_betas(plane, strip, registers);
-        let Scratch { beta, x, delta, h, r, w, log, power } = &mut *scratch;
+        let Scratch { row, x, y, delta, h, r, w, log, power } = &mut *scratch;
         for first in columns.clone().step_by(half) {
-            let column = Column::new(plane, first);
+            let column = Column::new(plane, strip, first);
             for j in 0..registers {
-                (delta[j], h[j], r[j]) = distances::<_, EXACT>((b, h_row, k), &column, beta[j]);
+                (y[j], delta[j], h[j], r[j]) = shared.distances::<EXACT>(&column, row[j]);
                 let here = if EXACT { delta[j] * r[j] } else { delta[j] };
                 let pixel = (strip + 2 * j) * cotangent.stride + first;
                 let (top, bottom) = cotangent.pixels[pixel..].split_at(cotangent.stride);
-                let cotangent = L::<R>::from_rows(&top[..half], &bottom[..half]);
+                let cotangent = R::Lanes::from_rows(&top[..half], &bottom[..half]);
                 let cotangent = if EXACT { cotangent * r[j].sqrt() } else { cotangent };
                 // Beyond the limit x becomes 0 as well: no power of it may overflow.
-                x[j] = here.select_le(limit, here, zero);
-                w[j] = here.select_le(limit, cotangent, zero);
+                x[j] = here.select_le(shared.limit, here, zero);
+                w[j] = here.select_le(shared.limit, cotangent, zero);
             }
             for j in 0..registers {
                 log[j] = if STUDENT { x[j].log2_1p() } else { zero };
@@ -267,7 +272,7 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
             for j in 0..registers {
                 power[j] = if STUDENT { (minus_q_1 * log[j]).exp2() } else { (-x[j]).exp2() };
             }
-            let mut part = ColumnSums::<L<R>>::default();
+            let mut part = ColumnSums::<R::Lanes>::default();
             for j in 0..registers {
                 let a = w[j] * power[j];
                 let value = if STUDENT { a + a * x[j] } else { a };
@@ -280,24 +285,24 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
                     let g = b * (slope_x * x[j] - point_five);
                     let gh = g * h[j];
                     part.h[0] += gh;
-                    part.h[1] += gh * beta[j];
+                    part.h[1] += gh * y[j];
                     part.k += g * delta[j];
-                    k * g - slope * b
+                    shared.k * g - slope * b
                 } else {
                     -(slope * a)
                 };
-                let first = distance * beta[j];
+                let first = distance * y[j];
                 part.distance[0] += distance;
                 part.distance[1] += first;
-                part.distance[2] += first * beta[j];
+                part.distance[2] += first * y[j];
             }
-            total.add::<EXACT>(&part, column.alpha);
+            total.add::<EXACT>(&part, column.z);
         }
     }
     total.sums()
 }
 
-/// Sums over one column of registers; the powers of α are still to be multiplied in.
+/// Sums over one column of registers; the powers of z are still to be multiplied in.
 #[derive(Default)]
 struct ColumnSums<L> {
     distance: [L; 3],
@@ -319,20 +324,20 @@ struct Totals<L> {
 
 impl<L: Lanes> Totals<L> {
     #[inline(always)]
-    fn add<const EXACT: bool>(&mut self, part: &ColumnSums<L>, alpha: L) {
-        let times_alpha = part.distance[0] * alpha;
+    fn add<const EXACT: bool>(&mut self, part: &ColumnSums<L>, z: L) {
+        let times_z = part.distance[0] * z;
         self.distance[0] += part.distance[0];
-        self.distance[1] += times_alpha;
-        self.distance[2] += part.distance[1];
-        self.distance[3] += times_alpha * alpha;
-        self.distance[4] += part.distance[1] * alpha;
-        self.distance[5] += part.distance[2];
+        self.distance[1] += part.distance[1];
+        self.distance[2] += times_z;
+        self.distance[3] += part.distance[2];
+        self.distance[4] += part.distance[1] * z;
+        self.distance[5] += times_z * z;
         self.value += part.value;
         self.log += part.log;
         if EXACT {
             self.h[0] += part.h[0];
-            self.h[1] += part.h[0] * alpha;
-            self.h[2] += part.h[1];
+            self.h[1] += part.h[1];
+            self.h[2] += part.h[0] * z;
             self.k += part.k;
         }
     }

@@ -35,7 +35,7 @@ pub(super) struct Shape {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ShapeGradient {
     pub(super) mean: DVec3,
-    /// To Σ⁻¹, symmetric.
+    /// To Σ⁻¹, symmetric, in whitened axes: D of `tr(D·M⁻ᵀ dΣ⁻¹ M⁻¹)`. Needles keep their digits in these.
     pub(super) precision: DMat3,
     pub(super) density: f64,
     pub(super) nu: f64,
@@ -112,21 +112,17 @@ impl Shape {
     /// Gradient to mean, scale, quaternion, density and ν, written to row `i`.
     ///
     /// Rotating the body frame by a small ω changes Σ⁻¹ by R([ω]Λ - Λ[ω])Rᵀ, Λ = diag(1/s²): the torque of two axes
-    /// carries the factor 1/sᵢ² - 1/sⱼ² and vanishes exactly where they are equal. The gradient to the quaternion
+    /// carries the factor sⱼ/sᵢ - sᵢ/sⱼ and vanishes exactly where they are equal. The gradient to the quaternion
     /// is tangential by construction.
-    pub(super) fn finish(&self, gradient: &ShapeGradient, i: usize, out: &mut Parameters) {
+    fn finish(&self, gradient: &ShapeGradient, i: usize, out: &mut Parameters) {
         out.mean[i] = gradient.mean.to_array();
         out.density[i] = gradient.density;
         out.nu[i] = gradient.nu;
-        let r = DMat3::from_quat(self.rotation);
-        let body = r.transpose() * gradient.precision * r;
-        let t = |row: usize, column: usize| body.col(column)[row];
+        let d = gradient.precision;
         let inverse = self.inverse_scale;
-        out.scale[i] = [0, 1, 2].map(|k| -2.0 * inverse[k] * inverse[k] * inverse[k] * t(k, k));
-        let difference = |a: usize, b: usize| (inverse[a] - inverse[b]) * (inverse[a] + inverse[b]);
-        let torque =
-            [2.0 * t(1, 2) * difference(1, 2), 2.0 * t(2, 0) * difference(2, 0), 2.0 * t(0, 1) * difference(0, 1)];
-        let q = self.rotation * DQuat::from_xyzw(torque[0], torque[1], torque[2], 0.0);
+        out.scale[i] = [0, 1, 2].map(|k| -2.0 * inverse[k] * d.col(k)[k]);
+        let torque = |a: usize, b: usize| 2.0 * d.col(b)[a] * (inverse[a] / inverse[b] - inverse[b] / inverse[a]);
+        let q = self.rotation * DQuat::from_xyzw(torque(1, 2), torque(2, 0), torque(0, 1), 0.0);
         out.quaternion[i] = [q.w, q.x, q.y, q.z].map(|x| 2.0 * x / self.norm);
     }
 }

@@ -88,7 +88,14 @@ impl<'a, R: Real> ViewField<'a, R> {
             for &i in &members[band] {
                 let footprint = &self.footprints[i as usize];
                 let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
-                kernel(&footprint.plane, from_even(inside), footprint.columns.clone(), &mut canvas, origin, &mut scratch);
+                kernel(
+                    &footprint.plane,
+                    from_even(inside),
+                    footprint.columns.clone(),
+                    &mut canvas,
+                    origin,
+                    &mut scratch,
+                );
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
                 pixels.copy_from_slice(canvas.row(row, columns));
@@ -138,8 +145,13 @@ impl<'a, R: Real> ViewField<'a, R> {
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let footprint = &self.footprints[first + i];
                 if !footprint.is_empty() {
-                    let sums =
-                        kernel(&footprint.plane, from_even(footprint.rows.clone()), footprint.columns.clone(), &canvas, &mut scratch);
+                    let sums = kernel(
+                        &footprint.plane,
+                        from_even(footprint.rows.clone()),
+                        footprint.columns.clone(),
+                        &canvas,
+                        &mut scratch,
+                    );
                     gradient.add(&footprint.pull_back(
                         &self.field.shapes[first + i],
                         &self.view,

@@ -15,19 +15,21 @@ use std::ops::Range;
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 16;
 
-/// The form `δ/unit = (b·y + ab·z + bx·x)² + (a·z + ax·x)² + (xx·x)²` of a primitive on a grid.
-#[derive(Clone, Debug, Default)]
+/// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
+/// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
+#[derive(Clone, Copy, Debug, Default)]
 struct Solid {
-    /// The part that all slices share.
+    /// The part that all slices share; `slant` is along z.
     plane: Plane,
-    bx: f64,
+    /// Rows by which the ridge moves per length along x, and what z and x gain, in units of √unit.
+    ridge_x: f64,
     ax: f64,
     xx: f64,
-    /// Slice at which x = 0, with a fraction.
+    /// Slice of the centre, with a fraction, and the distance of slices.
     centre: f64,
-    /// Distance of slices.
     step: f64,
-    slices: Range<usize>,
+    first: usize,
+    last: usize,
 }
 
 impl Solid {
@@ -41,44 +43,47 @@ impl Solid {
         let plane = Plane {
             row_centre: place.y,
             column_centre: place.z,
-            row_step: grid.spacing.y,
-            column_step: grid.spacing.z,
-            b: b / root,
-            ab: my.dot(mz) / (b * root),
-            a: a / root,
+            slant: -my.dot(mz) / (b * b) * grid.spacing.z / grid.spacing.y,
+            b: b * grid.spacing.y / root,
+            a: a * grid.spacing.z / root,
             q: (shape.nu + 3.0) / 2.0,
             weight: shape.density,
             limit: shape.limit,
             ..Plane::default()
         };
         let xx = shape.determinant() / (b * a * root);
-        let mut solid = Self {
+        let slices = reach(place.x, grid.spacing.x, shape.limit.sqrt() / xx, grid.shape[0]);
+        Self {
             plane,
-            bx: my.dot(mx) / (b * root),
+            ridge_x: -my.dot(mx) / (b * b * grid.spacing.y),
             ax: yz.dot(yx) / (b * b * a * root),
             xx,
             centre: place.x,
             step: grid.spacing.x,
-            slices: 0..0,
-        };
-        solid.slices = reach(place.x, grid.spacing.x, shape.limit.sqrt() / xx, grid.shape[0]);
-        solid
+            first: slices.start,
+            last: slices.end,
+        }
+    }
+
+    fn slices(&self) -> Range<usize> {
+        self.first..self.last
     }
 
     /// The primitive in one slice, with the rows and columns it reaches there.
     fn slice(&self, slice: usize, grid: &Grid) -> (Plane, Range<usize>, Range<usize>) {
-        let x = self.offset(slice);
+        let offset = self.offset(slice);
         let mut plane = self.plane;
-        plane.shift_b = self.bx * x;
-        plane.shift_a = self.ax * x;
-        plane.floor = self.xx * x * (self.xx * x);
+        plane.shift = self.ax * offset;
+        let x = self.xx * offset;
+        plane.floor = x * x;
+        // z = 0 lies `across` columns from the centre; there the ridge is the middle of the slice's ellipse.
+        let across = -plane.shift / plane.a;
+        plane.row_centre += self.ridge_x * offset;
         let left = (plane.limit - plane.floor).max(0.0).sqrt();
-        let z = -plane.shift_a / plane.a;
-        let y = -(plane.shift_b + plane.ab * z) / plane.b;
         let half_z = left / plane.a;
-        let half_y = left * (plane.a * plane.a + plane.ab * plane.ab).sqrt() / (plane.a * plane.b);
-        let rows = reach(plane.row_centre + y / plane.row_step, plane.row_step, half_y, grid.shape[1]);
-        let columns = reach(plane.column_centre + z / plane.column_step, plane.column_step, half_z, grid.shape[2]);
+        let half_y = left * (1.0 / (plane.b * plane.b) + plane.slant * plane.slant / (plane.a * plane.a)).sqrt();
+        let rows = reach(plane.row_centre + plane.slant * across, 1.0, half_y, grid.shape[1]);
+        let columns = reach(plane.column_centre + across, 1.0, half_z, grid.shape[2]);
         (plane, rows, columns)
     }
 
@@ -86,31 +91,51 @@ impl Solid {
     fn offset(&self, slice: usize) -> f64 {
         (slice as f64 - self.centre) * self.step
     }
+}
 
-    /// From the sums over one slice to the gradient; `x` is the slice's distance from the centre.
-    fn pull_back(&self, shape: &Shape, x: f64, sums: &Sums) -> ShapeGradient {
-        let weight = self.plane.weight;
-        let [s, sz, sy, szz, szy, syy] = sums.distance.map(|value| value * weight / shape.unit);
-        let (ex, ey, ez) = (DVec3::X, DVec3::Y, DVec3::Z);
-        let precision = symmetric(ex, ex, x * x * s)
-            + symmetric(ex, ey, 2.0 * x * sy)
-            + symmetric(ex, ez, 2.0 * x * sz)
-            + symmetric(ey, ey, syy)
-            + symmetric(ey, ez, 2.0 * szy)
-            + symmetric(ez, ez, szz);
-        let m = shape.whitening;
-        let mean = m.transpose() * (m * DVec3::new(x * s, sy, sz)) * -2.0;
+/// The sums of a primitive over all its slices, in the axes of [`Solid`].
+#[derive(Clone, Copy, Debug, Default)]
+struct Moments {
+    /// Σ G (x, y, z).
+    first: DVec3,
+    /// Σ G (xx, xy, xz, yy, yz, zz).
+    second: [f64; 6],
+    value: f64,
+    log: f64,
+}
+
+impl Moments {
+    /// Adds one slice; `x` is its third coordinate.
+    fn add(&mut self, x: f64, sums: &Sums) {
+        let [one, y, z, yy, yz, zz] = sums.distance;
+        self.first += DVec3::new(x * one, y, z);
+        for (total, part) in self.second.iter_mut().zip([x * x * one, x * y, x * z, yy, yz, zz]) {
+            *total += part;
+        }
+        self.value += sums.value;
+        self.log += sums.log;
+    }
+
+    fn pull_back(&self, shape: &Shape) -> ShapeGradient {
+        let (my, mz) = (shape.whitening.y_axis, shape.whitening.z_axis);
+        let q_x = my.cross(mz).normalize();
+        let q_y = my.normalize();
+        let q_z = q_x.cross(q_y);
+        let [xx, xy, xz, yy, yz, zz] = self.second.map(|value| value * shape.density);
+        let precision = symmetric(q_x, q_x, xx)
+            + symmetric(q_x, q_y, 2.0 * xy)
+            + symmetric(q_x, q_z, 2.0 * xz)
+            + symmetric(q_y, q_y, yy)
+            + symmetric(q_y, q_z, 2.0 * yz)
+            + symmetric(q_z, q_z, zz);
+        let first = self.first * (shape.density / shape.unit.sqrt());
+        let mean = shape.whitening.transpose() * (q_x * first.x + q_y * first.y + q_z * first.z) * -2.0;
         let nu = if shape.nu.is_finite() {
-            let mut moment = 0.0;
-            for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
-                let row = m.transpose() * axis;
-                moment += row.dot(precision * row);
-            }
-            -0.5 * std::f64::consts::LN_2 * sums.log * weight - moment / shape.nu
+            -0.5 * std::f64::consts::LN_2 * self.log * shape.density - (xx + yy + zz) / shape.nu
         } else {
             0.0
         };
-        ShapeGradient { mean, precision, density: sums.value, nu }
+        ShapeGradient { mean, precision, density: self.value, nu }
     }
 }
 
@@ -142,7 +167,7 @@ impl<R: Real> Field<R> {
         let solids = self.solids(grid);
         let mut members = vec![Vec::new(); nx];
         for (i, solid) in solids.iter().enumerate() {
-            for slice in &mut members[solid.slices.clone()] {
+            for slice in &mut members[solid.slices()] {
                 slice.push(i as u32);
             }
         }
@@ -183,12 +208,16 @@ impl<R: Real> Field<R> {
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let solid = &solids[chunk * GATHER + i];
                 let shape = &self.shapes[chunk * GATHER + i];
-                for x in solid.slices.clone() {
-                    let (plane, rows, columns) = solid.slice(x, grid);
+                let mut moments = Moments::default();
+                for slice in solid.slices() {
+                    let (plane, rows, columns) = solid.slice(slice, grid);
                     if !rows.is_empty() && !columns.is_empty() {
-                        let sums = kernel(&plane, from_even(rows), columns, &canvases[x], &mut scratch);
-                        gradient.add(&solid.pull_back(shape, solid.offset(x), &sums));
+                        let sums = kernel(&plane, from_even(rows), columns, &canvases[slice], &mut scratch);
+                        moments.add(solid.xx * solid.offset(slice), &sums);
                     }
+                }
+                if !solid.slices().is_empty() {
+                    gradient.add(&moments.pull_back(shape));
                 }
             }
         });

@@ -2,6 +2,7 @@
 
 pub mod arrays;
 pub mod dataset;
+pub mod describe;
 pub mod geometry;
 pub mod noise;
 pub mod npy;

@@ -1,6 +1,7 @@
 //! Photon and electronic noise of a detector.
 //!
-//! Source: the noise model of TIGRE (`CTnoise`), which the published experiments used. With p_max the largest line
+//! Not in the paper: it gives the levels and says that projections were made with TIGRE, whose model (`CTnoise`) this
+//! is. With p_max the largest line
 //! integral of the whole stack, a pixel's expected count is `I = I0·exp(-p/p_max)`, the reading
 //! `Ĩ = Poisson(I) + N(0, σ²)` and the noisy line integral `p̃ = -ln(Ĩ/I0)·p_max`. Because p is divided by p_max, the
 //! darkest pixel always expects I0/e photons, whatever the object's real attenuation.

@@ -360,7 +360,8 @@ mod tests {
 
     #[test]
     fn every_type_order_and_byte_order_is_understood() {
-        let cases: [(&str, &[u8], [f64; 2], Option<f64>); 8] = [
+        type Case = (&'static str, &'static [u8], [f64; 2], Option<f64>);
+        let cases: [Case; 8] = [
             ("|u1", &[1, 255], [1.0, 255.0], Some(255.0)),
             ("|i1", &[1, 255], [1.0, -1.0], Some(127.0)),
             ("|b1", &[1, 0], [1.0, 0.0], Some(1.0)),

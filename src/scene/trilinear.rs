@@ -2,7 +2,7 @@
 //!
 //! Between voxel centres the density is trilinear, and the volume is surrounded by zeros: in the last half voxel
 //! inside the box and the first half outside it falls to 0. So a line along an axis through voxel centres integrates
-//! to the sum of their values times the spacing, and the function has no jump.
+//! to the sum of their values times the spacing, and the function has no jump. Not in the paper.
 
 use super::arrays::{Projections, Volume};
 use super::geometry::{Ray, Scanner};

@@ -3,3 +3,4 @@
 
 pub(crate) mod precision;
 pub(crate) mod scenes;
+pub(crate) mod vectors;

@@ -57,7 +57,7 @@ pub(super) struct ScannerMeta {
     #[serde(rename = "DSO")]
     dso: Option<f64>,
     /// Pixels, `[v, u]`.
-    #[serde(rename = "nDetector")]
+    #[serde(rename = "nDetector", serialize_with = "as_integers")]
     n_detector: Vec<f64>,
     /// Total size, `[v, u]`.
     #[serde(rename = "sDetector")]
@@ -66,7 +66,7 @@ pub(super) struct ScannerMeta {
     #[serde(rename = "dDetector")]
     d_detector: Option<Vec<f64>>,
     /// Voxels, `[x, y, z]`.
-    #[serde(rename = "nVoxel")]
+    #[serde(rename = "nVoxel", serialize_with = "as_integers")]
     n_voxel: Vec<f64>,
     /// Total size, `[x, y, z]`.
     #[serde(rename = "sVoxel")]
@@ -145,10 +145,8 @@ impl Meta {
             }
         }
         let dso = scanner.beam.dso();
-        let radii = self.proj_train.iter().chain(&self.proj_test).filter_map(|view| view.radius);
-        if let Some(radius) =
-            radii.filter(|radius| [1.0, *scale].iter().all(|s| (radius * s - dso).abs() > 1e-3 * dso)).next()
-        {
+        let mut radii = self.proj_train.iter().chain(&self.proj_test).filter_map(|view| view.radius);
+        if let Some(radius) = radii.find(|radius| [1.0, *scale].iter().all(|s| (radius * s - dso).abs() > 1e-3 * dso)) {
             oddities.push(format!("a view has the radius {radius}, which is not DSO; it is ignored"));
         }
         Ok(interpreted)
@@ -255,6 +253,11 @@ impl ScannerMeta {
             _ => Noise::None,
         }
     }
+}
+
+/// Python takes 64 for a size of an array, but not 64.0.
+fn as_integers<S: serde::Serializer>(counts: &[f64], serializer: S) -> std::result::Result<S::Ok, S::Error> {
+    serializer.collect_seq(counts.iter().map(|count| *count as u64))
 }
 
 /// A field with one number per axis.

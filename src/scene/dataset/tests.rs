@@ -72,6 +72,12 @@ fn what_is_written_is_read_again_bit_for_bit() {
 }
 
 #[test]
+fn counts_are_written_as_integers() {
+    let (_folder, path) = edited(|json| assert_eq!(json["scanner"]["nVoxel"], json!([6, 4, 8])));
+    assert!(std::fs::read_to_string(path.join("meta_data.json")).unwrap().contains("\"nDetector\":[3,5]"));
+}
+
+#[test]
 fn a_cube_of_any_resolution_is_read_again_exactly() {
     for n in 1..200 {
         let mut scanner = sample().scanner;

@@ -1,4 +1,5 @@
-//! Phantoms whose density and line integrals are known exactly: sums of ellipsoids, cuboids and cylinders.
+//! Phantoms whose density and line integrals are known exactly: sums of ellipsoids, cuboids and cylinders. Not in the
+//! paper.
 
 mod library;
 pub mod solid;

@@ -45,7 +45,7 @@ impl Solid {
         let radius = match shape {
             Shape::Ellipsoid => half.max_element(),
             Shape::Cuboid => half.length(),
-            Shape::Cylinder => (half.truncate().max_element().powi(2) + half.z * half.z).sqrt(),
+            Shape::Cylinder => half.truncate().max_element().max(half.z) * 2.0_f64.sqrt(),
         };
         let (to_world, to_own) = (DMat3::from_diagonal(half), DMat3::from_diagonal(half.recip()));
         Self { shape, density, centre, to_world, to_own, radius }

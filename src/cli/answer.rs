@@ -1,0 +1,78 @@
+//! What a command found, for a reader or for a program.
+
+use comfy_table::{ContentArrangement, Table, presets};
+use serde::Serialize;
+use serde_json::Value;
+use std::io::{self, Write};
+use std::path::Path;
+use trgs::{Error, Result};
+
+/// A result in both forms.
+pub(super) struct Answer {
+    json: Value,
+    table: Table,
+}
+
+impl Answer {
+    /// A result whose table has a line for each of its values.
+    pub(super) fn list(result: &impl Serialize) -> Self {
+        let json = to_json(result);
+        let mut lines = Vec::new();
+        flatten("", &json, &mut lines);
+        Self { table: table(&[], lines), json }
+    }
+
+    /// A result with a table of its own.
+    pub(super) fn table<const N: usize>(
+        result: &impl Serialize,
+        header: [&str; N],
+        rows: impl IntoIterator<Item = [String; N]>,
+    ) -> Self {
+        Self { json: to_json(result), table: table(&header, rows) }
+    }
+
+    /// Writes the result to standard output. It is no error when a reader like `head` does not want all of it.
+    pub(super) fn print(&self, json: bool) -> Result<()> {
+        let text = if json { self.json.to_string() } else { self.table.to_string() };
+        let mut output = io::stdout().lock();
+        match writeln!(output, "{text}").and_then(|()| output.flush()) {
+            Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+                Err(Error::write(Path::new("standard output"), error))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn to_json(result: &impl Serialize) -> Value {
+    serde_json::to_value(result).expect("results have string keys and no foreign serialisers")
+}
+
+fn table<const N: usize>(header: &[&str], rows: impl IntoIterator<Item = [String; N]>) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
+    if !header.is_empty() {
+        table.set_header(header);
+    }
+    table.add_rows(rows);
+    table
+}
+
+/// Dotted names and values of all that is no object itself.
+fn flatten(name: &str, value: &Value, lines: &mut Vec<[String; 2]>) {
+    match value {
+        Value::Object(entries) => {
+            for (key, value) in entries {
+                flatten(&if name.is_empty() { key.clone() } else { format!("{name}.{key}") }, value, lines);
+            }
+        }
+        Value::Array(values) if values.iter().any(Value::is_string) => {
+            lines.extend(values.iter().map(|value| [name.to_owned(), plain(value)]));
+        }
+        value => lines.push([name.to_owned(), plain(value)]),
+    }
+}
+
+fn plain(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), Into::into)
+}

@@ -1,0 +1,31 @@
+//! Shapes of arguments that more than one command takes.
+
+use std::str::FromStr;
+
+/// Parses `N` values between commas.
+pub(super) fn list<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
+    let values = text.split(',').map(|value| value.trim().parse().ok()).collect::<Option<Vec<T>>>();
+    values.and_then(|values| values.try_into().ok()).ok_or_else(|| format!("expected {N} numbers between commas"))
+}
+
+/// Parses two numbers, or one that stands for both.
+pub(super) fn pair<T: FromStr + Copy>(text: &str) -> Result<[T; 2], String> {
+    let both = list::<T, 1>(text).map(|[value]| [value; 2]);
+    both.or_else(|_| list(text)).map_err(|_| "expected a number, or two between commas".into())
+}
+
+/// Parses a number that is neither infinite nor NaN.
+pub(super) fn finite(text: &str) -> Result<f64, String> {
+    text.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| "expected a finite number".into())
+}
+
+/// Parses a seed; configurations are TOML, whose integers end at 2⁶³ - 1.
+pub(super) fn seed(text: &str) -> Result<u64, String> {
+    let value: Option<i64> = text.parse().ok();
+    value.and_then(|value| value.try_into().ok()).ok_or_else(|| "expected an integer from 0 to 2^63 - 1".into())
+}
+
+/// Parses the fraction of a peak at which a primitive ends.
+pub(super) fn cutoff(text: &str) -> Result<f64, String> {
+    finite(text).ok().filter(|value| (0.0..1.0).contains(value)).ok_or_else(|| "expected a number in [0, 1)".into())
+}

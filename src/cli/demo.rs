@@ -1,0 +1,81 @@
+//! `trgs demo`: everything once, from a phantom to a page.
+
+use super::arguments::seed;
+use super::evaluate::Evaluation;
+use super::reconstruct::reconstruct;
+use super::run_folder::Outcome;
+use super::{Answer, Global, interrupt};
+use clap::Args;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trgs::Result;
+use trgs::config::{Config, Method};
+use trgs::evaluation::Metrics;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
+
+/// Pixels along each side of the detector.
+const PIXELS: u8 = 128;
+/// Enough to show what it is about, few enough for a minute on two cores.
+const ITERATIONS: usize = 2000;
+
+/// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
+#[derive(Args)]
+#[command(after_help = "Example:
+  trgs demo --out out/demo")]
+pub(super) struct Demo {
+    /// Folder to write
+    #[arg(long, value_name = "DIR", default_value = "out/demo")]
+    out: PathBuf,
+    /// All random choices follow from it
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
+    seed: u64,
+}
+
+/// What the demonstration found.
+#[derive(Serialize)]
+struct Found<'a> {
+    dataset: &'a Path,
+    report: &'a Path,
+    #[serde(rename = "tr-gs")]
+    ours: &'a Evaluation,
+    fdk: &'a Evaluation,
+}
+
+impl Demo {
+    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+        let source = self.out.join("dataset");
+        tracing::info!("scanning a phantom: 18 noisy projections to reconstruct from, 50 others to judge by");
+        let dataset = self.scan()?;
+        interrupt::shielded(|| dataset.write(&source))?;
+
+        let run = |method, folder: &Path, beside: Option<&Outcome>| {
+            let config = Config { method, seed: self.seed, iterations: ITERATIONS, ..Config::default() };
+            reconstruct(&source, &dataset, &config, folder, beside, global)
+        };
+        tracing::info!("reconstructing by filtered back projection");
+        let fdk = run(Method::Fdk, &self.out.join("fdk"), None)?;
+        tracing::info!("reconstructing with Student's t-kernels");
+        let folder = self.out.join("tr-gs");
+        let ours = run(Method::TrGs, &folder, Some(&fdk))?;
+
+        let report = folder.join("report.html");
+        tracing::info!("wrote {}, a page to look at", report.display());
+        let [ours, fdk] = [ours.evaluation, fdk.evaluation];
+        let rows = (Metrics::NAMES.into_iter().zip(ours.metrics.row()).zip(fdk.metrics.row()))
+            .map(|((name, ours), fdk)| [name.into(), ours, fdk]);
+        let found = Found { dataset: &source, report: &report, ours: &ours, fdk: &fdk };
+        Ok(Answer::table(&found, ["metric", "TR-GS", "FDK"], rows))
+    }
+
+    fn scan(&self) -> Result<Dataset> {
+        let side = 4.0 / f64::from(PIXELS);
+        let pixels = usize::from(PIXELS);
+        let detector =
+            Detector { rows: pixels, columns: pixels, pitch_v: side, pitch_u: side, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
+        let plan = Plan { views: 18, test_views: 50, noise: Noise::LOW, seed: self.seed };
+        let phantom = Phantom::by_name("torso", self.seed)?;
+        simulate("torso", Object::Phantom(&phantom), &scanner, &plan)
+    }
+}

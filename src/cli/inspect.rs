@@ -1,0 +1,190 @@
+//! `trgs inspect`: what a file or folder is, and what is odd about it.
+
+use super::Answer;
+use clap::Args;
+use serde_json::{Value, json};
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use trgs::config::Config;
+use trgs::primitives::{Group, Kernel, Primitives, model};
+use trgs::provenance::{Provenance, digest_file};
+use trgs::scene::npy::{self, Npy, Numbers};
+use trgs::scene::npz::Npz;
+use trgs::scene::{Beam, Dataset, Projections, Volume};
+use trgs::{Error, Result};
+
+/// Longest over shortest scale from which on a primitive is called a needle.
+const NEEDLE: f64 = 1000.0;
+
+/// Say what a dataset, run, model or array is and what is odd about it
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs inspect data/torso
+  trgs inspect out/torso/model.npz --json")]
+pub(super) struct Inspect {
+    /// Folder of a scan or of a run, or a file
+    #[arg(value_name = "DATASET|RUN|FILE")]
+    path: PathBuf,
+}
+
+impl Inspect {
+    pub(super) fn run(&self) -> Result<Answer> {
+        let path = self.path.as_path();
+        let found = match path.extension().and_then(OsStr::to_str) {
+            _ if path.join("meta_data.json").exists() => dataset(path)?,
+            _ if path.join("provenance.json").exists() => run_folder(path)?,
+            Some("json") => dataset(path)?,
+            Some("npz") => archive(path)?,
+            Some("npy") => array(path)?,
+            _ => {
+                let expected = "a folder with meta_data.json or provenance.json, or a file .json, .npz or .npy";
+                std::fs::metadata(path).map_err(|source| Error::read(path, source))?;
+                return Err(Error::invalid("path to inspect", path.display(), expected, "check the path"));
+            }
+        };
+        Ok(Answer::list(&found))
+    }
+}
+
+fn dataset(path: &Path) -> Result<Value> {
+    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, mut oddities } =
+        Dataset::read(path)?;
+    let (d, grid) = (scanner.detector, scanner.grid);
+    let beam = match scanner.beam {
+        Beam::Cone { dso, dsd } => json!({ "kind": "cone", "dso": dso, "dsd": dsd }),
+        Beam::Parallel { .. } => json!({ "kind": "parallel" }),
+    };
+    let views = |views: &Projections| json!({ "views": views.len(), "values": range(&views.images) });
+    let negative = |views: &Projections| views.images.iter().filter(|value| **value < 0.0).count();
+    if negative(&train) > 0 {
+        oddities.push(format!("{} pixels of the training views are negative", negative(&train)));
+    }
+    Ok(json!({
+        "kind": "dataset",
+        "name": name,
+        "beam": beam,
+        "detector": { "rows": d.rows, "columns": d.columns, "pitch_v": d.pitch_v, "pitch_u": d.pitch_u,
+                      "offset_v": d.offset_v, "offset_u": d.offset_u },
+        "grid": { "shape": grid.shape, "min": grid.min.to_array(), "max": grid.max().to_array() },
+        "scene_units_per_unit_of_the_files": scale,
+        "noise": noise.to_string(),
+        "train": views(&train),
+        "test": test.as_ref().map(views),
+        "truth": truth.map(|Volume { values, .. }| json!({ "values": range(&values) })),
+        "initial_points": initial_points.map(|points| points.nrows()),
+        "oddities": oddities,
+    }))
+}
+
+fn run_folder(path: &Path) -> Result<Value> {
+    let config = Config::read(&path.join("config.toml"))?;
+    let provenance: Provenance = read_json(&path.join("provenance.json"))?;
+    let metrics: Value = read_json(&path.join("metrics.json"))?;
+    let mut oddities = Vec::new();
+    for (name, digest) in &provenance.outputs {
+        if digest_file(&path.join(name)).ok().as_ref() != Some(digest) {
+            oddities.push(format!("{name} is not the file that the run wrote"));
+        }
+    }
+    Ok(json!({
+        "kind": "run",
+        "method": config.method,
+        "version": provenance.version,
+        "command": provenance.command.join(" "),
+        "metrics": metrics,
+        "oddities": oddities,
+    }))
+}
+
+fn archive(path: &Path) -> Result<Value> {
+    let npz = Npz::read(path)?;
+    let keys: Vec<&str> = npz.keys().collect();
+    // A gradient has the keys of a model too, but not its positive scales.
+    if Group::ALL.iter().filter(|group| **group != Group::Nu).all(|group| keys.contains(&group.key())) {
+        return Ok(match model::read(path) {
+            Ok(primitives) => of_model(&primitives),
+            Err(error) => json!({
+                "kind": "archive with the arrays of a model, or gradient of one",
+                "arrays": arrays(&npz),
+                "oddities": [format!("not usable as a model: {error}")],
+            }),
+        });
+    }
+    Ok(json!({ "kind": "archive", "arrays": arrays(&npz) }))
+}
+
+fn arrays(npz: &Npz) -> Value {
+    npz.keys().filter_map(|key| Some((key.to_owned(), of_array(npz.entry(key)?)))).collect()
+}
+
+fn of_model(primitives: &Primitives) -> Value {
+    let p = &primitives.parameters;
+    let count = |what: &str, n: usize| (n > 0).then(|| format!("{n} of {} primitives {what}", p.len()));
+    let outside = p.mean.iter().filter(|mean| mean.iter().any(|x| x.abs() > 1.0)).count();
+    let needles = p.scale.iter().filter(|s| s.iter().any(|a| s.iter().any(|b| *a > NEEDLE * b))).count();
+    let oddities = [
+        p.is_empty().then(|| "there is no primitive".into()),
+        count("have their centre outside of the cube from -1 to 1", outside),
+        count("have a negative density", p.density.iter().filter(|density| **density < 0.0).count()),
+        count(&format!("are more than {NEEDLE} times as long as thin"), needles),
+    ];
+    let values = |group: Group| (group.key().to_owned(), range(p.group(group)));
+    let finite = Group::ALL.into_iter().filter(|group| !(primitives.kernel == Kernel::Gaussian && *group == Group::Nu));
+    json!({
+        "kind": "model",
+        "kernel": match primitives.kernel { Kernel::StudentT => "student-t", Kernel::Gaussian => "gaussian" },
+        "primitives": p.len(),
+        "values": finite.map(values).collect::<Value>(),
+        "oddities": oddities.into_iter().flatten().collect::<Vec<_>>(),
+    })
+}
+
+fn array(path: &Path) -> Result<Value> {
+    let array = npy::read(path)?;
+    let kind = match array.numbers.shape().len() {
+        3 => "array: a volume [x, y, z] or projections [view, v, u]",
+        2 => "array: a projection [v, u], or initial points [M, 4]",
+        _ => "array",
+    };
+    let mut found = json!({ "kind": kind });
+    if let (Some(found), Value::Object(values)) = (found.as_object_mut(), of_array(&array)) {
+        found.extend(values);
+    }
+    Ok(found)
+}
+
+fn of_array(array: &Npy) -> Value {
+    let (values, not_finite) = match &array.numbers {
+        Numbers::F32(values) => (range(values), values.iter().filter(|value| !value.is_finite()).count()),
+        Numbers::F64(values) => (range(values), values.iter().filter(|value| !value.is_finite()).count()),
+    };
+    let constant = matches!(values.as_array().map(Vec::as_slice), Some([low, high]) if low == high);
+    let oddities = [
+        (not_finite > 0).then(|| format!("{not_finite} values are not finite")),
+        constant.then(|| "all values are equal".into()),
+        array.full_scale.map(|full| format!("whole numbers of a type that ends at {full}: perhaps not attenuation")),
+    ];
+    json!({
+        "shape": array.numbers.shape(),
+        "precision": if array.numbers.is_double() { "f64" } else { "f32" },
+        "values": values,
+        "oddities": oddities.into_iter().flatten().collect::<Vec<_>>(),
+    })
+}
+
+/// The smallest and the largest finite value, or null.
+fn range<'a, T: Copy + Into<f64> + 'a>(values: impl IntoIterator<Item = &'a T>) -> Value {
+    let finite = values.into_iter().map(|value| (*value).into()).filter(|value: &f64| value.is_finite());
+    let ends = finite.fold(None, |ends: Option<[f64; 2]>, value| {
+        let [low, high] = ends.unwrap_or([value; 2]);
+        Some([low.min(value), high.max(value)])
+    });
+    json!(ends)
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    serde_json::from_slice(&text).map_err(|error| {
+        Error::format(path, "file", error, "JSON as a run writes it", "restore the file or repeat the run")
+    })
+}

@@ -1,0 +1,113 @@
+//! Messages and progress on standard error.
+
+use super::{Global, LogFormat, interrupt};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt;
+use std::io::{self, IsTerminal};
+use std::ops::ControlFlow;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
+use tracing_subscriber::fmt::{FmtContext, fmt};
+use tracing_subscriber::registry::LookupSpan;
+use trgs::Error;
+use trgs::train::Record;
+
+/// Sends everything that is traced to standard error, in the format asked for.
+pub(super) fn install(global: &Global) {
+    let level = if global.quiet { LevelFilter::ERROR } else { LevelFilter::INFO };
+    // A closed standard error must not end the program.
+    let subscriber = fmt().with_max_level(level).with_writer(io::stderr).log_internal_errors(false);
+    match global.log_format {
+        LogFormat::Text => subscriber.event_format(Sentence).init(),
+        LogFormat::Json => subscriber.json().flatten_event(true).with_target(false).init(),
+    }
+}
+
+/// Says in one line what ended the program.
+pub(super) fn error(error: &Error) {
+    let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
+    tracing::error!("{}", lines.join(" "));
+}
+
+/// How far a training run has come.
+pub(super) struct Progress {
+    bar: Option<ProgressBar>,
+}
+
+impl Progress {
+    /// A bar on a terminal, otherwise a line per report.
+    pub(super) fn new(iterations: usize, global: &Global) -> Self {
+        let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} {per_sec}, {eta} left");
+        let bar = || ProgressBar::new(iterations as u64).with_style(style.expect("the template is well formed"));
+        Self { bar: wanted.then(bar) }
+    }
+
+    /// To be called after every iteration; asks to stop when the user does.
+    pub(super) fn observe(&mut self, iteration: usize, record: Option<&Record>) -> ControlFlow<()> {
+        if let Some(bar) = &self.bar {
+            bar.set_position(iteration as u64);
+            if let Some(record) = record {
+                bar.set_message(format!("loss {:.5}, {} primitives", record.loss, record.primitives));
+            }
+        } else if let Some(Record { iterations, loss, l1, d_ssim, tv, primitives, seconds, .. }) = record {
+            tracing::info!(
+                iteration,
+                iterations,
+                loss,
+                l1,
+                d_ssim,
+                tv,
+                primitives,
+                seconds,
+                "iteration {iteration} of {iterations}: loss {loss:.5} (L1 {l1:.5}, 1-SSIM {d_ssim:.4}, TV {tv:.5}), \
+                 {primitives} primitives, {seconds:.1} s"
+            );
+        }
+        if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// The message alone, after its level if that is worth mentioning. Fields are for programs, which read JSON.
+struct Sentence;
+
+impl<S, N> FormatEvent<S, N> for Sentence
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(&self, _: &FmtContext<'_, S, N>, mut writer: Writer<'_>, event: &Event<'_>) -> fmt::Result {
+        writer.write_str(match *event.metadata().level() {
+            Level::ERROR => "error: ",
+            Level::WARN => "warning: ",
+            _ => "",
+        })?;
+        let mut message = Message { writer: writer.by_ref(), outcome: Ok(()) };
+        event.record(&mut message);
+        message.outcome?;
+        writeln!(writer)
+    }
+}
+
+struct Message<'a> {
+    writer: Writer<'a>,
+    outcome: fmt::Result,
+}
+
+impl Visit for Message<'_> {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        if field.name() == "message" {
+            self.outcome = write!(self.writer, "{value:?}");
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The commands, one file each; here is what they have in common: global flags and exit codes.
+//!
+//! Results go to standard output, as a table or with `--json` as one object. Everything else goes to standard error.
+//! Exit codes: 0 done, 1 a check said no, 2 bad input or usage, 130 interrupted.
+
+mod answer;
+mod arguments;
+mod demo;
+mod evaluate;
+mod inspect;
+mod interrupt;
+mod messages;
+mod reconstruct;
+mod render;
+mod run_folder;
+mod simulate;
+mod voxelize;
+
+use answer::Answer;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use std::path::Path;
+use std::process::ExitCode;
+use trgs::numeric::threads;
+use trgs::{Error, Result};
+
+const BAD_INPUT: u8 = 2;
+const INTERRUPTED: u8 = 130;
+/// Numbers in the largest array that is made on request: 16 GiB in single precision.
+const MOST_NUMBERS: usize = 1 << 32;
+
+/// Sparse-view CT reconstruction with Student's t-kernels: on the CPU, and the same bits on every machine
+#[derive(Parser)]
+#[command(name = "trgs", version, after_help = "Example:\n  trgs demo")]
+struct Cli {
+    #[command(flatten)]
+    global: Global,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Flags of every command.
+#[derive(Args)]
+struct Global {
+    /// Worker threads, 0: one for each core; no result depends on it
+    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Say nothing but errors and the result
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// How progress and messages look on standard error
+    #[arg(long, global = true, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
+    /// Print the result as one JSON object
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LogFormat {
+    /// Sentences, and a bar on a terminal.
+    Text,
+    /// One JSON object per line.
+    Json,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(demo::Demo),
+    Simulate(simulate::Simulate),
+    Reconstruct(reconstruct::Reconstruct),
+    Evaluate(evaluate::Evaluate),
+    Render(render::Render),
+    Voxelize(voxelize::Voxelize),
+    Inspect(inspect::Inspect),
+}
+
+/// The whole program.
+pub(crate) fn main() -> ExitCode {
+    let cli = match Cli::try_parse().map_err(name_the_commands) {
+        Ok(cli) => cli,
+        Err(usage) => {
+            // Nobody is left to be told when standard error is closed.
+            let _ = usage.print();
+            return ExitCode::from(if usage.use_stderr() { BAD_INPUT } else { 0 });
+        }
+    };
+    messages::install(&cli.global);
+    interrupt::install();
+    let answer = threads::install(cli.global.threads, || cli.command.run(&cli.global));
+    match answer.flatten().and_then(|answer| answer.print(cli.global.json)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            messages::error(&error);
+            ExitCode::from(if matches!(error, Error::Interrupted { .. }) { INTERRUPTED } else { BAD_INPUT })
+        }
+    }
+}
+
+impl Command {
+    fn run(&self, global: &Global) -> Result<Answer> {
+        match self {
+            Self::Demo(command) => command.run(global),
+            Self::Simulate(command) => command.run(),
+            Self::Reconstruct(command) => command.run(global),
+            Self::Evaluate(command) => command.run(),
+            Self::Render(command) => command.run(),
+            Self::Voxelize(command) => command.run(),
+            Self::Inspect(command) => command.run(),
+        }
+    }
+}
+
+/// Adds the list of commands to the error about one that does not exist.
+fn name_the_commands(mut error: clap::Error) -> clap::Error {
+    if error.kind() == ErrorKind::InvalidSubcommand {
+        let names: Vec<_> = Cli::command().get_subcommands().map(|c| c.get_name().to_owned()).collect();
+        let tip = format!("the commands are {}", names.join(", "));
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
+}
+
+/// Refuses an array that no computer here can hold, before memory is asked for.
+fn check_size(what: &str, shape: &[usize]) -> Result<()> {
+    let numbers = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
+    if numbers.is_some_and(|numbers| numbers <= MOST_NUMBERS) {
+        return Ok(());
+    }
+    Err(Error::invalid(what, format!("shape {shape:?}"), format!("at most {MOST_NUMBERS} numbers"), "ask for less"))
+}
+
+/// Says which file an unusable value came from.
+fn in_file(path: &Path, error: Error) -> Error {
+    match error {
+        Error::Invalid { what, got, expected, remedy } => Error::format(path, what, got, expected, remedy),
+        other => other,
+    }
+}

@@ -1,0 +1,139 @@
+//! `trgs reconstruct`: from the projections of a dataset to a volume, with everything that belongs to a run.
+
+use super::arguments::seed;
+use super::evaluate::evaluate;
+use super::messages::Progress;
+use super::run_folder::{Outcome, RunFolder};
+use super::{Answer, Global, check_size, interrupt};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use trgs::classical::{Window, fdk};
+use trgs::config::{Config, Method, Precision};
+use trgs::projector::Projection;
+use trgs::scene::Dataset;
+use trgs::train::{Reconstruction, train};
+use trgs::{Error, Result};
+
+/// Reconstruct the volume of a dataset
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs reconstruct data/torso --out out/torso
+  trgs reconstruct data/torso --out out/fdk --method fdk
+  trgs reconstruct data/torso --out out/wide --iterations 2000 --set model.nu_initial=4 --set loss.tv=0
+
+A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise its default.
+The config.toml of any run has all keys with their documentation.")]
+pub(super) struct Reconstruct {
+    /// Folder of the scan, or its meta_data.json
+    #[arg(value_name = "DATASET")]
+    dataset: PathBuf,
+    /// Folder to write; an older run of the same method in it is replaced at the end
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// How to find the volume
+    #[arg(long, value_enum)]
+    method: Option<Method>,
+    /// Use only so many of the training views, evenly spaced
+    #[arg(long, value_name = "N")]
+    views: Option<usize>,
+    /// Training steps
+    #[arg(long, value_name = "N")]
+    iterations: Option<usize>,
+    /// Primitives at the start
+    #[arg(long, value_name = "N")]
+    points: Option<usize>,
+    /// Rays through a primitive: exact, or affine as in the paper
+    #[arg(long, value_enum)]
+    projection: Option<Projection>,
+    /// Arithmetic of the pixel kernels
+    #[arg(long, value_enum)]
+    precision: Option<Precision>,
+    /// All random choices follow from it
+    #[arg(long, value_name = "N", value_parser = seed)]
+    seed: Option<u64>,
+    /// Configuration to start from
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// Any key of the configuration, as in loss.tv=0.1; may be given more than once
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Go on from the last checkpoint of RUN
+    #[arg(long)]
+    resume: bool,
+}
+
+impl Reconstruct {
+    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+        if self.resume {
+            let remedy = "run it again without: the same seed gives the same result";
+            return Err(Error::invalid("--resume", "a run without checkpoints", "a later version of trgs", remedy));
+        }
+        let config = self.config()?;
+        let mut dataset = Dataset::read(&self.dataset)?;
+        for oddity in &dataset.oddities {
+            tracing::warn!("{}: {oddity}", self.dataset.display());
+        }
+        if let Some(n) = self.views {
+            dataset.train = dataset.train.select(&evenly_spaced(n, dataset.train.len())?);
+        }
+        let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, None, global)?;
+        let report = self.out.join("report.html");
+        tracing::info!("wrote {}, with a page to look at", report.display());
+        let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
+        Ok(outcome.evaluation.answer(context))
+    }
+
+    /// The file, then the flags, then the settings.
+    fn config(&self) -> Result<Config> {
+        let mut config = self.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+        config.method = self.method.unwrap_or(config.method);
+        config.iterations = self.iterations.unwrap_or(config.iterations);
+        config.model.points = self.points.unwrap_or(config.model.points);
+        config.projection = self.projection.unwrap_or(config.projection);
+        config.precision = self.precision.unwrap_or(config.precision);
+        config.seed = self.seed.unwrap_or(config.seed);
+        self.set.iter().try_for_each(|setting| config.set(setting))?;
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+/// Reconstructs the dataset that was read from `source` and writes the run; `beside` is shown on its page.
+pub(super) fn reconstruct(
+    source: &Path,
+    dataset: &Dataset,
+    config: &Config,
+    out: &Path,
+    beside: Option<&Outcome>,
+    global: &Global,
+) -> Result<Outcome> {
+    check_size("volume", &dataset.scanner.grid.shape)?;
+    interrupt::shielded(|| {
+        let folder = RunFolder::begin(out, source, config)?;
+        let began = Instant::now();
+        let (primitives, volume, log) = match config.method {
+            Method::TrGs => {
+                let mut progress = Progress::new(config.iterations, global);
+                let Reconstruction { primitives, volume, log } =
+                    train(dataset, config, &mut |iteration, record| progress.observe(iteration, record))?;
+                (Some(primitives), volume, log)
+            }
+            Method::Fdk => (None, fdk(&dataset.scanner, &dataset.train, Window::RamLak)?, Vec::new()),
+        };
+        let seconds = began.elapsed().as_secs_f64();
+        let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
+        let outcome = Outcome { method: config.method, primitives, volume, log, seconds, evaluation };
+        folder.finish(dataset, config, &outcome, beside)?;
+        Ok(outcome)
+    })
+}
+
+/// `n` of `len` indices, the first among them.
+fn evenly_spaced(n: usize, len: usize) -> Result<Vec<usize>> {
+    if n == 0 || n > len {
+        return Err(Error::invalid("--views", n, format!("1 to {len}, the dataset's training views"), "change it"));
+    }
+    Ok((0..n).map(|i| i * len / n).collect())
+}

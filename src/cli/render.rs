@@ -1,0 +1,177 @@
+//! `trgs render`: projections of a model, and the gradient of whatever is made of them.
+
+use super::arguments::{cutoff, finite};
+use super::{Answer, check_size, interrupt};
+use clap::{Args, ValueEnum};
+use ndarray::{Array3, Ix3};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trgs::config::Precision;
+use trgs::numeric::Real;
+use trgs::primitives::{Parameters, Primitives, model};
+use trgs::projector::{Field, Projection, forward, vjp};
+use trgs::scene::dataset::read_scanner;
+use trgs::scene::npy::Element;
+use trgs::scene::{Dataset, Scanner, npy};
+use trgs::{Error, Result};
+
+/// Project a model, and pull a cotangent of the projections back to it
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs render out/torso/model.npz --scanner data/torso --split test --out views.npy
+  trgs render model.npz --scanner meta_data.json --angles 0,1.5708 --out views.npy --vjp cotangent.npy --grad-out grad.npz")]
+pub(super) struct Render {
+    /// Model to project
+    #[arg(value_name = "MODEL.npz")]
+    model: PathBuf,
+    /// Dataset, or its description alone
+    #[arg(long, value_name = "DATASET|meta_data.json")]
+    scanner: PathBuf,
+    /// Views, radians
+    #[arg(long, value_name = "RAD,RAD,..", value_delimiter = ',', allow_hyphen_values = true, value_parser = finite,
+        conflicts_with = "split")]
+    angles: Vec<f64>,
+    /// Views of the dataset, unless there are angles
+    #[arg(long, value_enum, default_value_t = Split::Train)]
+    split: Split,
+    /// Rays through a primitive: exact, or affine as in the paper
+    #[arg(long, value_enum, default_value_t = Projection::Exact)]
+    projection: Projection,
+    /// Projections [view, v, u] to write
+    #[arg(long, value_name = "FILE.npy")]
+    out: PathBuf,
+    #[command(flatten)]
+    kernel: KernelArgs,
+}
+
+/// What `render` and `voxelize` have in common.
+#[derive(Args)]
+pub(super) struct KernelArgs {
+    /// Arithmetic, and type of the file
+    #[arg(long, value_enum, default_value_t = Precision::F64)]
+    pub(super) precision: Precision,
+    /// End a primitive where its projection has fallen to this fraction of its peak; 0: nowhere
+    #[arg(long, value_name = "EPS", default_value_t = 0.0, value_parser = cutoff)]
+    pub(super) cutoff: f64,
+    /// Cotangent of the output, of the same shape
+    #[arg(long, value_name = "COTANGENT.npy", requires = "grad_out")]
+    vjp: Option<PathBuf>,
+    /// Gradient of Σ cotangent·output to write, with the keys and shapes of the model
+    #[arg(long, value_name = "GRAD.npz", requires = "vjp")]
+    pub(super) grad_out: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Split {
+    Train,
+    Test,
+}
+
+/// What was written.
+#[derive(Serialize)]
+pub(super) struct Written<'a> {
+    pub(super) out: &'a Path,
+    pub(super) shape: Vec<usize>,
+    pub(super) precision: Precision,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) projection: Option<Projection>,
+    pub(super) cutoff: f64,
+    /// Largest possible error of a pixel by the cutoff.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) truncation_bound: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) grad_out: Option<&'a Path>,
+}
+
+impl Render {
+    pub(super) fn run(&self) -> Result<Answer> {
+        match self.kernel.precision {
+            Precision::F32 => self.render::<f32>(),
+            Precision::F64 => self.render::<f64>(),
+        }
+    }
+
+    fn render<R: Real + Element>(&self) -> Result<Answer> {
+        let primitives = model::read(&self.model)?;
+        let (scanner, angles) = self.views()?;
+        let (projection, cutoff) = (self.projection, self.kernel.cutoff);
+        check_size("projections", &[angles.len(), scanner.detector.rows, scanner.detector.columns])?;
+        let images = forward::<R>(&primitives, &scanner, &angles, projection, cutoff);
+        let pull_back = |d: &Array3<R>| vjp(&primitives, &scanner, &angles, projection, cutoff, d.view());
+        self.kernel.write(&self.out, &images, pull_back)?;
+        Ok(Answer::list(&Written {
+            out: &self.out,
+            shape: images.shape().to_vec(),
+            precision: self.kernel.precision,
+            projection: Some(projection),
+            cutoff,
+            truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(&primitives, &scanner, &angles)),
+            grad_out: self.kernel.grad_out.as_deref(),
+        }))
+    }
+
+    fn views(&self) -> Result<(Scanner, Vec<f64>)> {
+        if !self.angles.is_empty() {
+            return Ok((read_scanner(&self.scanner)?, self.angles.clone()));
+        }
+        let dataset = Dataset::read(&self.scanner)?;
+        let views = match self.split {
+            Split::Train => dataset.train,
+            Split::Test => dataset.test.ok_or_else(|| {
+                Error::invalid("--split", "test", "train: the dataset has no test views", "or give --angles")
+            })?,
+        };
+        Ok((dataset.scanner, views.angles))
+    }
+
+    fn truncation_bound<R: Real>(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> f64 {
+        let field = Field::<R>::new(primitives, self.kernel.cutoff);
+        let bounds = angles.iter().map(|&angle| field.view(scanner, angle, self.projection).truncation_bound());
+        bounds.fold(0.0, |largest, bounds| bounds.into_iter().fold(largest, f64::max))
+    }
+}
+
+impl KernelArgs {
+    /// Writes the output and, where asked for, what `pull_back` makes of the cotangent: both or neither computed.
+    pub(super) fn write<R: Real + Element>(
+        &self,
+        out: &Path,
+        output: &Array3<R>,
+        pull_back: impl FnOnce(&Array3<R>) -> Parameters,
+    ) -> Result<()> {
+        let gradient = match &self.vjp {
+            None => None,
+            Some(path) => {
+                let gradient = pull_back(&read_cotangent(path, output.shape())?);
+                gradient.check_finite("gradient of the model", 0)?;
+                Some(gradient)
+            }
+        };
+        interrupt::shielded(|| {
+            npy::write(out, output.view())?;
+            match (&self.grad_out, gradient) {
+                (Some(path), Some(gradient)) => model::write(path, &gradient),
+                _ => Ok(()),
+            }
+        })
+    }
+}
+
+fn read_cotangent<R: Real>(path: &Path, shape: &[usize]) -> Result<Array3<R>> {
+    let cotangent = npy::read_f64::<Ix3>(path, "of the output")?;
+    if cotangent.shape() != shape {
+        let got = format!("shape {:?}", cotangent.shape());
+        return Err(Error::format(
+            path,
+            "cotangent",
+            got,
+            format!("{shape:?}, the output's"),
+            "make it for this output",
+        ));
+    }
+    if let Some((index, value)) = cotangent.indexed_iter().find(|(_, value)| !value.is_finite()) {
+        let got = format!("{value} at index {index:?}");
+        return Err(Error::format(path, "cotangent", got, "finite numbers only", "check what made it"));
+    }
+    Ok(cotangent.mapv(R::from_f64))
+}

@@ -1,0 +1,149 @@
+//! `trgs simulate`: a scan of a phantom or of a volume.
+
+use super::arguments::{finite, pair, seed};
+use super::{Answer, check_size, in_file, interrupt};
+use clap::{Args, ValueEnum, value_parser};
+use glam::DVec3;
+use ndarray::Ix3;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trgs::Result;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, npy, phantom};
+
+/// Scan a phantom or a volume and write the dataset
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs simulate --phantom torso --out data/torso --noise low
+  trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128")]
+pub(super) struct Simulate {
+    #[command(flatten)]
+    object: ObjectArgs,
+    /// Folder to write
+    #[arg(long, value_name = "DATASET")]
+    out: PathBuf,
+    /// Voxels along each side of a phantom's volume
+    #[arg(long, value_name = "N", default_value_t = 64, conflicts_with = "volume",
+        value_parser = value_parser!(u16).range(1..))]
+    size: u16,
+    /// Pixels: rows and columns, or one number for both
+    #[arg(long, value_name = "N|V,U", default_value = "128", value_parser = pair::<u16>)]
+    detector: [u16; 2],
+    /// Training views, evenly over a full turn
+    #[arg(long, value_name = "N", default_value_t = 18, value_parser = value_parser!(u16).range(1..))]
+    views: u16,
+    /// Test views, at random angles and free of noise
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    test_views: u16,
+    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise
+    #[arg(long, value_name = "LEVEL|I0,SIGMA", default_value = "none")]
+    noise: Noise,
+    /// How the rays run
+    #[arg(long, value_enum, default_value_t = BeamName::Cone)]
+    beam: BeamName,
+    /// Source to rotation axis; the volume's longest side is 2
+    #[arg(long, value_name = "LENGTH", default_value_t = 5.0, value_parser = finite)]
+    dso: f64,
+    /// Source to detector
+    #[arg(long, value_name = "LENGTH", default_value_t = 7.0, value_parser = finite)]
+    dsd: f64,
+    /// Height and width of the detector, or one number for both
+    #[arg(long, value_name = "LENGTH|V,U", default_value = "4", value_parser = pair::<f64>)]
+    detector_size: [f64; 2],
+    /// Of noise, test angles and the phantom's chance
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
+    seed: u64,
+}
+
+#[derive(Args)]
+#[group(required = true, multiple = false)]
+struct ObjectArgs {
+    #[arg(long, value_name = "NAME", help = phantom_help())]
+    phantom: Option<String>,
+    /// Volume [x, y, z] with cubic voxels, attenuation per scene unit
+    #[arg(long, value_name = "FILE.npy")]
+    volume: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum BeamName {
+    /// From a point.
+    Cone,
+    /// Parallel to each other.
+    Parallel,
+}
+
+/// What was simulated.
+#[derive(Serialize)]
+struct Simulated<'a> {
+    dataset: &'a Path,
+    volume: [usize; 3],
+    detector: [usize; 2],
+    train_views: usize,
+    test_views: usize,
+    noise: String,
+    seed: u64,
+}
+
+fn phantom_help() -> String {
+    let names = phantom::NAMES.map(|(name, purpose)| format!("{name} ({purpose})"));
+    format!("Phantom: {}", names.join("; "))
+}
+
+impl Simulate {
+    pub(super) fn run(&self) -> Result<Answer> {
+        let dataset = self.scan()?;
+        interrupt::shielded(|| dataset.write(&self.out))?;
+        Ok(Answer::list(&Simulated {
+            dataset: &self.out,
+            volume: dataset.scanner.grid.shape,
+            detector: self.detector.map(usize::from),
+            train_views: dataset.train.len(),
+            test_views: self.test_views.into(),
+            noise: dataset.noise.to_string(),
+            seed: self.seed,
+        }))
+    }
+
+    fn scan(&self) -> Result<Dataset> {
+        let views = usize::from(self.views).max(self.test_views.into());
+        check_size("projections", &[views, self.detector[0].into(), self.detector[1].into()])?;
+        let plan =
+            Plan { views: self.views.into(), test_views: self.test_views.into(), noise: self.noise, seed: self.seed };
+        match (&self.object.phantom, &self.object.volume) {
+            (Some(name), _) => {
+                let grid = Grid::cube(self.size.into());
+                check_size("volume", &grid.shape)?;
+                let phantom = Phantom::by_name(name, self.seed)?;
+                simulate(name, Object::Phantom(&phantom), &self.scanner(grid), &plan)
+            }
+            (None, path) => {
+                let path = path.as_deref().expect("one of the two is required");
+                let volume = read_volume(path)?;
+                let name = path.file_stem().unwrap_or_default().to_string_lossy();
+                simulate(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan)
+            }
+        }
+    }
+
+    fn scanner(&self, grid: Grid) -> Scanner {
+        let beam = match self.beam {
+            BeamName::Cone => Beam::Cone { dso: self.dso, dsd: self.dsd },
+            BeamName::Parallel => Beam::Parallel { dso: self.dso },
+        };
+        let [rows, columns] = self.detector.map(usize::from);
+        let [height, width] = self.detector_size;
+        let (pitch_v, pitch_u) = (height / rows as f64, width / columns as f64);
+        let detector = Detector { rows, columns, pitch_v, pitch_u, offset_u: 0.0, offset_v: 0.0 };
+        Scanner { beam, detector, grid }
+    }
+}
+
+/// A volume of cubic voxels around the origin, as large as the conventions want it.
+fn read_volume(path: &Path) -> Result<Volume> {
+    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
+    let shape: [usize; 3] = values.dim().into();
+    let sides = DVec3::from_array(shape.map(|n| n as f64));
+    let corner = sides / sides.max_element();
+    Grid::new(shape, -corner, corner).and_then(|grid| Volume::new(grid, values)).map_err(|error| in_file(path, error))
+}

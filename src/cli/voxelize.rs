@@ -1,0 +1,89 @@
+//! `trgs voxelize`: a model at voxel centres, and the gradient of whatever is made of them.
+
+use super::arguments::list;
+use super::render::{KernelArgs, Written};
+use super::{Answer, check_size};
+use clap::Args;
+use glam::DVec3;
+use ndarray::Array3;
+use std::path::PathBuf;
+use trgs::Result;
+use trgs::config::Precision;
+use trgs::numeric::Real;
+use trgs::primitives::model;
+use trgs::projector::{voxelize, voxelize_vjp};
+use trgs::scene::Grid;
+use trgs::scene::dataset::read_scanner;
+use trgs::scene::npy::Element;
+
+/// Sample a model on a grid, and pull a cotangent of the volume back to it
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs voxelize out/torso/model.npz --scanner data/torso --out volume.npy
+  trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --precision f32 --out volume.npy
+  trgs voxelize model.npz --grid 64,64,64 --out volume.npy --vjp cotangent.npy --grad-out grad.npz")]
+pub(super) struct Voxelize {
+    /// Model to sample
+    #[arg(value_name = "MODEL.npz")]
+    model: PathBuf,
+    #[command(flatten)]
+    place: PlaceArgs,
+    /// Corners of the grid's box; without it the cube from -1 to 1
+    #[arg(long = "box", value_name = "x0,y0,z0,x1,y1,z1", requires = "grid", allow_hyphen_values = true,
+        value_parser = list::<f64, 6>)]
+    corners: Option<[f64; 6]>,
+    /// Volume [x, y, z] to write
+    #[arg(long, value_name = "FILE.npy")]
+    out: PathBuf,
+    #[command(flatten)]
+    kernel: KernelArgs,
+}
+
+#[derive(Args)]
+#[group(required = true, multiple = false)]
+struct PlaceArgs {
+    /// Dataset, or its description alone, whose grid to use
+    #[arg(long, value_name = "DATASET|meta_data.json")]
+    scanner: Option<PathBuf>,
+    /// Voxels along x, y and z
+    #[arg(long, value_name = "X,Y,Z", value_parser = list::<usize, 3>)]
+    grid: Option<[usize; 3]>,
+}
+
+impl Voxelize {
+    pub(super) fn run(&self) -> Result<Answer> {
+        match self.kernel.precision {
+            Precision::F32 => self.voxelize::<f32>(),
+            Precision::F64 => self.voxelize::<f64>(),
+        }
+    }
+
+    fn voxelize<R: Real + Element>(&self) -> Result<Answer> {
+        let primitives = model::read(&self.model)?;
+        let (grid, cutoff) = (self.grid()?, self.kernel.cutoff);
+        check_size("volume", &grid.shape)?;
+        let volume = voxelize::<R>(&primitives, &grid, cutoff);
+        let pull_back = |d: &Array3<R>| voxelize_vjp(&primitives, &grid, cutoff, d.view());
+        self.kernel.write(&self.out, &volume, pull_back)?;
+        Ok(Answer::list(&Written {
+            out: &self.out,
+            shape: volume.shape().to_vec(),
+            precision: self.kernel.precision,
+            projection: None,
+            cutoff,
+            truncation_bound: None,
+            grad_out: self.kernel.grad_out.as_deref(),
+        }))
+    }
+
+    fn grid(&self) -> Result<Grid> {
+        match (&self.place.scanner, self.place.grid) {
+            (Some(path), _) => Ok(read_scanner(path)?.grid),
+            (None, shape) => {
+                let [x0, y0, z0, x1, y1, z1] = self.corners.unwrap_or([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]);
+                let shape = shape.expect("one of the two is required");
+                Grid::new(shape, DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1))
+            }
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! Where a result comes from: program, machine, command, seeds, and SHA-256 digests of what was read and written.
+//!
+//! The same inputs, seeds and version give the same digests on every machine and with every number of threads; that
+//! is what this page is there to show. It holds no time and no name of a machine.
+
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// The content of `provenance.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Version of trgs.
+    pub version: String,
+    /// Git commit, where the build was given one in the environment variable `TRGS_COMMIT`.
+    pub commit: Option<String>,
+    /// Architecture, operating system and C library that the program was built for.
+    pub target: String,
+    /// Instruction sets that the program was built for, beyond the baseline. No result depends on them.
+    pub target_features: Vec<String>,
+    /// Whether debug assertions were compiled in.
+    pub debug_assertions: bool,
+    /// Worker threads. No result depends on them.
+    pub threads: usize,
+    /// The command line, program name first.
+    pub command: Vec<String>,
+    /// Every seed by its purpose.
+    pub seeds: BTreeMap<String, u64>,
+    /// SHA-256 of every file that was read, by its path.
+    pub inputs: BTreeMap<String, String>,
+    /// SHA-256 of every file that was written, and of arrays by their name.
+    pub outputs: BTreeMap<String, String>,
+}
+
+impl Provenance {
+    /// What is known at the start of a run; seeds and digests are added later.
+    pub fn new(threads: usize, command: impl IntoIterator<Item = String>) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").into(),
+            commit: option_env!("TRGS_COMMIT").map(Into::into),
+            target: target(),
+            target_features: target_features(),
+            debug_assertions: cfg!(debug_assertions),
+            threads,
+            command: command.into_iter().collect(),
+            seeds: BTreeMap::new(),
+            inputs: BTreeMap::new(),
+            outputs: BTreeMap::new(),
+        }
+    }
+
+    /// Everything but the digests, as (label, value) for people.
+    pub fn facts(&self) -> Vec<(String, String)> {
+        let seeds: Vec<String> = self.seeds.iter().map(|(purpose, seed)| format!("{purpose} {seed}")).collect();
+        let facts = [
+            ("version", format!("trgs {}", self.version)),
+            ("commit", self.commit.clone().unwrap_or_else(|| "not recorded".into())),
+            ("command", self.command.join(" ")),
+            ("built for", format!("{}, {}", self.target, self.target_features.join(" "))),
+            ("threads", self.threads.to_string()),
+            ("seeds", seeds.join(", ")),
+        ];
+        facts.into_iter().filter(|(_, value)| !value.is_empty()).map(|(label, value)| (label.into(), value)).collect()
+    }
+
+    /// Adds the digest of a file that was read, or of every file in a folder.
+    ///
+    /// # Errors
+    /// [`Error::Read`] for a file that cannot be read.
+    pub fn add_input(&mut self, path: &Path) -> Result<()> {
+        add(&mut self.inputs, path)
+    }
+
+    /// Adds the digest of a file that was written, or of every file in a folder.
+    ///
+    /// # Errors
+    /// [`Error::Read`] for a file that cannot be read.
+    pub fn add_output(&mut self, path: &Path) -> Result<()> {
+        add(&mut self.outputs, path)
+    }
+}
+
+/// SHA-256 of a file, 64 hexadecimal digits.
+///
+/// # Errors
+/// [`Error::Read`] with what the operating system said.
+pub fn digest_file(path: &Path) -> Result<String> {
+    let mut hasher = Sha256::new();
+    let copied = File::open(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
+    copied.map_err(|source| Error::read(path, source))?;
+    Ok(hex(hasher))
+}
+
+/// SHA-256 of the bits of some numbers, little-endian: two arrays have the same digest if and only if they are equal
+/// bit by bit (so -0 is not 0). The shape does not enter.
+pub fn digest_f32<'a>(values: impl IntoIterator<Item = &'a f32>) -> String {
+    digest_words(values.into_iter().map(|value| value.to_le_bytes()))
+}
+
+/// [`digest_f32`] in double precision.
+pub fn digest_f64<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
+    digest_words(values.into_iter().map(|value| value.to_le_bytes()))
+}
+
+fn digest_words<const N: usize>(words: impl Iterator<Item = [u8; N]>) -> String {
+    const FULL: usize = 1 << 13;
+    let mut hasher = Sha256::new();
+    let mut bytes = Vec::with_capacity(FULL);
+    for word in words {
+        bytes.extend_from_slice(&word);
+        if bytes.len() == FULL {
+            hasher.update(&bytes);
+            bytes.clear();
+        }
+    }
+    hasher.update(&bytes);
+    hex(hasher)
+}
+
+fn hex(hasher: Sha256) -> String {
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Digests of the file at `path`, or of the files below it. A folder that cannot be listed is an error.
+fn add(digests: &mut BTreeMap<String, String>, path: &Path) -> Result<()> {
+    if !path.is_dir() {
+        digests.insert(path.display().to_string(), digest_file(path)?);
+        return Ok(());
+    }
+    let entries = path.read_dir().and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());
+    let entries: Vec<PathBuf> = entries.map_err(|source| Error::read(path, source))?;
+    entries.iter().try_for_each(|entry| add(digests, entry))
+}
+
+fn target() -> String {
+    let library = if cfg!(target_env = "musl") {
+        "-musl"
+    } else if cfg!(target_env = "gnu") {
+        "-gnu"
+    } else {
+        ""
+    };
+    format!("{}-{}{library}", std::env::consts::ARCH, std::env::consts::OS)
+}
+
+fn target_features() -> Vec<String> {
+    macro_rules! compiled_in {
+        ($($name:literal),*) => { [$(($name, cfg!(target_feature = $name))),*] };
+    }
+    let known = compiled_in!(
+        "sse4.2", "avx", "avx2", "fma", "avx512f", "avx512bw", "avx512dq", "avx512vl", "neon", "sve", "simd128"
+    );
+    known.into_iter().filter(|(_, present)| *present).map(|(name, _)| name.into()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digest_of_a_file_is_the_published_one_of_abc() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("abc.txt");
+        std::fs::write(&path, "abc").unwrap();
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(digest_file(&path).unwrap(), expected);
+    }
+
+    #[test]
+    fn digest_of_an_array_is_that_of_its_bytes_however_long_it_is() {
+        let values: Vec<f32> = (0..5000).map(|i| i as f32 * 0.1).collect();
+        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("values");
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(digest_f32(&values), digest_file(&path).unwrap());
+        assert_ne!(digest_f64(&[0.0]), digest_f64(&[-0.0]));
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let message = digest_file(Path::new("/nowhere/at/all")).unwrap_err().to_string();
+        assert!(message.contains("/nowhere/at/all"), "{message}");
+    }
+
+    #[test]
+    fn json_reads_back_as_it_was_written_with_every_file_of_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("below")).unwrap();
+        std::fs::write(folder.path().join("below/a"), "abc").unwrap();
+        std::fs::write(folder.path().join("b"), "").unwrap();
+        let mut provenance = Provenance::new(2, ["trgs".into(), "demo".into()]);
+        provenance.seeds.insert("training".into(), 7);
+        provenance.add_input(folder.path()).unwrap();
+        assert_eq!(provenance.inputs.len(), 2);
+        assert!(provenance.inputs[&folder.path().join("below/a").display().to_string()].starts_with("ba7816bf"));
+        let json = serde_json::to_string_pretty(&provenance).unwrap();
+        assert_eq!(serde_json::from_str::<Provenance>(&json).unwrap(), provenance);
+    }
+}

@@ -1,0 +1,147 @@
+//! A line chart as inline SVG: logarithmic upwards, one line per series, named at its end.
+//!
+//! Colours are CSS variables of the page, so that the chart follows its light and dark mode.
+
+use super::escape;
+use super::slice::short;
+use crate::numeric::elementary::{log10, pow};
+use std::fmt::Write;
+
+/// A quantity followed over the iterations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve<'a> {
+    /// What it is.
+    pub name: &'a str,
+    /// (iteration, value); values that are not above 0 cannot be shown and are left out.
+    pub points: Vec<(f64, f64)>,
+}
+
+const WIDTH: f64 = 640.0;
+const HEIGHT: f64 = 300.0;
+/// Inner margins: left, right (where the names stand), top, bottom.
+const MARGIN: [f64; 4] = [52.0, 100.0, 12.0, 40.0];
+/// Smallest distance of two names.
+const LINE_HEIGHT: f64 = 16.0;
+/// Colours that the page's style defines.
+const COLOURS: usize = 6;
+
+/// The chart, or nothing when there is nothing to draw.
+pub(super) fn line_chart(curves: &[Curve]) -> Option<String> {
+    let visible = |&&(x, y): &&(f64, f64)| x.is_finite() && y.is_finite() && y > 0.0;
+    let points = || curves.iter().flat_map(|curve| curve.points.iter().filter(visible));
+    let (x_min, x_max) = range(points().map(|p| p.0))?;
+    let (y_min, y_max) = range(points().map(|p| log10(p.1)))?;
+    let (y_min, y_max) = (y_min - 0.05, y_max + 0.05);
+    let [left, right, top, bottom] = MARGIN;
+    let x = |value: f64| left + (value - x_min) / (x_max - x_min).max(1e-9) * (WIDTH - left - right);
+    let y = |log: f64| HEIGHT - bottom - (log - y_min) / (y_max - y_min) * (HEIGHT - top - bottom);
+
+    let mut svg = format!(
+        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"Loss over the iterations\">"
+    );
+    for value in logarithmic_ticks(y_min, y_max) {
+        let (at, edge) = (y(log10(value)), WIDTH - right);
+        let _ = write!(svg, "<path class=\"grid\" d=\"M{left} {at:.1}H{edge}\"/>");
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+            left - 8.0,
+            at + 4.0,
+            short(value)
+        );
+    }
+    let floor = HEIGHT - bottom;
+    for value in linear_ticks(x_min, x_max) {
+        let at = x(value);
+        let _ = write!(svg, "<path class=\"grid\" d=\"M{at:.1} {floor}v5\"/>");
+        let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{value}</text>", floor + 18.0);
+    }
+    let middle = (left + WIDTH - right) / 2.0;
+    let _ = write!(svg, "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">iteration</text>", HEIGHT - 4.0);
+
+    let mut names = Vec::new();
+    for (number, curve) in curves.iter().enumerate() {
+        let line: Vec<String> =
+            curve.points.iter().filter(visible).map(|p| format!("{:.1} {:.1}", x(p.0), y(log10(p.1)))).collect();
+        let Some(last) = curve.points.iter().rfind(visible) else { continue };
+        let colour = number % COLOURS;
+        let _ = write!(svg, "<path class=\"line c{colour}\" d=\"M{}\"/>", line.join("L"));
+        names.push((y(log10(last.1)), colour, curve.name));
+    }
+    names.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut free = f64::NEG_INFINITY;
+    for (at, colour, name) in names {
+        let at = at.max(free);
+        free = at + LINE_HEIGHT;
+        let (x, y) = (WIDTH - right + 8.0, at + 4.0);
+        let _ = write!(svg, "<text class=\"name c{colour}\" x=\"{x}\" y=\"{y:.1}\">{}</text>", escape(name));
+    }
+    svg.push_str("</svg>");
+    Some(svg)
+}
+
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |range, v| Some(range.map_or((v, v), |(low, high): (f64, f64)| (low.min(v), high.max(v)))))
+}
+
+/// 1, 2, 5 times the powers of ten in a range of logarithms; the powers alone where that gives more than six.
+fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
+    let decades = low.floor() as i32..=high.floor() as i32;
+    let ticks = |steps: &[f64]| -> Vec<f64> {
+        let all = decades.clone().flat_map(|decade| steps.iter().map(move |step| step * pow(10.0, f64::from(decade))));
+        all.filter(|&tick| (low..=high).contains(&log10(tick))).collect()
+    };
+    let fine = ticks(&[1.0, 2.0, 5.0]);
+    if fine.len() <= 6 { fine } else { ticks(&[1.0]) }
+}
+
+/// Three to seven round numbers in a range; whole ones, they count iterations.
+fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+    let span = (high - low).max(1.0);
+    let decade = pow(10.0, log10(span).floor());
+    let step = [0.2, 0.5, 1.0].map(|part| part * decade).into_iter().find(|step| span / step <= 6.0);
+    let step = step.unwrap_or(2.0 * decade).max(1.0);
+    (0..).map(|i| ((low / step).ceil() + f64::from(i)) * step).take_while(|&tick| tick <= high).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_numbers_inside_the_range() {
+        assert_eq!(linear_ticks(0.0, 5000.0), [0., 1000., 2000., 3000., 4000., 5000.]);
+        assert_eq!(linear_ticks(100.0, 1000.0), [200., 400., 600., 800., 1000.]);
+        assert_eq!(logarithmic_ticks(-2.0, -0.5), [0.01, 0.02, 0.05, 0.1, 0.2]);
+        assert_eq!(logarithmic_ticks(-3.2, 1.1).len(), 5);
+    }
+
+    #[test]
+    fn a_line_falls_as_its_values_do_and_bears_its_name() {
+        let curves = [Curve { name: "L1 & more", points: vec![(0.0, 1.0), (50.0, 0.1), (100.0, 0.0), (200.0, 0.01)] }];
+        let svg = line_chart(&curves).unwrap();
+        assert!(svg.contains("L1 &amp; more</text>"));
+        let line = svg.split("class=\"line c0\" d=\"M").nth(1).unwrap().split('"').next().unwrap();
+        let heights: Vec<f64> = line.split('L').map(|p| p.split(' ').nth(1).unwrap().parse().unwrap()).collect();
+        assert_eq!(heights.len(), 3);
+        assert!(heights.is_sorted());
+    }
+
+    #[test]
+    fn names_of_lines_that_end_together_do_not_overlap() {
+        let curve = |name| Curve { name, points: vec![(0.0, 1.0), (1.0, 0.5)] };
+        let svg = line_chart(&[curve("a"), curve("b")]).unwrap();
+        let heights: Vec<f64> = svg
+            .split("class=\"name")
+            .skip(1)
+            .map(|t| t.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
+            .collect();
+        assert!(heights[1] - heights[0] >= LINE_HEIGHT - 0.1, "{heights:?}");
+    }
+
+    #[test]
+    fn nothing_to_draw_gives_no_chart() {
+        assert_eq!(line_chart(&[]), None);
+        assert_eq!(line_chart(&[Curve { name: "zero", points: vec![(1.0, 0.0), (2.0, f64::NAN)] }]), None);
+    }
+}

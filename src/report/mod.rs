@@ -1,0 +1,185 @@
+//! A page about a run that needs nothing but itself: HTML with its style, charts and pictures inside.
+//!
+//! It reads well on a phone, in the dark and on paper, loads nothing, and forbids itself to.
+
+mod chart;
+mod font;
+mod gallery;
+mod sheet;
+pub mod slice;
+
+pub use chart::Curve;
+pub use sheet::contact_sheet;
+
+use crate::error::Result;
+use crate::evaluation::Metrics;
+use crate::provenance::Provenance;
+use crate::scene::Volume;
+use gallery::Gallery;
+use slice::short;
+use std::fmt::Write;
+
+/// What a page is made from. Whatever is empty or missing leaves its section out.
+#[derive(Clone, Debug, Default)]
+pub struct Report<'a> {
+    /// Headline.
+    pub title: &'a str,
+    /// One sentence below it: what was measured and how.
+    pub subtitle: &'a str,
+    /// The reconstructions, that which the page is about first.
+    pub methods: Vec<Method<'a>>,
+    /// The true volume, on the grid of the reconstructions.
+    pub truth: Option<&'a Volume>,
+    /// Losses over the iterations, the total first.
+    pub curves: Vec<Curve<'a>>,
+    /// What else is worth knowing: (label, value).
+    pub facts: Vec<(String, String)>,
+    /// Where it comes from.
+    pub provenance: Option<&'a Provenance>,
+}
+
+/// A reconstruction under its name.
+#[derive(Clone, Copy, Debug)]
+pub struct Method<'a> {
+    /// As in "TR-GS".
+    pub name: &'a str,
+    /// The volume, where there is one to show.
+    pub volume: Option<&'a Volume>,
+    /// How good it is, where that is known.
+    pub metrics: Option<&'a Metrics>,
+}
+
+/// For each of [`Metrics::NAMES`]: title, unit, and what it means.
+const METRICS: [(&str, &str, &str); 4] = [
+    ("PSNR 3D", "dB", "of all voxels, for a peak of 1"),
+    ("SSIM 3D", "", "mean over the slices across x, y and z that are not empty in the truth"),
+    ("PSNR 2D", "dB", "of the projections, each divided by its own maximum"),
+    ("SSIM 2D", "", "of the same projections"),
+];
+
+/// Lets the page load nothing, whatever it contains.
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
+
+/// The page, as the text of an HTML file.
+///
+/// # Errors
+/// When the volumes differ in shape.
+pub fn render(report: &Report) -> Result<String> {
+    let volumes = report.methods.iter().filter_map(|method| Some((method.name, method.volume?))).collect();
+    let gallery = Gallery::new(report.truth, volumes)?;
+    let (title, subtitle, style) = (escape(report.title), escape(report.subtitle), include_str!("style.css"));
+    let content = [
+        headline(&report.methods),
+        gallery.map_or(String::new(), |gallery| gallery.html()),
+        losses(&report.curves),
+        metrics_table(&report.methods),
+        facts(&report.facts),
+        report.provenance.map_or(String::new(), provenance),
+    ];
+    Ok(format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n\
+         <header>\n<h1>{title}</h1>\n<p class=\"lead\">{subtitle}</p>\n</header>\n{}</main>\n</body>\n</html>\n",
+        content.concat()
+    ))
+}
+
+/// A part of the page under its title, or nothing where there is no content.
+fn section(title: &str, content: &str) -> String {
+    if content.is_empty() { String::new() } else { format!("<section>\n<h2>{title}</h2>\n{content}</section>\n") }
+}
+
+/// The metrics of the first method in large figures, those of the others below.
+fn headline(methods: &[Method]) -> String {
+    let rated = || methods.iter().filter_map(|m| Some((escape(m.name), m.metrics?)));
+    let Some((first, metrics)) = rated().next() else { return String::new() };
+    let mut html = String::from("<section class=\"cards\" aria-label=\"Main results\">\n");
+    for (number, (title, unit, _)) in METRICS.iter().enumerate().filter(|(n, _)| metrics.columns()[*n].is_some()) {
+        let value = &metrics.row()[number];
+        let _ =
+            write!(html, "<div class=\"card\"><h2>{title}</h2><p><b>{value}</b> {unit}</p><p class=\"note\">{first}");
+        for (name, metrics) in rated().skip(1) {
+            let _ = write!(html, "<br>{name} {}", metrics.row()[number]);
+        }
+        html += "</p></div>\n";
+    }
+    html + "</section>\n"
+}
+
+fn losses(curves: &[Curve]) -> String {
+    let Some(chart) = chart::line_chart(curves) else { return String::new() };
+    let ends = curves.first().and_then(|curve| Some((escape(curve.name), curve.points.first()?, curve.points.last()?)));
+    let summary = ends.map_or(String::new(), |(name, first, last)| {
+        let (from, to) = (short(first.1), short(last.1));
+        format!(
+            "<p>On a logarithmic scale: {name} went from {from} at iteration {} to {to} at {}.</p>\n",
+            first.0, last.0
+        )
+    });
+    section("Loss", &format!("{summary}{chart}\n"))
+}
+
+/// All metrics of all methods; the best of each column in bold.
+fn metrics_table(methods: &[Method]) -> String {
+    let rated: Vec<(&str, &Metrics)> = methods.iter().filter_map(|m| Some((m.name, m.metrics?))).collect();
+    let (mut head, mut meanings) = (String::new(), String::new());
+    let mut columns = Vec::new();
+    for (number, (title, unit, meaning)) in METRICS.iter().enumerate() {
+        let Some(metric) = rated.iter().find_map(|(_, metrics)| metrics.columns()[number]) else { continue };
+        let _ = write!(head, "<th>{title} {unit}<br><code>{}</code></th>", escape(&metric.definition));
+        let _ = write!(meanings, " {title}: {meaning}.");
+        let value = move |metrics: &Metrics| metrics.columns()[number].map_or(f64::NAN, |metric| metric.value);
+        let best = rated.iter().map(|(_, metrics)| value(metrics)).fold(f64::NEG_INFINITY, f64::max);
+        columns.push(move |metrics: &Metrics| {
+            let cell = &metrics.row()[number];
+            if value(metrics) == best { format!("<td><b>{cell}</b></td>") } else { format!("<td>{cell}</td>") }
+        });
+    }
+    if columns.is_empty() {
+        return String::new();
+    }
+    let row = |&(name, metrics): &(&str, &Metrics)| {
+        let cells: String = columns.iter().map(|cell| cell(metrics)).collect();
+        format!("<tr><th>{}</th>{cells}</tr>\n", escape(name))
+    };
+    let body: String = rated.iter().map(row).collect();
+    let table = format!(
+        "<div class=\"scroll\"><table>\n<thead><tr><th>method</th>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n\
+         <p class=\"note\">Higher is better, the best is bold.{meanings}</p>\n"
+    );
+    section("Metrics", &table)
+}
+
+fn facts(facts: &[(String, String)]) -> String {
+    let table = if facts.is_empty() { String::new() } else { rows(facts.iter().map(|(label, value)| (label, value))) };
+    section("Run", &table)
+}
+
+fn provenance(provenance: &Provenance) -> String {
+    let mut html = String::from("<p>The same inputs, seeds and version give the same digests on every machine.</p>\n");
+    html += &rows(provenance.facts().iter().map(|(label, value)| (label, value)));
+    for (what, digests) in [("inputs", &provenance.inputs), ("outputs", &provenance.outputs)] {
+        if !digests.is_empty() {
+            let (number, table) = (digests.len(), rows(digests.iter()));
+            let _ = writeln!(html, "<details><summary>SHA-256 of {number} {what}</summary>\n{table}</details>");
+        }
+    }
+    section("Provenance", &html)
+}
+
+/// A table of labels and values.
+fn rows<'a>(rows: impl Iterator<Item = (&'a String, &'a String)>) -> String {
+    let row =
+        |(label, value): (&String, &String)| format!("<tr><th>{}</th><td>{}</td></tr>\n", escape(label), escape(value));
+    format!("<table class=\"facts\">\n{}</table>\n", rows.map(row).collect::<String>())
+}
+
+/// Text as it may stand in HTML, between tags and in attributes.
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,257 @@
+//! From a volume to pictures of its slices: where to cut, which values become which colours, and PNG.
+//!
+//! A picture shows two axes of the volume, the first to the right and the second upwards, so z is up wherever it is
+//! seen:
+//!
+//! | cut across | to the right | upwards |
+//! |---|---|---|
+//! | x | y | z |
+//! | y | x | z |
+//! | z | x | y |
+
+use crate::loss::tv::tv;
+use crate::scene::Volume;
+use ndarray::{Array2, Axis};
+
+/// Names of the axes of a volume.
+pub const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// A slice of a volume: all voxels with one index along one axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// The axis it is perpendicular to: 0, 1, 2 for x, y, z.
+    pub axis: usize,
+    /// Voxel along that axis.
+    pub index: usize,
+}
+
+/// The values that are shown from black to white.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Black, and all below.
+    pub low: f64,
+    /// White, and all above.
+    pub high: f64,
+}
+
+/// The colours of a [`Picture`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Palette {
+    /// Black to white.
+    Grey,
+    /// Blue through white to red, which readers with any colour vision can tell apart: 255 colours, 127 is white.
+    Diverging,
+}
+
+/// A small image of palette indices.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// `[row, column]`, top row first.
+    pub indices: Array2<u8>,
+    /// What the indices mean.
+    pub palette: Palette,
+}
+
+impl Cut {
+    /// For each axis the slice with most detail (the largest total variation), of equal ones that nearest
+    /// to the middle.
+    pub fn through_detail(volume: &Volume) -> [Self; 3] {
+        [0, 1, 2].map(|axis| {
+            let slices = volume.values.axis_iter(Axis(axis));
+            let detail: Vec<f64> = slices.map(|slice| tv(slice.insert_axis(Axis(0))).0).collect();
+            let most = detail.iter().copied().fold(0.0, f64::max);
+            let distance = |i: &usize| (2 * i + 1).abs_diff(detail.len());
+            let index = (0..detail.len()).filter(|&i| detail[i] == most).min_by_key(distance).unwrap_or(0);
+            Self { axis, index }
+        })
+    }
+
+    /// The axes that a picture shows: to the right, upwards.
+    pub fn plane(&self) -> (usize, usize) {
+        [(1, 2), (0, 2), (0, 1)][self.axis]
+    }
+
+    /// The values as they are looked at, `[row, column]`, top row first.
+    pub fn values(&self, volume: &Volume) -> Array2<f32> {
+        let mut slice = volume.values.index_axis(Axis(self.axis), self.index).reversed_axes();
+        slice.invert_axis(Axis(0));
+        slice.to_owned()
+    }
+
+    /// Coordinate of the slice along its axis, scene units.
+    pub fn position(&self, volume: &Volume) -> f64 {
+        volume.grid.min[self.axis] + (self.index as f64 + 0.5) * volume.grid.spacing[self.axis]
+    }
+}
+
+impl Window {
+    /// From 0, or the smallest value where that is negative, up to the 99.9th percentile of a volume, rounded to
+    /// two digits.
+    pub fn of(volume: &Volume) -> Self {
+        let values: Vec<f32> = volume.values.iter().copied().collect();
+        let low = f64::from(values.iter().copied().fold(0.0, f32::min));
+        let high = significant(quantile(values, 0.999), 2);
+        Self { low, high: if high > low { high } else { low + 1.0 } }
+    }
+}
+
+/// What the strongest colours of a difference stand for: the 99.5th percentile of its size, rounded to two digits.
+pub fn reach<'a>(differences: impl IntoIterator<Item = &'a Array2<f32>>) -> f64 {
+    let sizes: Vec<f32> = differences.into_iter().flatten().map(|d| d.abs()).collect();
+    let reach = significant(quantile(sizes, 0.995), 2);
+    if reach > 0.0 { reach } else { 1.0 }
+}
+
+impl Palette {
+    /// Number of colours in use.
+    pub fn colours(self) -> usize {
+        match self {
+            Self::Grey => 256,
+            Self::Diverging => 255,
+        }
+    }
+
+    /// The colour of an index.
+    pub fn colour(self, index: u8) -> [u8; 3] {
+        match self {
+            Self::Grey => [index; 3],
+            // `RED_BLUE` begins with red; positive differences are red here.
+            Self::Diverging => {
+                let colour = colorous::RED_BLUE.eval_rational(254 - usize::from(index.min(254)), 255);
+                [colour.r, colour.g, colour.b]
+            }
+        }
+    }
+}
+
+impl Picture {
+    /// Values in grey.
+    pub fn grey(values: &Array2<f32>, window: Window) -> Self {
+        let level = |&v: &f32| ((f64::from(v) - window.low) / (window.high - window.low) * 255.0).round() as u8;
+        Self { indices: values.map(level), palette: Palette::Grey }
+    }
+
+    /// Differences in colours that are symmetric about 0: the strongest stand for `±reach` and beyond.
+    pub fn diverging(differences: &Array2<f32>, reach: f64) -> Self {
+        let level = |&d: &f32| (127.0 + (f64::from(d) / reach).clamp(-1.0, 1.0) * 127.0).round() as u8;
+        Self { indices: differences.map(level), palette: Palette::Diverging }
+    }
+
+    /// The picture as a PNG file, one pixel per value.
+    pub fn png(&self) -> Vec<u8> {
+        let (rows, columns) = self.indices.dim();
+        let palette: Vec<u8> = (0..self.palette.colours()).flat_map(|index| self.palette.colour(index as u8)).collect();
+        let indices: Vec<u8> = self.indices.iter().copied().collect();
+        encode(columns, rows, png::ColorType::Indexed, Some(palette), &indices)
+    }
+}
+
+/// A PNG file with eight bits per channel.
+pub(super) fn encode(
+    width: usize,
+    height: usize,
+    colour: png::ColorType,
+    palette: Option<Vec<u8>>,
+    data: &[u8],
+) -> Vec<u8> {
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, width as u32, height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    if let Some(palette) = palette {
+        encoder.set_palette(palette);
+    }
+    let mut writer = encoder.write_header().expect("a picture has pixels and memory takes all bytes");
+    writer.write_image_data(data).expect("memory takes all bytes");
+    writer.finish().expect("memory takes all bytes");
+    file
+}
+
+/// The value that a share `q` of the values does not exceed; 0 of no values.
+fn quantile(mut values: Vec<f32>, q: f64) -> f64 {
+    let rank = ((values.len() as f64 * q).ceil() as usize).saturating_sub(1);
+    if values.is_empty() { 0.0 } else { f64::from(*values.select_nth_unstable_by(rank, f32::total_cmp).1) }
+}
+
+/// A number rounded to so many significant digits.
+fn significant(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
+/// A number with three significant digits and a typographic minus.
+pub(super) fn short(value: f64) -> String {
+    significant(value, 3).to_string().replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Grid;
+    use glam::DVec3;
+    use ndarray::{Array3, array};
+
+    fn volume() -> Volume {
+        let grid = Grid { shape: [2, 3, 4], min: DVec3::new(-1.0, 0.0, 2.0), spacing: DVec3::new(1.0, 0.5, 0.25) };
+        Volume::new(grid, Array3::from_shape_fn((2, 3, 4), |(x, y, z)| (x * 100 + y * 10 + z) as f32)).unwrap()
+    }
+
+    #[test]
+    fn the_second_axis_of_a_slice_points_upwards() {
+        let values = |axis| Cut { axis, index: 1 }.values(&volume());
+        assert_eq!(values(0), array![[103., 113., 123.], [102., 112., 122.], [101., 111., 121.], [100., 110., 120.]]);
+        assert_eq!(values(1), array![[13., 113.], [12., 112.], [11., 111.], [10., 110.]]);
+        assert_eq!(values(2), array![[21., 121.], [11., 111.], [1., 101.]]);
+    }
+
+    #[test]
+    fn cuts_go_through_the_slices_with_most_detail_and_of_equal_ones_the_middle() {
+        let mut volume = volume();
+        volume.values[[1, 2, 0]] = 900.0;
+        let cuts = Cut::through_detail(&volume);
+        assert_eq!(cuts.map(|cut| cut.index), [1, 2, 0]);
+        assert_eq!(cuts[1].position(&volume), 1.25);
+        let flat = Volume::new(Grid::cube(5), Array3::ones((5, 5, 5))).unwrap();
+        assert_eq!(Cut::through_detail(&flat).map(|cut| cut.index), [2, 2, 2]);
+    }
+
+    #[test]
+    fn the_difference_of_swapped_volumes_has_the_mirrored_colours() {
+        let differences = array![[-2.0_f32, -1.0, -0.3], [0.0, 0.3, 1.5]];
+        let (one, other) = (Picture::diverging(&differences, 1.5), Picture::diverging(&differences.map(|d| -d), 1.5));
+        assert!(one.indices.iter().zip(&other.indices).all(|(a, b)| a + b == 254));
+        assert_eq!(one.indices[[1, 0]], 127);
+        let [r, g, b] = Palette::Diverging.colour(127);
+        assert!(r.min(g).min(b) > 230, "{r} {g} {b} is not white");
+        let ([red, _, _], [_, _, blue]) = (Palette::Diverging.colour(200), Palette::Diverging.colour(54));
+        assert!(red > 200 && blue > 180);
+    }
+
+    #[test]
+    fn a_png_reads_back_with_the_right_size_and_colours() {
+        let picture = Picture::grey(&Cut { axis: 0, index: 1 }.values(&volume()), Window { low: 100.0, high: 123.0 });
+        let file = picture.png();
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(&file));
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut pixels).unwrap();
+        assert_eq!((info.width, info.height, info.color_type), (3, 4, png::ColorType::Rgb));
+        assert_eq!(&pixels[pixels.len() - 9..][..3], [0, 0, 0]);
+        assert_eq!(&pixels[6..9], [255, 255, 255]);
+    }
+
+    #[test]
+    fn numbers_are_shown_with_three_significant_digits() {
+        let shown = [0.0, 1.0, -0.12, 0.5, 12.345, 0.000_123_4, f64::INFINITY].map(short);
+        assert_eq!(shown, ["0", "1", "−0.12", "0.5", "12.3", "0.000123", "inf"]);
+        assert_eq!(significant(0.0873, 2), 0.087);
+    }
+
+    #[test]
+    fn a_volume_of_zeros_still_has_a_window() {
+        let zeros = Volume::new(Grid::cube(2), Array3::zeros((2, 2, 2))).unwrap();
+        assert_eq!(Window::of(&zeros), Window { low: 0.0, high: 1.0 });
+        assert_eq!(reach([&Array2::zeros((2, 2))]), 1.0);
+    }
+}

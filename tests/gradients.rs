@@ -1,0 +1,115 @@
+//! Every gradient against 50-digit central differences.
+
+mod common;
+
+use common::precision::{GRADIENT_AGAINST_TRUTH_F64, GRADIENT_RAW_AGAINST_DIFFERENCES, gradient_against_truth_f32};
+use common::vectors::{Case, cases};
+use common::{scenes, vectors};
+use trgs::numeric::Real;
+use trgs::primitives::activation::Interval;
+use trgs::primitives::{Activation, Group, Kernel, Parameters};
+use trgs::projector::{self, Projection};
+
+/// Largest error of each group relative to the group's largest entry; NaN counts as infinite.
+fn errors(got: &Parameters, truth: &Parameters) -> [(Group, f64); 5] {
+    Group::ALL.map(|group| {
+        let peak = truth.group(group).iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+        let error = got.group(group).iter().zip(truth.group(group)).map(|(a, b)| (a - b).abs());
+        let worst = error.fold(0.0_f64, |m, e| if e.is_nan() { f64::INFINITY } else { m.max(e) });
+        (group, if peak > 0.0 { worst / peak } else { worst })
+    })
+}
+
+fn check<R: Real>(case: &Case, tolerance: impl Fn(&str, &str) -> f64) {
+    let real = |name: &str| case.array(name).mapv(R::from_f64);
+    let image = real("cotangent_image.npy");
+    let gradients = [
+        (
+            "grad_exact.npz",
+            projector::vjp(&case.primitives, &case.scanner, &case.angles, Projection::Exact, 0.0, image.view()),
+        ),
+        (
+            "grad_affine.npz",
+            projector::vjp(&case.primitives, &case.scanner, &case.angles, Projection::Affine, 0.0, image.view()),
+        ),
+        (
+            "grad_volume.npz",
+            projector::voxelize_vjp(&case.primitives, &case.scanner.grid, 0.0, real("cotangent_volume.npy").view()),
+        ),
+    ];
+    for (file, gradient) in gradients {
+        for (group, error) in errors(&gradient, &case.gradient(file)) {
+            println!("{} {file} {}: {error:.2e}", case.id, group.key());
+            assert!(error <= tolerance(&case.id, group.key()), "{} {file} {}: {error:e}", case.id, group.key());
+        }
+    }
+}
+
+#[test]
+fn gradients_in_f64_agree_with_50_digit_differences() {
+    vectors::cases().iter().for_each(|case| check::<f64>(case, |_, _| GRADIENT_AGAINST_TRUTH_F64));
+}
+
+#[test]
+fn gradients_in_f32_agree_with_50_digit_differences() {
+    cases().iter().for_each(|case| check::<f32>(case, gradient_against_truth_f32));
+}
+
+/// The whole chain of training: raw parameters → physical → image, and back.
+#[test]
+fn raw_gradients_agree_with_central_differences() {
+    let activation = Activation {
+        kernel: Kernel::StudentT,
+        scale: Interval { min: 0.001, max: 1.0 },
+        nu: Interval { min: 0.5, max: 100.0 },
+    };
+    let raw = activation.inverse(&scenes::primitives(Kernel::StudentT, 3, 11).parameters);
+    let (scanner, angles) = (scenes::cone(), [0.4, 2.5]);
+    let cotangent = scenes::cotangent(5, (2, scanner.detector.rows, scanner.detector.columns));
+    let loss = |raw: &Parameters| {
+        (projector::forward::<f64>(&activation.forward(raw), &scanner, &angles, Projection::Exact, 0.0) * &cotangent)
+            .sum()
+    };
+    let physical = activation.forward(&raw);
+    let mut gradient = projector::vjp(&physical, &scanner, &angles, Projection::Exact, 0.0, cotangent.view());
+    activation.vjp(&physical, &mut gradient);
+    for group in Group::ALL {
+        let peak = gradient.group(group).iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+        for i in 0..gradient.group(group).len() {
+            let shifted = |h: f64| {
+                let mut raw = raw.clone();
+                raw.group_mut(group)[i] += h;
+                loss(&raw)
+            };
+            let difference = (shifted(1e-5) - shifted(-1e-5)) / 2e-5;
+            let error = (gradient.group(group)[i] - difference).abs() / peak;
+            assert!(error <= GRADIENT_RAW_AGAINST_DIFFERENCES, "{} {i}: {error:e}", group.key());
+        }
+    }
+}
+
+/// Round primitives have no preferred rotation: rounding noise there would become full steps of Adam.
+#[test]
+fn the_gradient_to_the_rotation_of_a_round_primitive_is_exactly_zero() {
+    let mut primitives = scenes::primitives(Kernel::StudentT, 5, 12);
+    primitives.parameters.scale.iter_mut().for_each(|s| *s = [s[0]; 3]);
+    let scanner = scenes::cone();
+    let cotangent = scenes::cotangent(6, (1, scanner.detector.rows, scanner.detector.columns));
+    let gradient = projector::vjp(&primitives, &scanner, &[0.7], Projection::Exact, 0.0, cotangent.view());
+    assert!(gradient.quaternion.as_flattened().iter().all(|d| *d == 0.0), "{:?}", gradient.quaternion);
+    assert!(gradient.scale.as_flattened().iter().all(|d| *d != 0.0));
+}
+
+/// Only a rotation counts: the gradient has no part along the quaternion itself.
+#[test]
+fn the_gradient_to_a_quaternion_is_tangential() {
+    let primitives = scenes::primitives(Kernel::Gaussian, 5, 13);
+    let scanner = scenes::cone();
+    let cotangent = scenes::cotangent(6, (1, scanner.detector.rows, scanner.detector.columns));
+    let gradient = projector::vjp(&primitives, &scanner, &[0.7], Projection::Affine, 0.0, cotangent.view());
+    for (q, d) in primitives.parameters.quaternion.iter().zip(&gradient.quaternion) {
+        let along: f64 = q.iter().zip(d).map(|(a, b)| a * b).sum();
+        let lengths: f64 = q.iter().map(|a| a * a).sum::<f64>().sqrt() * d.iter().map(|a| a * a).sum::<f64>().sqrt();
+        assert!(along.abs() <= 1e-14 * lengths && lengths > 0.0, "{along:e} of {lengths:e}");
+    }
+}
