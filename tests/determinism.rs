@@ -1,0 +1,114 @@
+//! Same input, same bits: for any number of threads, and when run twice. `.ci/builds` does the same for three
+//! instruction sets.
+
+mod common;
+
+use common::scenes;
+use sha2::{Digest, Sha256};
+use std::ops::ControlFlow;
+use trgs::config::{Config, Precision};
+use trgs::numeric::{Real, threads};
+use trgs::primitives::{Group, Kernel, Parameters};
+use trgs::projector::{self, Projection};
+use trgs::scene::dataset::Dataset;
+use trgs::scene::noise::Noise;
+use trgs::scene::phantom::Phantom;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::train;
+
+fn digest(numbers: impl IntoIterator<Item = f64>) -> String {
+    let mut hasher = Sha256::new();
+    numbers.into_iter().for_each(|x| hasher.update(x.to_bits().to_le_bytes()));
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn digest_of(parameters: &Parameters) -> String {
+    digest(Group::ALL.into_iter().flat_map(|group| parameters.group(group).to_vec()))
+}
+
+/// Asserts that `work` gives the same digest on 1, 2, 3 and 7 threads, and twice on the last.
+fn assert_independent_of_threads(what: &str, work: impl Fn() -> String + Sync) {
+    let alone = threads::install(1, &work).unwrap();
+    for count in [2, 3, 7, 7] {
+        assert_eq!(threads::install(count, &work).unwrap(), alone, "{what} on {count} threads");
+    }
+}
+
+fn images_and_gradients<R: Real>(precision: &str) {
+    let scanner =
+        Scanner { detector: Detector { rows: 150, columns: 131, ..scenes::cone().detector }, ..scenes::cone() };
+    let angles = [0.2, 3.0];
+    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        let primitives = scenes::primitives(kernel, 700, 21);
+        for projection in [Projection::Exact, Projection::Affine] {
+            let what = format!("{precision} {kernel:?} {projection:?}");
+            assert_independent_of_threads(&format!("image {what}"), || {
+                let image = projector::forward::<R>(&primitives, &scanner, &angles, projection, 1e-3);
+                digest(image.iter().map(|x| x.to_f64()))
+            });
+            let cotangent = scenes::cotangent(4, (2, 150, 131)).mapv(R::from_f64);
+            assert_independent_of_threads(&format!("gradient {what}"), || {
+                digest_of(&projector::vjp(&primitives, &scanner, &angles, projection, 1e-3, cotangent.view()))
+            });
+        }
+        let cotangent = scenes::cotangent(4, scanner.grid.shape).mapv(R::from_f64);
+        assert_independent_of_threads(&format!("volume {precision} {kernel:?}"), || {
+            let volume = projector::voxelize::<R>(&primitives, &scanner.grid, 1e-3);
+            let gradient = projector::voxelize_vjp(&primitives, &scanner.grid, 1e-3, cotangent.view());
+            digest(volume.iter().map(|x| x.to_f64())) + &digest_of(&gradient)
+        });
+    }
+}
+
+#[test]
+fn images_volumes_and_gradients_have_the_same_bits_on_any_number_of_threads() {
+    images_and_gradients::<f32>("f32");
+    images_and_gradients::<f64>("f64");
+}
+
+fn scan() -> Dataset {
+    let scanner = Scanner {
+        beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+        detector: Detector {
+            rows: 48,
+            columns: 48,
+            pitch_v: 4.0 / 48.0,
+            pitch_u: 4.0 / 48.0,
+            offset_u: 0.0,
+            offset_v: 0.0,
+        },
+        grid: Grid::cube(24),
+    };
+    let phantom = Phantom::by_name("torso", 0).unwrap();
+    let plan = Plan { views: 6, test_views: 2, noise: Noise::LOW, seed: 5 };
+    simulate("torso", Object::Phantom(&phantom), &scanner, &plan).unwrap()
+}
+
+#[test]
+fn fifty_training_steps_have_the_same_bits_on_any_number_of_threads() {
+    let dataset = scan();
+    for precision in [Precision::F32, Precision::F64] {
+        let mut config = Config { iterations: 50, precision, ..Config::default() };
+        config.model.points = 400;
+        config.loss.tv_block = 16;
+        assert_independent_of_threads(&format!("training {precision:?}"), || {
+            let result = train::train(&dataset, &config, &mut |_, _| ControlFlow::Continue(())).unwrap();
+            digest_of(&result.primitives.parameters) + &digest(result.volume.values.iter().map(|&x| f64::from(x)))
+        });
+    }
+}
+
+#[test]
+fn a_different_seed_gives_a_different_result() {
+    let dataset = scan();
+    let run = |seed| {
+        let mut config = Config { iterations: 3, seed, ..Config::default() };
+        config.model.points = 200;
+        digest_of(
+            &train::train(&dataset, &config, &mut |_, _| ControlFlow::Continue(())).unwrap().primitives.parameters,
+        )
+    };
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
+}

@@ -1,0 +1,107 @@
+//! Rules that a compiler does not check: what numerical code must not use, who may use threads, file lengths.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(rust_files(&path));
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    files
+}
+
+/// Lines of code, without comments and without the tests at the end of a file.
+fn code(path: &Path) -> Vec<(usize, String)> {
+    let text = fs::read_to_string(path).unwrap();
+    let lines = text.lines().take_while(|line| !line.starts_with("#[cfg(test)]")).enumerate();
+    lines.map(|(i, line)| (i + 1, line.split("//").next().unwrap().to_owned())).collect()
+}
+
+fn assert_absent(words: &[&str], folders: &[&str], exempt: &[&str], why: &str) {
+    let mut searched = 0;
+    for folder in folders {
+        for path in rust_files(&root().join("src").join(folder)) {
+            let name = path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned();
+            if exempt.contains(&name.as_str()) {
+                continue;
+            }
+            searched += 1;
+            for (line, text) in code(&path) {
+                for word in words {
+                    assert!(!text.contains(word), "{name}:{line}: {word} ({why})");
+                }
+            }
+        }
+    }
+    assert!(searched > 5, "only {searched} files searched");
+}
+
+const NUMERICAL: [&str; 7] = ["numeric", "primitives", "projector", "loss", "optim", "classical", "scene"];
+
+#[test]
+fn numerical_code_uses_nothing_whose_bits_depend_on_the_build() {
+    let words = [
+        ".mul_add(",
+        "mul_neg_add",
+        ".recip(",
+        ".recip_sqrt(",
+        ".reduce_add(",
+        "powf(",
+        ".powi(",
+        "to_degrees",
+        "to_radians",
+    ];
+    assert_absent(&words, &NUMERICAL, &[], "not the same bits on every build");
+}
+
+#[test]
+fn numerical_code_knows_no_time_no_hash_order_and_no_thread() {
+    assert_absent(
+        &["HashMap", "HashSet", "std::time", "thread::current", "current_thread_index"],
+        &NUMERICAL,
+        &[],
+        "not reproducible",
+    );
+}
+
+#[test]
+fn only_one_module_uses_threads() {
+    assert_absent(&["rayon", "std::thread", "par_iter"], &[""], &["src/numeric/threads.rs"], "threads have one user");
+}
+
+#[test]
+fn commands_do_no_arithmetic_on_pixels() {
+    assert_absent(
+        &["ndarray::Zip", ".sqrt()", "exp("],
+        &["cli", "report"],
+        &[],
+        "arithmetic belongs to the library's numerical modules",
+    );
+}
+
+#[test]
+fn no_file_is_longer_than_600_lines() {
+    for folder in ["src", "tests", "benches"] {
+        for path in rust_files(&root().join(folder)) {
+            let lines = fs::read_to_string(&path).unwrap().lines().count();
+            assert!(lines <= 600, "{}: {lines} lines", path.display());
+        }
+    }
+}
+
+#[test]
+fn unsafe_code_is_forbidden() {
+    let manifest = fs::read_to_string(root().join("Cargo.toml")).unwrap();
+    assert!(manifest.contains("unsafe_code = \"forbid\""));
+}
