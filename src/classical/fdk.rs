@@ -63,8 +63,8 @@ impl Window {
 
 /// Reconstructs the scanner's grid [FDK84], or exactly by filtered backprojection for parallel rays.
 ///
-/// Accuracy: values are f32; on a sphere from 180 views of a cone beam the mean inside is right to 0.3 %, most of it
-/// the approximation that is the method's own away from the plane of the source.
+/// Accuracy: values are f32. From 180 exact views of a ball the mean inside is off by 0.17 % in a cone beam, where the
+/// method itself is an approximation away from the plane of the source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
 /// When the scanner cannot work or the projections do not have its detector's size.

@@ -7,6 +7,9 @@ use std::io::{self, Write};
 use std::path::Path;
 use trgs::{Error, Result};
 
+/// Numbers that a line of a table can hold.
+const LONGEST_LIST: usize = 6;
+
 /// A result in both forms.
 pub(super) struct Answer {
     json: Value,
@@ -33,7 +36,7 @@ impl Answer {
 
     /// Writes the result to standard output. It is no error when a reader like `head` does not want all of it.
     pub(super) fn print(&self, json: bool) -> Result<()> {
-        let text = if json { self.json.to_string() } else { self.table.to_string() };
+        let text = if json { self.json.to_string() } else { self.table.trim_fmt() };
         let mut output = io::stdout().lock();
         match writeln!(output, "{text}").and_then(|()| output.flush()) {
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
@@ -58,18 +61,20 @@ fn table<const N: usize>(header: &[&str], rows: impl IntoIterator<Item = [String
     table
 }
 
-/// Dotted names and values of all that is no object itself.
+/// Dotted names and values of all that is there and no object itself. Long lists are for programs.
 fn flatten(name: &str, value: &Value, lines: &mut Vec<[String; 2]>) {
+    let mut line = |text: String| lines.push([name.to_owned(), text]);
     match value {
+        Value::Null => {}
         Value::Object(entries) => {
             for (key, value) in entries {
                 flatten(&if name.is_empty() { key.clone() } else { format!("{name}.{key}") }, value, lines);
             }
         }
-        Value::Array(values) if values.iter().any(Value::is_string) => {
-            lines.extend(values.iter().map(|value| [name.to_owned(), plain(value)]));
-        }
-        value => lines.push([name.to_owned(), plain(value)]),
+        Value::Array(values) if values.is_empty() => line("none".into()),
+        Value::Array(values) if values.iter().any(Value::is_string) => values.iter().for_each(|v| line(plain(v))),
+        Value::Array(values) if values.len() > LONGEST_LIST => line(format!("{} values", values.len())),
+        value => line(plain(value)),
     }
 }
 

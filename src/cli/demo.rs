@@ -17,7 +17,7 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 /// Pixels along each side of the detector.
 const PIXELS: u8 = 128;
 /// Enough to show what it is about, few enough for a minute on two cores.
-const ITERATIONS: usize = 2000;
+const ITERATIONS: usize = 1500;
 
 /// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
 #[derive(Args)]

@@ -41,18 +41,19 @@ struct Cli {
 
 /// Flags of every command.
 #[derive(Args)]
+#[command(next_help_heading = "Options of every command")]
 struct Global {
     /// Worker threads, 0: one for each core; no result depends on it
-    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    #[arg(long, global = true, display_order = 1000, value_name = "N", default_value_t = 0)]
     threads: usize,
     /// Say nothing but errors and the result
-    #[arg(long, global = true)]
+    #[arg(long, global = true, display_order = 1000)]
     quiet: bool,
     /// How progress and messages look on standard error
-    #[arg(long, global = true, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
+    #[arg(long, global = true, display_order = 1000, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
     log_format: LogFormat,
     /// Print the result as one JSON object
-    #[arg(long, global = true)]
+    #[arg(long, global = true, display_order = 1000)]
     json: bool,
 }
 

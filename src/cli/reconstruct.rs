@@ -18,13 +18,16 @@ use trgs::{Error, Result};
 
 /// Reconstruct the volume of a dataset
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:
   trgs reconstruct data/torso --out out/torso
   trgs reconstruct data/torso --out out/fdk --method fdk
   trgs reconstruct data/torso --out out/wide --iterations 2000 --set model.nu_initial=4 --set loss.tv=0
 
 A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise its default.
-The config.toml of any run has all keys with their documentation.")]
+The config.toml of any run has all keys with their documentation."
+)]
 pub(super) struct Reconstruct {
     /// Folder of the scan, or its meta_data.json
     #[arg(value_name = "DATASET")]

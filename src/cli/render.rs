@@ -17,9 +17,13 @@ use trgs::{Error, Result};
 
 /// Project a model, and pull a cotangent of the projections back to it
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:
   trgs render out/torso/model.npz --scanner data/torso --split test --out views.npy
-  trgs render model.npz --scanner meta_data.json --angles 0,1.5708 --out views.npy --vjp cotangent.npy --grad-out grad.npz")]
+  trgs render model.npz --scanner meta_data.json --angles 0,1.5708 --out views.npy \\
+      --vjp cotangent.npy --grad-out grad.npz"
+)]
 pub(super) struct Render {
     /// Model to project
     #[arg(value_name = "MODEL.npz")]

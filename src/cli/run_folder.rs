@@ -1,8 +1,9 @@
 //! The folder that a reconstruction leaves behind. It appears as a whole, at the end, or not at all.
 
 use super::evaluate::Evaluation;
+use std::ffi::OsString;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use trgs::config::{Config, Method};
 use trgs::numeric::threads;
 use trgs::output::{StagedFolder, stage_folder, write_atomically};
@@ -128,19 +129,18 @@ fn page(
 /// Refuses a folder with anything in it but an older run of the same method.
 fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
     let Ok(entries) = folder.read_dir() else { return Ok(()) };
-    let names: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.file_name().into())).collect();
-    let ours = |name: &Path| {
-        let name = name.to_str().unwrap_or_default();
-        FILES.contains(&name) || method == Method::TrGs && MODEL_FILES.contains(&name)
+    let names: Vec<OsString> = entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect();
+    let has = |file: &str| names.iter().any(|name| name == file);
+    let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
+    let got = match names.iter().find(foreign) {
+        _ if names.is_empty() => return Ok(()),
+        Some(name) => format!("a folder that holds {}", name.display()),
+        None if !has("provenance.json") => "a folder with parts of a run".into(),
+        None if has("model.npz") != (method == Method::TrGs) => "a run of another method".into(),
+        None => return Ok(()),
     };
-    let is_run = names.is_empty() || names.iter().any(|name| name == Path::new("provenance.json"));
-    let Some(name) = names.iter().find(|name| !is_run || !ours(name)) else { return Ok(()) };
-    Err(Error::invalid(
-        format!("--out {}", folder.display()),
-        format!("a folder that holds {}", name.display()),
-        "a new or empty folder, or an older run of the same method",
-        "choose another folder or move its content away",
-    ))
+    let expected = "a new or empty folder, or an older run of the same method";
+    Err(Error::invalid(format!("--out {}", folder.display()), got, expected, "choose another folder"))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

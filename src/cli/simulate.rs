@@ -13,9 +13,12 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume
 
 /// Scan a phantom or a volume and write the dataset
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:
   trgs simulate --phantom torso --out data/torso --noise low
-  trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128")]
+  trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128"
+)]
 pub(super) struct Simulate {
     #[command(flatten)]
     object: ObjectArgs,

@@ -18,10 +18,14 @@ use trgs::scene::npy::Element;
 
 /// Sample a model on a grid, and pull a cotangent of the volume back to it
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:
   trgs voxelize out/torso/model.npz --scanner data/torso --out volume.npy
   trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --precision f32 --out volume.npy
-  trgs voxelize model.npz --grid 64,64,64 --out volume.npy --vjp cotangent.npy --grad-out grad.npz")]
+  trgs voxelize model.npz --grid 64,64,64 --out volume.npy \\
+      --vjp cotangent.npy --grad-out grad.npz"
+)]
 pub(super) struct Voxelize {
     /// Model to sample
     #[arg(value_name = "MODEL.npz")]

@@ -25,6 +25,8 @@ struct Solid {
     ridge_x: f64,
     ax: f64,
     xx: f64,
+    /// Half extent of the form's unit circle, in rows and in columns.
+    half: [f64; 2],
     /// Slice of the centre, with a fraction, and the distance of slices.
     centre: f64,
     step: f64,
@@ -58,6 +60,7 @@ impl Solid {
             ridge_x: -my.dot(mx) / (b * b * grid.spacing.y),
             ax: yz.dot(yx) / (b * b * a * root),
             xx,
+            half: [(1.0 / (plane.b * plane.b) + plane.slant * plane.slant / (plane.a * plane.a)).sqrt(), 1.0 / plane.a],
             centre: place.x,
             step: grid.spacing.x,
             first: slices.start,
@@ -77,13 +80,11 @@ impl Solid {
         let x = self.xx * offset;
         plane.floor = x * x;
         // z = 0 lies `across` columns from the centre; there the ridge is the middle of the slice's ellipse.
-        let across = -plane.shift / plane.a;
+        let across = -plane.shift * self.half[1];
         plane.row_centre += self.ridge_x * offset;
         let left = (plane.limit - plane.floor).max(0.0).sqrt();
-        let half_z = left / plane.a;
-        let half_y = left * (1.0 / (plane.b * plane.b) + plane.slant * plane.slant / (plane.a * plane.a)).sqrt();
-        let rows = reach(plane.row_centre + plane.slant * across, 1.0, half_y, grid.shape[1]);
-        let columns = reach(plane.column_centre + across, 1.0, half_z, grid.shape[2]);
+        let rows = reach(plane.row_centre + plane.slant * across, 1.0, left * self.half[0], grid.shape[1]);
+        let columns = reach(plane.column_centre + across, 1.0, left * self.half[1], grid.shape[2]);
         (plane, rows, columns)
     }
 

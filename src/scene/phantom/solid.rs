@@ -79,7 +79,8 @@ impl Solid {
     }
 
     /// The part of a box with the given centre and half lengths that lies inside: exactly 0 or 1 where the surface is
-    /// surely elsewhere, else the part of `samples`³ evenly spaced points, which is off by about `samples`⁻² at most.
+    /// surely elsewhere, else the part of `samples`³ evenly spaced points. It is off by at most about `1/(2·samples)`,
+    /// where a flat face runs along the box, and by far less on curved or tilted surfaces.
     pub fn fraction(&self, centre: DVec3, half: DVec3, samples: usize) -> f64 {
         let own = self.to_own * (centre - self.centre);
         let steps = [self.to_own.x_axis * half.x, self.to_own.y_axis * half.y, self.to_own.z_axis * half.z];
