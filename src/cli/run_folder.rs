@@ -2,7 +2,7 @@
 
 use super::evaluate::Evaluation;
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 use trgs::config::{Config, Method};
 use trgs::numeric::threads;
@@ -128,8 +128,11 @@ fn page(
 
 /// Refuses a folder with anything in it but an older run of the same method.
 fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
-    let Ok(entries) = folder.read_dir() else { return Ok(()) };
-    let names: Vec<OsString> = entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect();
+    let names: Vec<OsString> = match folder.read_dir() {
+        Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(Error::write(folder, error)),
+    };
     let has = |file: &str| names.iter().any(|name| name == file);
     let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
     let got = match names.iter().find(foreign) {

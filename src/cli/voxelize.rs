@@ -22,7 +22,7 @@ use trgs::scene::npy::Element;
     allow_negative_numbers = true,
     after_help = "Examples:
   trgs voxelize out/torso/model.npz --scanner data/torso --out volume.npy
-  trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --precision f32 --out volume.npy
+  trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --out volume.npy
   trgs voxelize model.npz --grid 64,64,64 --out volume.npy \\
       --vjp cotangent.npy --grad-out grad.npz"
 )]

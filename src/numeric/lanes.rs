@@ -107,6 +107,7 @@ fn polynomial<L: Lanes, const N: usize>(x: L, coefficients: &[L::Scalar; N]) -> 
 // The coefficients are minimax in relative error, from reference/generate/polynomials.py.
 
 /// `log2(1+f) = f·P(f)` on [√½-1, √2-1]; 2.9e-8.
+#[allow(clippy::approx_constant, reason = "the first coefficient of a minimax polynomial is near log2 e, not it")]
 const LOG2_F32: [f32; 9] = [
     1.442695e+00,
     -7.213474e-01,
@@ -130,8 +131,10 @@ const LOG2_F64: [f64; 8] = [
     2.305381423985441e-01,
 ];
 /// `2^t = 1 + t·P(t)` on [-½, ½]; 3.0e-9.
+#[allow(clippy::approx_constant, reason = "as above, with ln 2")]
 const EXP2_F32: [f32; 6] = [6.931472e-01, 2.4022648e-01, 5.5503596e-02, 9.618499e-03, 1.339097e-03, 1.5329279e-04];
 /// `2^t = 1 + t·P(t)` on [-½, ½]; 4.1e-18.
+#[allow(clippy::approx_constant, reason = "as above, with ln 2")]
 const EXP2_F64: [f64; 11] = [
     6.931471805599453e-01,
     2.4022650695910108e-01,

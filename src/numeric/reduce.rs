@@ -5,7 +5,7 @@ use super::Real;
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
 
-/// Pairwise sum: leaves of [`LEAF`] values in order, halves joined left to right.
+/// Pairwise sum: leaves of 32 values in order, halves joined left to right.
 pub fn sum<R: Real>(values: &[R]) -> f64 {
     sum_by(values.len(), &|i| values[i].to_f64())
 }

@@ -56,7 +56,7 @@ impl Geometry {
     }
 
     /// From a vector in the (y, z) axes to its product with the detector's axes, `(pᵤ·, pᵥ·)`.
-    fn to_detector(&self, yz: DVec2) -> DVec2 {
+    fn on_detector(&self, yz: DVec2) -> DVec2 {
         DVec2::new(self.ab * yz.x + self.a * yz.y, self.b * yz.x)
     }
 }
@@ -163,14 +163,14 @@ impl Footprint {
 
         // The centre's place in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
         let hs = if projection == Projection::Exact { g * (kappa / a0) } else { DVec2::ZERO };
-        let d_offset = geometry.to_detector(first) * 2.0 + hs * h;
+        let d_offset = geometry.on_detector(first) * 2.0 + hs * h;
         let mut d_m = DVec3::new(-d_offset.x, -d_offset.y, 0.0);
         if kappa > 0.0 {
             let g_h = g_yz.dot(d_h);
             d_m.z = slope.dot(d_offset) + kappa * (2.0 * (yy + zz) + kappa / a0 * g_h);
             // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|.
             let along = DVec2::new(yy * g_yz.x + yz * g_yz.y, yz * g_yz.x + zz * g_yz.y);
-            let mut d_slope = geometry.to_detector(along * (-2.0 / a0) + d_h * (kappa / a0));
+            let mut d_slope = geometry.on_detector(along * (-2.0 / a0) + d_h * (kappa / a0));
             d_slope += g * (2.0 * d_a0 - kappa * g_h / (a0 * a0));
             match projection {
                 Projection::Affine => d_slope += slope * (weight * d_weight / d0_squared),
@@ -198,7 +198,7 @@ pub(super) fn symmetric(a: DVec3, b: DVec3, factor: f64) -> DMat3 {
 /// Rows and columns of the pixels that the support can reach `[X2]`: the exact bounding box of the conic
 /// `δ ≤ cut·(h² + kδ)`, with `h = 1 + s·(α, β)`; the whole detector where that is no ellipse (the support holds the
 /// source or passes beside it).
-#[allow(clippy::too_many_arguments)]
+#[allow(clippy::too_many_arguments, reason = "the parts of one conic; a struct would be used once")]
 fn support(
     plane: &Plane,
     geometry: &Geometry,

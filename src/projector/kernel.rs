@@ -217,8 +217,8 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
         for j in 0..registers {
             power[j] = if STUDENT { minus_q * x[j].log2_1p() } else { -x[j] };
         }
-        for j in 0..registers {
-            power[j] = power[j].exp2();
+        for power in &mut power[..registers] {
+            *power = power.exp2();
         }
         for j in 0..registers {
             let value = if EXACT { power[j] * root[j] } else { power[j] };
