@@ -1,7 +1,7 @@
 //! Messages and progress on standard error.
 
 use super::{Global, LogFormat, interrupt};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use std::fmt;
 use std::io::{self, IsTerminal};
 use std::ops::ControlFlow;
@@ -40,9 +40,14 @@ impl Progress {
     /// A bar on a terminal, otherwise a line per report.
     pub(super) fn new(iterations: usize, global: &Global) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} {per_sec}, {eta} left");
-        let bar = || ProgressBar::new(iterations as u64).with_style(style.expect("the template is well formed"));
-        Self { bar: wanted.then(bar) }
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}{rate}, {eta} left");
+        let style = style.expect("the template is well formed").with_key(
+            "rate",
+            |state: &ProgressState, text: &mut dyn fmt::Write| {
+                let _ = write!(text, "{:.1} it/s", state.per_sec());
+            },
+        );
+        Self { bar: wanted.then(|| ProgressBar::new(iterations as u64).with_style(style)) }
     }
 
     /// To be called after every iteration; asks to stop when the user does.
@@ -50,7 +55,7 @@ impl Progress {
         if let Some(bar) = &self.bar {
             bar.set_position(iteration as u64);
             if let Some(record) = record {
-                bar.set_message(format!("loss {:.5}, {} primitives", record.loss, record.primitives));
+                bar.set_message(format!("loss {:.5}, {} primitives, ", record.loss, record.primitives));
             }
         } else if let Some(Record { iterations, loss, l1, d_ssim, tv, primitives, seconds, .. }) = record {
             tracing::info!(

@@ -18,7 +18,7 @@ mod voxelize;
 
 use answer::Answer;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
 use std::path::Path;
 use std::process::ExitCode;
 use trgs::numeric::threads;
@@ -26,6 +26,8 @@ use trgs::{Error, Result};
 
 const BAD_INPUT: u8 = 2;
 const INTERRUPTED: u8 = 130;
+/// More workers than this wait for each other.
+const MOST_THREADS: i64 = 1024;
 /// Numbers in the largest array that is made on request: 16 GiB in single precision.
 const MOST_NUMBERS: usize = 1 << 32;
 
@@ -44,8 +46,9 @@ struct Cli {
 #[command(next_help_heading = "Options of every command")]
 struct Global {
     /// Worker threads, 0: one for each core; no result depends on it
-    #[arg(long, global = true, display_order = 1000, value_name = "N", default_value_t = 0)]
-    threads: usize,
+    #[arg(long, global = true, display_order = 1000, value_name = "N", default_value_t = 0,
+        value_parser = value_parser!(u16).range(..=MOST_THREADS))]
+    threads: u16,
     /// Say nothing but errors and the result
     #[arg(long, global = true, display_order = 1000)]
     quiet: bool,
@@ -88,7 +91,7 @@ pub(crate) fn main() -> ExitCode {
     };
     messages::install(&cli.global);
     interrupt::install();
-    let answer = threads::install(cli.global.threads, || cli.command.run(&cli.global));
+    let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
     match answer.flatten().and_then(|answer| answer.print(cli.global.json)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

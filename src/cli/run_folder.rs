@@ -59,8 +59,12 @@ impl RunFolder {
         check_replaceable(folder, config.method)?;
         let mut provenance = Provenance::new(threads::count(), std::env::args());
         provenance.seeds.insert("reconstruct".into(), config.seed);
-        let description = source.is_file().then(|| source.parent()).flatten();
-        provenance.add_input(description.unwrap_or(source))?;
+        provenance.add_input(match source.parent() {
+            // The description of a scan: its folder, which has no name if it is the current one.
+            Some(parent) if source.is_file() && parent.as_os_str().is_empty() => Path::new("."),
+            Some(parent) if source.is_file() => parent,
+            _ => source,
+        })?;
         Ok(Self { staged: stage_folder(folder)?, provenance })
     }
 
@@ -78,7 +82,7 @@ impl RunFolder {
         write_text(&at("metrics.json"), &json(&outcome.evaluation))?;
         if let Some(primitives) = &outcome.primitives {
             model::write(&at("model.npz"), &primitives.parameters)?;
-            let lines = outcome.log.iter().map(|record| to_line(record));
+            let lines = outcome.log.iter().map(to_line);
             write_text(&at("log.jsonl"), &lines.collect::<String>())?;
         }
         for name in TIMELESS.into_iter().filter(|name| at(name).exists()) {

@@ -94,14 +94,19 @@ pub trait Lanes:
     fn sum(self) -> f64;
 }
 
-/// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, every product and sum rounded.
+/// `c[0] + c[1] x + c[2] x² + …`, the even and the odd powers by Horner's rule in x²: two chains of half the length.
 #[inline(always)]
 fn polynomial<L: Lanes, const N: usize>(x: L, coefficients: &[L::Scalar; N]) -> L {
-    let mut value = L::splat(coefficients[N - 1]);
-    for &c in coefficients[..N - 1].iter().rev() {
-        value = value * x + L::splat(c);
-    }
-    value
+    let square = x * x;
+    let chain = |last: usize| {
+        let mut value = L::splat(coefficients[last]);
+        for k in (0..last / 2).rev() {
+            value = value * square + L::splat(coefficients[2 * k + last % 2]);
+        }
+        value
+    };
+    let (last, before) = (chain(N - 1), chain(N - 2));
+    if N % 2 == 1 { last + x * before } else { before + x * last }
 }
 
 // The coefficients are minimax in relative error, from reference/generate/polynomials.py.

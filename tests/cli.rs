@@ -1,0 +1,288 @@
+//! The program as its users and other programs see it: commands, files, results, messages and exit codes.
+
+mod program;
+
+use program::{Sandbox, stderr};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use trgs::scene::npy;
+use trgs::scene::npz::Npz;
+
+const COMMANDS: [&str; 7] = ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "inspect"];
+const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
+/// A run that takes no time.
+const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4";
+
+fn keys(value: &Value) -> BTreeSet<&str> {
+    value.as_object().unwrap().keys().map(String::as_str).collect()
+}
+
+#[test]
+fn every_command_has_help_with_an_example() {
+    let sandbox = Sandbox::new();
+    let listed = String::from_utf8(sandbox.run("--help").stdout).unwrap();
+    for command in COMMANDS {
+        assert!(listed.contains(&format!("\n  {command} ")), "{command} is not listed");
+        let output = sandbox.run(&format!("{command} --help"));
+        let help = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0));
+        assert!(help.contains("Example") && help.contains(&format!("\n  trgs {command}")), "{command}: {help}");
+        for flag in ["--threads", "--quiet", "--log-format", "--json"] {
+            assert!(help.contains(flag), "{command} has no {flag}");
+        }
+    }
+}
+
+#[test]
+fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected() {
+    let sandbox = Sandbox::new();
+    let scan =
+        sandbox.done("simulate --phantom shepp-logan --out scan --size 32 --detector 40 --views 6 --test-views 4");
+    assert_eq!(scan["volume"], serde_json::json!([32, 32, 32]));
+    assert_eq!((&scan["train_views"], &scan["test_views"]), (&6.into(), &4.into()));
+
+    let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5");
+    assert_eq!(keys(&run), BTreeSet::from_iter(["run", "method", "seconds", "report"].into_iter().chain(METRICS)));
+    let files =
+        ["config.toml", "log.jsonl", "metrics.json", "model.npz", "provenance.json", "report.html", "volume.npy"];
+    assert_eq!(sandbox.names_in("run"), files);
+    let log: Vec<Value> =
+        sandbox.text("run/log.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(log.iter().map(|record| record["iteration"].as_u64().unwrap()).collect::<Vec<_>>(), [5, 10, 12]);
+    for key in ["iteration", "iterations", "loss", "l1", "d_ssim", "tv", "primitives", "seconds"] {
+        assert!(log.iter().all(|record| record[key].is_number()), "{key}");
+    }
+
+    let evaluation = sandbox.done("evaluate run --against scan");
+    let of_run: Value = serde_json::from_str(&sandbox.text("run/metrics.json")).unwrap();
+    for metric in METRICS {
+        assert!(evaluation[metric]["value"].is_number() && evaluation[metric]["definition"].is_string(), "{metric}");
+        assert_eq!(evaluation[metric], of_run[metric], "{metric}");
+        assert_eq!(run[metric], of_run[metric], "{metric}");
+    }
+    let of_volume = sandbox.done("evaluate run/volume.npy --against scan");
+    assert_eq!(of_volume["psnr_3d"], of_run["psnr_3d"]);
+    assert_ne!(of_volume["psnr_2d"]["value"], of_run["psnr_2d"]["value"]);
+
+    let images = sandbox.done("render run/model.npz --scanner scan --split test --out images.npy");
+    assert_eq!(images["shape"], serde_json::json!([4, 40, 40]));
+    let gradient = sandbox.done(
+        "render run/model.npz --scanner scan --split test --out again.npy --vjp images.npy --grad-out gradient.npz",
+    );
+    assert_eq!(gradient["grad_out"], "gradient.npz");
+    assert_eq!(sandbox.read("images.npy"), sandbox.read("again.npy"));
+    let (model, gradient) =
+        ["run/model.npz", "gradient.npz"].map(|name| Npz::read(&sandbox.path(name)).unwrap()).into();
+    for key in model.keys() {
+        let [ours, theirs] = [&gradient, &model].map(|npz| npz.entry(key).unwrap().numbers.shape().to_vec());
+        assert_eq!(ours, theirs, "{key}");
+    }
+
+    sandbox.done("voxelize run/model.npz --scanner scan --precision f32 --cutoff 1e-3 --out volume.npy");
+    assert_eq!(sandbox.read("volume.npy"), sandbox.read("run/volume.npy"));
+    let part = sandbox.done("voxelize run/model.npz --grid 5,6,7 --box -1,-1,-1,0,1,0.5 --out part.npy");
+    assert_eq!(part["shape"], serde_json::json!([5, 6, 7]));
+    sandbox.done(
+        "voxelize run/model.npz --grid 5,6,7 --box -1,-1,-1,0,1,0.5 --out part.npy --vjp part.npy --grad-out of_part.npz",
+    );
+
+    for (path, kind) in [
+        ("scan", "dataset"),
+        ("scan/meta_data.json", "dataset"),
+        ("run", "run"),
+        ("run/model.npz", "model"),
+        ("images.npy", "array"),
+    ] {
+        let found = sandbox.done(&format!("inspect {path}"));
+        assert!(found["kind"].as_str().unwrap().starts_with(kind), "{path}: {found}");
+    }
+    assert_eq!(sandbox.done("inspect run")["oddities"], serde_json::json!([]));
+    sandbox.write("run/volume.npy", sandbox.read("part.npy"));
+    assert!(sandbox.done("inspect run")["oddities"][0].as_str().unwrap().contains("volume.npy"));
+}
+
+#[test]
+fn precision_and_cutoff_of_a_projection_are_those_asked_for() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done(&format!("reconstruct scan --out run {SHORT}"));
+    let render = "render run/model.npz --scanner scan/meta_data.json --angles -0.5,1e0 --out a.npy";
+    let exact = sandbox.done(render);
+    assert_eq!((&exact["precision"], &exact["cutoff"]), (&"f64".into(), &0.0.into()));
+    assert!(exact.get("truncation_bound").is_none());
+    let [double, single] = ["f64", "f32"].map(|precision| {
+        sandbox.done(&format!("{render} --precision {precision}"));
+        npy::read(&sandbox.path("a.npy")).unwrap().numbers
+    });
+    assert!(double.is_double() && !single.is_double());
+    let cut = sandbox.done(&format!("{render} --cutoff 0.01"));
+    let bound = cut["truncation_bound"].as_f64().unwrap();
+    let cut = npy::read(&sandbox.path("a.npy")).unwrap().numbers.into_f64();
+    let dropped = (double.into_f64() - cut).iter().fold(0.0, |largest: f64, d| largest.max(d.abs()));
+    assert!(dropped > 0.0 && dropped <= bound, "dropped {dropped}, bound {bound}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
+    let sandbox = Sandbox::with_scan();
+    for (out, flags) in [("a", ""), ("b", ""), ("c", "--threads 1"), ("d", "--threads 3"), ("e", "--seed 1")] {
+        sandbox.done(&format!("reconstruct scan --out {out} {SHORT} {flags}"));
+    }
+    for file in ["model.npz", "volume.npy", "metrics.json", "config.toml"] {
+        let [a, b, c, d, e] = ["a", "b", "c", "d", "e"].map(|run| sandbox.read(&format!("{run}/{file}")));
+        assert!(a == b && a == c && a == d, "{file} differs");
+        assert!(a != e, "{file} does not depend on the seed");
+    }
+    let digests = |run: &str| {
+        let provenance: Value = serde_json::from_str(&sandbox.text(&format!("{run}/provenance.json"))).unwrap();
+        (provenance["inputs"].clone(), provenance["outputs"].clone())
+    };
+    assert_eq!(digests("a"), digests("d"));
+    assert_eq!(keys(&digests("a").1), BTreeSet::from(["config.toml", "metrics.json", "model.npz", "volume.npy"]));
+}
+
+#[test]
+fn flags_go_before_the_file_and_settings_before_flags() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.write("a.toml", "iterations = 9\nseed = 4\ncutoff = 0.01\n[model]\npoints = 50\n");
+    sandbox.done("reconstruct scan --out run --config a.toml --seed 5 --points 60 --iterations 4 --set iterations=3");
+    let config = sandbox.text("run/config.toml");
+    for line in ["iterations = 3", "seed = 5", "cutoff = 0.01", "points = 60"] {
+        assert!(config.lines().any(|l| l == line), "{line} is not in\n{config}");
+    }
+    sandbox.done("reconstruct scan --out again --config run/config.toml");
+    assert_eq!(sandbox.read("run/model.npz"), sandbox.read("again/model.npz"));
+}
+
+#[test]
+fn an_older_run_of_the_same_method_is_replaced_and_nothing_else() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("reconstruct scan --out run --method fdk");
+    assert_eq!(
+        sandbox.names_in("run"),
+        ["config.toml", "metrics.json", "provenance.json", "report.html", "volume.npy"]
+    );
+    let first = sandbox.read("run/volume.npy");
+    sandbox.done("reconstruct scan --out run --method fdk --views 2");
+    assert_ne!(sandbox.read("run/volume.npy"), first);
+    assert_eq!(sandbox.names(), ["run", "scan"]);
+    assert!(sandbox.refused(&format!("reconstruct scan --out run {SHORT}")).contains("another method"));
+    sandbox.write("run/thesis.txt", "years");
+    assert!(sandbox.refused("reconstruct scan --out run --method fdk").contains("thesis.txt"));
+    assert!(sandbox.refused("reconstruct scan --out scan --method fdk").contains("new or empty folder"));
+}
+
+#[test]
+fn a_scan_may_be_given_by_its_description_from_within_its_folder() {
+    let sandbox = Sandbox::with_scan();
+    let mut command = sandbox.command("reconstruct ./meta_data.json --out ../run --method fdk");
+    assert!(command.current_dir(sandbox.path("scan")).output().unwrap().status.success());
+    let provenance: Value = serde_json::from_str(&sandbox.text("run/provenance.json")).unwrap();
+    assert_eq!(keys(&provenance["inputs"]).len(), 1 + 1 + 4 + 3, "description, truth, views");
+}
+
+#[test]
+fn metrics_without_truth_or_test_views_are_absent_with_the_reason() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.edit("scan/meta_data.json", |meta| meta["vol"] = Value::Null);
+    let run = sandbox.done("reconstruct scan --out run --method fdk");
+    assert!(run["absent"]["psnr_3d"].as_str().unwrap().contains("no true volume"));
+    assert!(run["psnr_2d"]["value"].is_number() && run.get("psnr_3d").is_none());
+    sandbox.edit("scan/meta_data.json", |meta| meta["proj_test"] = serde_json::json!([]));
+    let evaluation = sandbox.done("evaluate run --against scan");
+    assert_eq!(keys(&evaluation["absent"]), BTreeSet::from(METRICS));
+    let table = String::from_utf8(sandbox.run("evaluate run --against scan").stdout).unwrap();
+    assert!(table.contains("absent: the dataset has no test views"), "{table}");
+}
+
+#[test]
+fn what_does_not_exist_is_a_usage_error_that_names_what_does() {
+    let sandbox = Sandbox::with_scan();
+    for (arguments, names) in [
+        ("table all --out t", &["table", "reconstruct", "inspect"][..]),
+        ("reconstruct scan --out run --method sart", &["sart", "tr-gs", "fdk"]),
+        ("reconstruct scan --out run --resume", &["--resume", "without checkpoints"]),
+        ("reconstruct scan --out run --views 5", &["--views", "1 to 4"]),
+        ("reconstruct scan --out run --set loss.d_sim=1", &["did you mean loss.d_ssim?"]),
+        ("reconstruct scan --out run --set model.points=3", &["model.points", "got 3"]),
+        ("simulate --phantom tors --out run", &["did you mean torso?"]),
+        ("simulate --phantom torso --volume a.npy --out run", &["--volume"]),
+        ("render m.npz --scanner scan --out a.npy --vjp b.npy", &["--grad-out"]),
+        ("voxelize m.npz --out a.npy", &["--scanner", "--grid"]),
+    ] {
+        let output = sandbox.run(arguments);
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments}");
+        assert!(message.starts_with("error: ") && names.iter().all(|name| message.contains(name)), "{message}");
+    }
+    assert_eq!(sandbox.names(), ["scan"]);
+}
+
+#[test]
+fn messages_go_to_standard_error_in_the_format_asked_for() {
+    let sandbox = Sandbox::with_scan();
+    let run = |flags: &str| sandbox.run(&format!("reconstruct scan --out run {SHORT} {flags}"));
+    let text = stderr(&run(""));
+    assert!(text.contains("iteration 2 of 6: loss ") && text.contains("iteration 6 of 6"), "{text}");
+    assert_eq!(stderr(&run("--quiet")), "");
+    let lines = stderr(&run("--log-format json"));
+    let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.iter().filter_map(|line| line["iteration"].as_u64()).collect::<Vec<_>>(), [2, 4, 6]);
+    let error = stderr(&sandbox.run("inspect nowhere --log-format json --quiet"));
+    let error: Value = serde_json::from_str(&error).unwrap();
+    assert!(error["message"].as_str().unwrap().contains("nowhere"));
+    let table = String::from_utf8(run("--quiet").stdout).unwrap();
+    assert!(METRICS.iter().all(|metric| table.contains(metric)), "{table}");
+}
+
+#[test]
+#[ignore = "takes a minute"]
+fn the_demonstration_beats_filtered_back_projection_by_far() {
+    let sandbox = Sandbox::new();
+    let found = sandbox.done("demo");
+    let psnr = |method: &str| found[method]["psnr_3d"]["value"].as_f64().unwrap();
+    assert!(psnr("tr-gs") > psnr("fdk") + 5.0, "{found}");
+    assert_eq!(sandbox.names_in("out/demo"), ["dataset", "fdk", "tr-gs"]);
+    let page = sandbox.text(found["report"].as_str().unwrap());
+    assert!(page.contains("TR-GS") && page.contains("FDK"));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_leaves_nothing_half_written() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+    let sandbox = Sandbox::with_scan();
+    for signal in ["-INT", "-TERM"] {
+        let mut child = Command::new(assert_cmd::cargo::cargo_bin!("trgs"))
+            .args("reconstruct scan --out run --iterations 100000000 --set report_every=1".split(' '))
+            .current_dir(sandbox.path(""))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut messages = BufReader::new(child.stderr.take().unwrap()).lines();
+        let first = messages.next().unwrap().unwrap();
+        assert!(first.starts_with("iteration 1 of"), "{first}");
+        Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        let last = messages.map(Result::unwrap).last().unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130));
+        assert!(last.starts_with("error: interrupted at iteration"), "{last}");
+        assert_eq!(sandbox.names(), ["scan"]);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    use std::process::{Command, Stdio};
+    let sandbox = Sandbox::with_scan();
+    let mut child = Command::new(assert_cmd::cargo::cargo_bin!("trgs"))
+        .args(["inspect", "scan"])
+        .current_dir(sandbox.path(""))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+}
