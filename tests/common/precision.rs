@@ -13,7 +13,7 @@ pub(crate) const VALUE_AGAINST_TRUTH_F32: f64 = 1e-6;
 /// Measured: 1.3e-10 (pancake), 5e-12 elsewhere.
 pub(crate) const GRADIENT_AGAINST_TRUTH_F64: f64 = 1e-9;
 
-/// The same in single precision, for a case and a group of parameters. Measured: 1.8e-6, and the two exceptions.
+/// The same in single precision, for a case and a group of parameters. Measured: 1.3e-6, and at each exception.
 pub(crate) fn gradient_against_truth_f32(case: &str, group: &str) -> f64 {
     match (case, group) {
         // 1:1000: a pixel is tens of standard deviations across, and the coordinate of its centre has 24 bits. 1.3e-4.
@@ -21,7 +21,9 @@ pub(crate) fn gradient_against_truth_f32(case: &str, group: &str) -> f64 {
         // ∂/∂ν is the difference of two sums that agree to 1/ν, and the gradient itself falls like 1/ν². 6e-5, 2.9e-3.
         ("nu-1e3", "nu") => 2e-4,
         ("nu-1e4", "nu") => 6e-3,
-        _ => 4e-6,
+        // The same difference at ν ≈ 10, and a cotangent that cancels besides. 4.0e-6.
+        (_, "nu") => 1e-5,
+        _ => 3e-6,
     }
 }
 
