@@ -100,6 +100,17 @@ impl Error {
         }
     }
 
+    /// The same complaint about a value, as one about the file that it stands in.
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Invalid { what, got, expected, remedy } => {
+                Self::Format { path: path.into(), what, got, expected, remedy }
+            }
+            other => other,
+        }
+    }
+
     /// An [`Error::Read`] for `path`.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
         Self::Read { path: path.into(), source }

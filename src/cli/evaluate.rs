@@ -1,6 +1,6 @@
 //! `trgs evaluate`: how good a reconstruction is.
 
-use super::{Answer, in_file};
+use super::Answer;
 use clap::Args;
 use ndarray::Ix3;
 use serde::Serialize;
@@ -97,7 +97,7 @@ fn project(primitives: &Primitives, dataset: &Dataset, angles: &[f64], config: &
 
 fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
     let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
-    Volume::new(dataset.scanner.grid, values).map_err(|error| in_file(path, error))
+    Volume::new(dataset.scanner.grid, values).map_err(|error| error.in_file(path))
 }
 
 impl Evaluation {

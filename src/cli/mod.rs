@@ -19,7 +19,6 @@ mod voxelize;
 use answer::Answer;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
-use std::path::Path;
 use std::process::ExitCode;
 use trgs::numeric::threads;
 use trgs::{Error, Result};
@@ -132,12 +131,4 @@ fn check_size(what: &str, shape: &[usize]) -> Result<()> {
         return Ok(());
     }
     Err(Error::invalid(what, format!("shape {shape:?}"), format!("at most {MOST_NUMBERS} numbers"), "ask for less"))
-}
-
-/// Says which file an unusable value came from.
-fn in_file(path: &Path, error: Error) -> Error {
-    match error {
-        Error::Invalid { what, got, expected, remedy } => Error::format(path, what, got, expected, remedy),
-        other => other,
-    }
 }

@@ -1,7 +1,7 @@
 //! `trgs simulate`: a scan of a phantom or of a volume.
 
 use super::arguments::{finite, pair, seed};
-use super::{Answer, check_size, in_file, interrupt};
+use super::{Answer, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use glam::DVec3;
 use ndarray::Ix3;
@@ -148,5 +148,5 @@ fn read_volume(path: &Path) -> Result<Volume> {
     let shape: [usize; 3] = values.dim().into();
     let sides = DVec3::from_array(shape.map(|n| n as f64));
     let corner = sides / sides.max_element();
-    Grid::new(shape, -corner, corner).and_then(|grid| Volume::new(grid, values)).map_err(|error| in_file(path, error))
+    Grid::new(shape, -corner, corner).and_then(|grid| Volume::new(grid, values)).map_err(|error| error.in_file(path))
 }

@@ -36,10 +36,7 @@ impl Config {
         })?;
         let mut config = Self::default();
         for (key, value) in flatten(&table) {
-            config.put(&key, value).map_err(|error| match error {
-                Error::Invalid { what, got, expected, remedy } => Error::format(path, what, got, expected, remedy),
-                other => other,
-            })?;
+            config.put(&key, value).map_err(|error| error.in_file(path))?;
         }
         Ok(config)
     }

@@ -22,10 +22,7 @@ pub fn read(path: &Path) -> Result<Primitives> {
         density: density.to_vec(),
         nu: nu.to_vec(),
     })
-    .map_err(|error| match error {
-        Error::Invalid { what, got, expected, remedy } => Error::format(path, what, got, expected, remedy),
-        other => other,
-    })
+    .map_err(|error| error.in_file(path))
 }
 
 /// An `[M, N]` array as rows.

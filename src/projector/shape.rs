@@ -111,7 +111,7 @@ impl Shape {
 
     /// Gradient to mean, scale, quaternion, density and ν, written to row `i`.
     ///
-    /// Rotating the body frame by a small ω changes Σ⁻¹ by R([ω]Λ - Λ[ω])Rᵀ, Λ = diag(1/s²): the torque of two axes
+    /// Rotating the body frame by a small ω changes Σ⁻¹ by `R([ω]Λ - Λ[ω])Rᵀ`, Λ = diag(1/s²): the torque of two axes
     /// carries the factor sⱼ/sᵢ - sᵢ/sⱼ and vanishes exactly where they are equal. The gradient to the quaternion
     /// is tangential by construction.
     fn finish(&self, gradient: &ShapeGradient, i: usize, out: &mut Parameters) {

@@ -69,7 +69,7 @@ impl<'a, R: Real> ViewField<'a, R> {
         self.footprints.iter().map(|f| f.rows.len() * f.columns.len()).sum()
     }
 
-    /// The image `[v, u]`: bands of [`STRIP`] rows in parallel, primitives in index order.
+    /// The image `[v, u]`: bands of 32 rows in parallel, primitives in index order.
     pub fn image(&self) -> Array2<R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let mut members = vec![Vec::new(); rows.div_ceil(STRIP)];

@@ -133,7 +133,7 @@ impl Meta {
 
     /// The scanner in scene units, checked.
     pub(super) fn interpret(&self, path: &Path) -> Result<Interpreted> {
-        let mut interpreted = self.scanner.interpret().map_err(|error| in_file(path, error))?;
+        let mut interpreted = self.scanner.interpret().map_err(|error| error.in_file(path))?;
         let Interpreted { scanner, scale, oddities, .. } = &mut interpreted;
         if let Some(corners) = self.bbox {
             let found = corners.map(|corner| DVec3::from_array(corner) * *scale);
@@ -302,15 +302,5 @@ fn pitches<const N: usize>(name: &str, n: [usize; N], s: [f64; N], d: Option<&[f
             format!("s{name}/n{name} = {derived:?}"),
             format!("s{name} is the total size, not that of one element: correct it, or leave d{name} out"),
         ))
-    }
-}
-
-/// Says in which file an unusable value stands.
-pub(super) fn in_file(path: &Path, error: Error) -> Error {
-    match error {
-        Error::Invalid { what, got, expected, remedy } => {
-            Error::Format { path: path.into(), what, got, expected, remedy }
-        }
-        other => other,
     }
 }

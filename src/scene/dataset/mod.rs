@@ -20,7 +20,7 @@ use super::noise::Noise;
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder};
-use meta::{Meta, ScannerMeta, ViewMeta, in_file};
+use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2, Ix3};
 use std::path::{Path, PathBuf};
 
@@ -69,7 +69,7 @@ impl Dataset {
         let meta_path = meta_path(path);
         let meta = Meta::read(&meta_path)?;
         let meta::Interpreted { scanner, scale, noise, mut oddities } = meta.interpret(&meta_path)?;
-        let folder = meta_path.parent().unwrap_or(Path::new("."));
+        let folder = meta_path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = folder.canonicalize().ok().and_then(|f| Some(f.file_name()?.to_string_lossy().into_owned()));
         let name = name.unwrap_or_else(|| "scan".into());
 
@@ -174,13 +174,13 @@ fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner,
     }
     let images =
         Array3::from_shape_vec((views.len(), rows, columns), values).expect("every image has the detector's shape");
-    Projections::new(views.iter().map(|view| view.angle).collect(), images).map_err(|error| in_file(meta, error))
+    Projections::new(views.iter().map(|view| view.angle).collect(), images).map_err(|error| error.in_file(meta))
 }
 
 fn read_volume(path: &Path, scanner: &Scanner) -> Result<Volume> {
     let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
     check_finite(path, "volume", values.view())?;
-    Volume::new(scanner.grid, values).map_err(|error| in_file(path, error))
+    Volume::new(scanner.grid, values).map_err(|error| error.in_file(path))
 }
 
 fn read_points(path: &Path) -> Result<Array2<f64>> {
