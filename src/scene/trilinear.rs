@@ -55,7 +55,7 @@ impl Trilinear {
         let shape = volume.grid.shape.map(|n| n + 2);
         let mut values = Array3::zeros(shape);
         volume.values.indexed_iter().for_each(|((x, y, z), &value)| values[[x + 1, y + 1, z + 1]] = value);
-        let per_voxel = volume.grid.spacing.recip();
+        let per_voxel = 1.0 / volume.grid.spacing;
         Self {
             values: values.into_raw_vec_and_offset().0,
             shape,

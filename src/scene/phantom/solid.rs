@@ -47,7 +47,7 @@ impl Solid {
             Shape::Cuboid => half.length(),
             Shape::Cylinder => half.truncate().max_element().max(half.z) * 2.0_f64.sqrt(),
         };
-        let (to_world, to_own) = (DMat3::from_diagonal(half), DMat3::from_diagonal((1.0 / half)));
+        let (to_world, to_own) = (DMat3::from_diagonal(half), DMat3::from_diagonal(1.0 / half));
         Self { shape, density, centre, to_world, to_own, radius }
     }
 
