@@ -235,3 +235,81 @@ pub(super) fn pixels(centre: f64, step: f64, middle: f64, half: f64, count: usiz
     let last = (centre + (middle + half) / step + slack).floor().min(count as f64 - 1.0);
     if first > last { 0..0 } else { first as usize..last as usize + 1 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::{Parameters, Primitives};
+    use crate::scene::{Detector, Grid};
+
+    fn scanner() -> Scanner {
+        Scanner {
+            beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+            detector: Detector {
+                rows: 200,
+                columns: 240,
+                pitch_v: 0.02,
+                pitch_u: 0.017,
+                offset_u: 0.1,
+                offset_v: -0.05,
+            },
+            grid: Grid::cube(8),
+        }
+    }
+
+    fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
+        let primitives = Primitives::new(Parameters {
+            mean: vec![mean],
+            scale: vec![scale],
+            quaternion: vec![[0.7, -0.3, 0.5, 0.2]],
+            density: vec![1.0],
+            nu: vec![7.0],
+        });
+        let shape = Shape::new::<f64>(&primitives.unwrap(), 0, 1e-2);
+        Footprint::new(&shape, &scanner(), &scanner().view(0.8), projection)
+    }
+
+    /// Rows and columns that hold a pixel of the support, found by asking every pixel.
+    fn reached(footprint: &Footprint) -> (Range<usize>, Range<usize>) {
+        let detector = scanner().detector;
+        let mut found = (usize::MAX..0, usize::MAX..0);
+        for row in 0..detector.rows {
+            for column in (0..detector.columns).filter(|&column| footprint.plane.reaches(row, column)) {
+                found.0 = found.0.start.min(row)..found.0.end.max(row + 1);
+                found.1 = found.1.start.min(column)..found.1.end.max(column + 1);
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn the_box_of_the_support_is_exact() {
+        let cases = [
+            ([0.1, -0.2, 0.15], [0.05, 0.12, 0.2]),
+            ([-0.4, 0.3, -0.2], [0.02, 0.03, 0.25]),
+            ([0.9, 0.2, 0.1], [0.3, 0.2, 0.1]),
+        ];
+        for (mean, scale) in cases {
+            for projection in [Projection::Exact, Projection::Affine] {
+                let footprint = footprint(mean, scale, projection);
+                assert_eq!(
+                    (footprint.rows.clone(), footprint.columns.clone()),
+                    reached(&footprint),
+                    "{scale:?} {projection:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_support_that_holds_the_source_takes_the_whole_detector() {
+        let footprint = footprint([1.0, 1.0, 0.0], [2.5, 2.0, 3.0], Projection::Exact);
+        assert_eq!((footprint.rows, footprint.columns), (0..200, 0..240));
+    }
+
+    #[test]
+    fn a_primitive_beside_the_detector_or_behind_the_source_is_not_seen() {
+        assert!(footprint([0.0, 0.0, 3.0], [0.05, 0.05, 0.05], Projection::Exact).is_empty());
+        assert!(footprint([5.0, 5.0, 0.0], [0.05, 0.05, 0.05], Projection::Exact).is_empty());
+    }
+}
