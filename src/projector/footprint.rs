@@ -272,14 +272,14 @@ mod tests {
     /// Rows and columns that hold a pixel of the support, found by asking every pixel.
     fn reached(footprint: &Footprint) -> (Range<usize>, Range<usize>) {
         let detector = scanner().detector;
-        let mut found = (usize::MAX..0, usize::MAX..0);
+        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
         for row in 0..detector.rows {
             for column in (0..detector.columns).filter(|&column| footprint.plane.reaches(row, column)) {
-                found.0 = found.0.start.min(row)..found.0.end.max(row + 1);
-                found.1 = found.1.start.min(column)..found.1.end.max(column + 1);
+                low = [low[0].min(row), low[1].min(column)];
+                high = [high[0].max(row + 1), high[1].max(column + 1)];
             }
         }
-        found
+        (low[0]..high[0], low[1]..high[1])
     }
 
     #[test]
