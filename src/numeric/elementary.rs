@@ -2,7 +2,7 @@
 //! compiled from source instead of taken from the platform. The hot kernels have their own
 //! ([`super::lanes`]).
 
-pub use libm::{atan2, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
+pub use libm::{cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin};
 
 /// Logistic function `1/(1+e^-x)`, without overflow.
 pub fn sigmoid(x: f64) -> f64 {

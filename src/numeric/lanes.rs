@@ -35,8 +35,6 @@ pub trait Real:
     const ZERO: Self;
     /// 1
     const ONE: Self;
-    /// Distance from 1 to the next number.
-    const EPSILON: Self;
     /// Largest n for which the kernels produce 2^-n; smaller values are zero.
     const HORIZON: f64;
     /// Largest distance in units of a primitive's scale that is told apart; keeps squares finite.
@@ -165,7 +163,6 @@ macro_rules! precision {
             type Lanes = $lanes;
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
-            const EPSILON: Self = $scalar::EPSILON;
             const HORIZON: f64 = $horizon;
             const FAR: f64 = $far;
 

@@ -9,7 +9,7 @@ use std::path::Path;
 /// Reads a model. Without `nu`, or with infinite ones, the kernel is Gaussian.
 ///
 /// # Errors
-/// [`Error::Read`] or [`Error::Format`] for the file, [`Error::Invalid`] for the first unusable value.
+/// [`Error::Read`], or [`Error::Format`] for a damaged file or the first unusable value.
 pub fn read(path: &Path) -> Result<Primitives> {
     let npz = Npz::read(path)?;
     let density: Array1<f64> = npz.get("density", "[M]")?;

@@ -3,13 +3,10 @@
 //! It reads well on a phone, in the dark and on paper, loads nothing, and forbids itself to.
 
 mod chart;
-mod font;
 mod gallery;
-mod sheet;
 pub mod slice;
 
 pub use chart::Curve;
-pub use sheet::contact_sheet;
 
 use crate::error::Result;
 use crate::evaluation::Metrics;

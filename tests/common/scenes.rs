@@ -1,7 +1,7 @@
 //! Asymmetric, anisotropic, off-centre scenes, drawn from a seed.
 
 use glam::DVec3;
-use ndarray::{Array, Array3, Dimension, ShapeBuilder};
+use ndarray::{Array, Dimension, ShapeBuilder};
 use rand::RngExt;
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::primitives::{Kernel, Parameters, Primitives};
@@ -55,9 +55,4 @@ pub(crate) fn parallel() -> Scanner {
         detector: Detector { pitch_v: 0.06, pitch_u: 0.055, ..cone().detector },
         ..cone()
     }
-}
-
-/// f64 → f32.
-pub(crate) fn single(values: &Array3<f64>) -> Array3<f32> {
-    values.mapv(|x| x as f32)
 }
