@@ -9,9 +9,9 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use trgs::numeric::{Real, threads::Pool};
+use trgs::numeric::threads::Pool;
 use trgs::primitives::{Kernel, Parameters, Primitives};
-use trgs::projector::{Field, Projection};
+use trgs::projector::{Field, Kernels, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const SIDE: usize = 37;
@@ -97,7 +97,7 @@ fn primitives(kernel: Kernel) -> Primitives {
     .expect("a valid lattice")
 }
 
-fn bench<R: Real>(c: &mut Criterion<TimePerPair>, precision: &str) {
+fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, precision: &str) {
     let pool = Pool::new(1).expect("one thread");
     for kernel in [Kernel::StudentT, Kernel::Gaussian] {
         let field = Field::<R>::new(&primitives(kernel), CUTOFF);

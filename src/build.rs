@@ -8,6 +8,8 @@ fn git(arguments: &[&str]) -> Option<String> {
 }
 
 fn main() {
+    // Files that are added are built in, too.
+    println!("cargo:rerun-if-changed=reference/vectors");
     // The log of HEAD grows with every commit and checkout.
     println!("cargo:rerun-if-changed=.git/logs/HEAD");
     println!("cargo:rerun-if-changed=src");

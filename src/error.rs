@@ -75,26 +75,26 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// An [`Error::Invalid`] from anything that prints.
     pub fn invalid(
-        what: impl Into<String>,
+        what: impl ToString,
         got: impl ToString,
         expected: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into(), remedy: remedy.into() }
+        Self::Invalid { what: one_line(what), got: one_line(got), expected: expected.into(), remedy: remedy.into() }
     }
 
     /// An [`Error::Format`] from anything that prints.
     pub fn format(
         path: &Path,
-        what: impl Into<String>,
+        what: impl ToString,
         got: impl ToString,
         expected: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
         Self::Format {
             path: path.into(),
-            what: what.into(),
-            got: got.to_string(),
+            what: one_line(what),
+            got: one_line(got),
             expected: expected.into(),
             remedy: remedy.into(),
         }
@@ -120,4 +120,10 @@ impl Error {
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::Write { path: path.into(), source }
     }
+}
+
+/// The text with control characters escaped: a message stays one line whatever a file or a flag holds.
+fn one_line(text: impl ToString) -> String {
+    let escaped = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.into() };
+    text.to_string().chars().map(escaped).collect()
 }

@@ -17,6 +17,7 @@
 //! | [`train`](mod@train) | the loop | Fig. 2 |
 //! | [`classical`] | FDK | Sec. 4.1 |
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
+//! | [`oracle`] | conformance vectors for other implementations: handed out, and answers judged | |
 //! | [`config`], [`report`], [`provenance`], [`output`] | what a run is told, shows and leaves behind | |
 //! | [`numeric`] | the ground: scalars, lanes, sums, random numbers, threads | |
 //!
@@ -30,6 +31,7 @@ pub mod evaluation;
 pub mod loss;
 pub mod numeric;
 pub mod optim;
+pub mod oracle;
 pub mod output;
 pub mod primitives;
 pub mod projector;

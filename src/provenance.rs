@@ -41,7 +41,7 @@ impl Provenance {
     pub fn new(threads: usize, command: impl IntoIterator<Item = String>) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
-            commit: option_env!("TRGS_COMMIT").map(Into::into),
+            commit: commit().map(Into::into),
             target: target(),
             target_features: target_features(),
             debug_assertions: cfg!(debug_assertions),
@@ -82,6 +82,11 @@ impl Provenance {
     pub fn add_output(&mut self, path: &Path) -> Result<()> {
         add(&mut self.outputs, path)
     }
+}
+
+/// The commit this program was built from, as far as the build knew.
+pub fn commit() -> Option<&'static str> {
+    option_env!("TRGS_COMMIT")
 }
 
 /// SHA-256 of a file, 64 hexadecimal digits.

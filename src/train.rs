@@ -10,12 +10,12 @@ use crate::classical::fdk::{Window, fdk};
 use crate::config::{Config, DensityControl, KernelName, PositionOptimiser, Precision, Start};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
-use crate::numeric::{Real, rng};
+use crate::numeric::rng;
 use crate::optim::{Adam, Exponential};
 use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
 use crate::primitives::{Activation, Group, Kernel, Parameters, Primitives};
-use crate::projector::Field;
+use crate::projector::{Field, Kernels};
 use crate::scene::dataset::Dataset;
 use crate::scene::{Grid, Volume};
 use glam::DVec3;
@@ -131,7 +131,7 @@ struct Losses {
     tv: f64,
 }
 
-impl<'a, R: Real> Trainer<'a, R> {
+impl<'a, R: Kernels> Trainer<'a, R> {
     fn new(dataset: &'a Dataset, config: &'a Config) -> Result<Self> {
         dataset.scanner.validate()?;
         let longest = dataset.scanner.grid.size().max_element();

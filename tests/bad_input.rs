@@ -171,6 +171,22 @@ fn cotangents_that_do_not_fit() {
 }
 
 #[test]
+fn pixels_and_voxels_that_are_not_there() {
+    let sandbox = Sandbox::with_scan();
+    write_model(&sandbox, &model());
+    for (command, expected) in [
+        ("render m.npz --scanner scan --explain 4,0,0", "view 4, expected 0 to 3"),
+        ("render m.npz --scanner scan --explain 0,14,0 --out a.npy", "row 14, expected 0 to 13"),
+        ("render m.npz --scanner scan --angles 0.5 --explain 0,13,15", "column 15, expected 0 to 14"),
+        ("voxelize m.npz --scanner scan --explain 12,0,0 --out a.npy", "x 12, expected 0 to 11"),
+        ("voxelize m.npz --grid 3,4,5 --explain 2,3,5", "z 5, expected 0 to 4"),
+    ] {
+        let message = sandbox.refused(command);
+        assert!(message.contains("--explain") && message.contains(expected), "{command}: {message}");
+    }
+}
+
+#[test]
 fn configurations_that_cannot_be() {
     let sandbox = Sandbox::with_scan();
     for (text, expected) in [

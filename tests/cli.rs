@@ -8,7 +8,8 @@ use std::collections::BTreeSet;
 use trgs::scene::npy;
 use trgs::scene::npz::Npz;
 
-const COMMANDS: [&str; 7] = ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "inspect"];
+const COMMANDS: [&str; 9] =
+    ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "oracle", "compare", "inspect"];
 const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
 /// A run that takes no time.
 const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4";
@@ -121,6 +122,66 @@ fn precision_and_cutoff_of_a_projection_are_those_asked_for() {
     assert!(dropped > 0.0 && dropped <= bound, "dropped {dropped}, bound {bound}");
 }
 
+/// The contributions of an explanation, after checks of their order, shares and running sums.
+fn contributions(found: &Value) -> Vec<f64> {
+    let lines = found["contributions"].as_array().unwrap();
+    let number = |line: &Value, key: &str| line[key].as_f64().unwrap();
+    let values: Vec<f64> = lines.iter().map(|line| number(line, "contribution")).collect();
+    assert!(values.windows(2).all(|pair| pair[0].abs() >= pair[1].abs()) && values.iter().all(|v| *v != 0.0));
+    let total = found["value"].as_f64().unwrap();
+    let mut sum = 0.0;
+    for (line, value) in lines.iter().zip(&values) {
+        sum += value;
+        assert_eq!(number(line, "sum"), sum);
+        assert!((number(line, "share") * total - value).abs() <= 1e-15 * total, "{line}");
+        assert!(line["centre"].as_array().unwrap().len() == 3 && number(line, "nu") > 0.0);
+    }
+    assert!((sum - total).abs() <= 1e-15 * total);
+    values
+}
+
+#[test]
+fn a_pixel_and_a_voxel_are_explained_by_the_primitives_that_make_them() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done(&format!("reconstruct scan --out run {SHORT}"));
+    let element =
+        |file: &str, index: [usize; 3]| npy::read(&sandbox.path(file)).unwrap().numbers.into_f64()[&index[..]];
+    for flags in ["", "--projection affine", "--precision f32", "--cutoff 0.3 --precision f32"] {
+        let accuracy = if flags.contains("f32") { 1e-6 } else { 1e-14 };
+        let render = format!("render run/model.npz --scanner scan --split test {flags}");
+        let both = sandbox.done(&format!("{render} --out a.npy --explain 2,5,9"));
+        assert_eq!(
+            (&both["out"], &both["view"], &both["row"], &both["column"]),
+            (&"a.npy".into(), &2.into(), &5.into(), &9.into())
+        );
+        let parts = contributions(&both);
+        let (pixel, sum) = (element("a.npy", [2, 5, 9]), parts.iter().sum::<f64>());
+        assert!(pixel > 0.0 && (sum - pixel).abs() <= accuracy * pixel, "{flags}: {sum} against {pixel}");
+        assert!(flags.contains("cutoff") == (parts.len() < 40), "{flags}: {} parts", parts.len());
+
+        let flags = flags.replace("--projection affine", "");
+        let voxelize = format!("voxelize run/model.npz --scanner scan {flags}");
+        let both = sandbox.done(&format!("{voxelize} --out v.npy --explain 4,5,7"));
+        assert_eq!((&both["out"], &both["voxel"]), (&"v.npy".into(), &serde_json::json!([4, 5, 7])));
+        let (voxel, sum) = (element("v.npy", [4, 5, 7]), contributions(&both).iter().sum::<f64>());
+        assert!(voxel > 0.0 && (sum - voxel).abs() <= accuracy * voxel, "{flags}: {sum} against {voxel}");
+    }
+    // Without --out nothing is written; the table has the first 20 and the number of the others.
+    let before = sandbox.names();
+    for command in [
+        "render run/model.npz --scanner scan --angles 0.3 --explain 0,5,9",
+        "voxelize run/model.npz --grid 3,3,3 --explain 1,1,1",
+    ] {
+        let found = sandbox.done(command);
+        assert!(found.get("out").is_none() && found["primitives"] == 40, "{found}");
+        let table = String::from_utf8(sandbox.run(command).stdout).unwrap();
+        assert_eq!(table.lines().count(), 1 + 20 + 1, "{table}");
+        let more = format!("{} more ", contributions(&found).len() - 20);
+        assert!(table.lines().last().unwrap().trim_start().starts_with(&more), "{table}");
+    }
+    assert_eq!(sandbox.names(), before);
+}
+
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     let sandbox = Sandbox::with_scan();
@@ -207,6 +268,9 @@ fn what_does_not_exist_is_a_usage_error_that_names_what_does() {
         ("simulate --phantom tors --out run", &["did you mean torso?"]),
         ("simulate --phantom torso --volume a.npy --out run", &["--volume"]),
         ("render m.npz --scanner scan --out a.npy --vjp b.npy", &["--grad-out"]),
+        ("render m.npz --scanner scan --explain 0,1,1 --vjp b.npy --grad-out g.npz", &["--out"]),
+        ("render m.npz --scanner scan", &["--out"]),
+        ("render m.npz --scanner scan --explain 1,2", &["VIEW,ROW,COLUMN", "3 numbers"]),
         ("voxelize m.npz --out a.npy", &["--scanner", "--grid"]),
     ] {
         let output = sandbox.run(arguments);

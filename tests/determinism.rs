@@ -1,15 +1,18 @@
-//! Same input, same bits: for any number of threads, and when run twice. `.ci/builds` does the same for three
-//! instruction sets.
+//! Same input, same bits: for any number of threads, and when run twice, in one process and in several. `.ci/builds`
+//! does the same for three instruction sets.
 
 mod common;
+mod program;
 
 use common::scenes;
+use program::Sandbox;
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
+use trgs::classical::{Window, fdk};
 use trgs::config::{Config, Precision};
-use trgs::numeric::{Real, threads};
+use trgs::numeric::threads;
 use trgs::primitives::{Group, Kernel, Parameters};
-use trgs::projector::{self, Projection};
+use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::dataset::Dataset;
 use trgs::scene::noise::Noise;
 use trgs::scene::phantom::Phantom;
@@ -35,7 +38,7 @@ fn assert_independent_of_threads(what: &str, work: impl Fn() -> String + Sync) {
     }
 }
 
-fn images_and_gradients<R: Real>(precision: &str) {
+fn images_and_gradients<R: Kernels>(precision: &str) {
     let scanner =
         Scanner { detector: Detector { rows: 150, columns: 131, ..scenes::cone().detector }, ..scenes::cone() };
     let angles = [0.2, 3.0];
@@ -83,6 +86,45 @@ fn scan() -> Dataset {
     let phantom = Phantom::by_name("torso", 0).unwrap();
     let plan = Plan { views: 6, test_views: 2, noise: Noise::LOW, seed: 5 };
     simulate("torso", Object::Phantom(&phantom), &scanner, &plan).unwrap()
+}
+
+#[test]
+fn simulation_noise_and_filtered_backprojection_have_the_same_bits_on_any_number_of_threads() {
+    let numbers = |values: &ndarray::Array3<f32>| digest(values.iter().map(|&x| f64::from(x)));
+    assert_independent_of_threads("simulation", || {
+        let scan = scan();
+        numbers(&scan.train.images) + &numbers(&scan.test.unwrap().images) + &numbers(&scan.truth.unwrap().values)
+    });
+    let scan = scan();
+    for window in [Window::RamLak, Window::Hann] {
+        assert_independent_of_threads(&format!("FDK {window:?}"), || {
+            numbers(&fdk(&scan.scanner, &scan.train, window).unwrap().values)
+        });
+    }
+}
+
+/// Every file that counts, of a simulation with noise and of a reconstruction by FDK.
+fn files(sandbox: &Sandbox, threads: usize) -> Vec<(String, Vec<u8>)> {
+    let scan =
+        "simulate --phantom torso --out scan --size 16 --detector 18,21 --views 5 --test-views 2 --noise high --seed 9";
+    sandbox.done(&format!("{scan} --threads {threads}"));
+    sandbox.done(&format!("reconstruct scan --out run --method fdk --threads {threads}"));
+    let content = sandbox.content().into_iter().filter(|(path, _)| !path.ends_with("provenance.json"));
+    let content = content.filter(|(path, _)| !path.ends_with("report.html"));
+    content.map(|(path, bytes)| (path.strip_prefix(sandbox.path("")).unwrap().display().to_string(), bytes)).collect()
+}
+
+#[test]
+fn several_processes_write_the_same_files_on_any_number_of_threads() {
+    let first = files(&Sandbox::new(), 1);
+    assert!(first.iter().any(|(name, _)| name == "scan/proj_train/proj_train_0004.npy"), "simulated");
+    assert!(first.iter().any(|(name, _)| name == "run/volume.npy"), "reconstructed");
+    for threads in [1, 2, 3] {
+        for ((name, before), (again, after)) in first.iter().zip(files(&Sandbox::new(), threads)) {
+            assert_eq!(*name, again);
+            assert!(*before == after, "{name} on {threads} threads differs from another process's");
+        }
+    }
 }
 
 #[test]

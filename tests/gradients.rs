@@ -2,57 +2,27 @@
 
 mod common;
 
-use common::precision::{GRADIENT_AGAINST_TRUTH_F64, GRADIENT_RAW_AGAINST_DIFFERENCES, gradient_against_truth_f32};
-use common::vectors::{Case, cases};
-use common::{scenes, vectors};
-use trgs::numeric::Real;
+use common::precision::GRADIENT_RAW_AGAINST_DIFFERENCES;
+use common::scenes;
+use common::vectors::assert_conformance;
+use trgs::config::Precision;
+use trgs::oracle::Format;
 use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, Kernel, Parameters};
 use trgs::projector::{self, Projection};
 
-/// Largest error of each group relative to the group's largest entry; NaN counts as infinite.
-fn errors(got: &Parameters, truth: &Parameters) -> [(Group, f64); 5] {
-    Group::ALL.map(|group| {
-        let peak = truth.group(group).iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-        let error = got.group(group).iter().zip(truth.group(group)).map(|(a, b)| (a - b).abs());
-        let worst = error.fold(0.0_f64, |m, e| if e.is_nan() { f64::INFINITY } else { m.max(e) });
-        (group, if peak > 0.0 { worst / peak } else { worst })
-    })
-}
-
-fn check<R: Real>(case: &Case, tolerance: impl Fn(&str, &str) -> f64) {
-    let real = |name: &str| case.array(name).mapv(R::from_f64);
-    let image = real("cotangent_image.npy");
-    let gradients = [
-        (
-            "grad_exact.npz",
-            projector::vjp(&case.primitives, &case.scanner, &case.angles, Projection::Exact, 0.0, image.view()),
-        ),
-        (
-            "grad_affine.npz",
-            projector::vjp(&case.primitives, &case.scanner, &case.angles, Projection::Affine, 0.0, image.view()),
-        ),
-        (
-            "grad_volume.npz",
-            projector::voxelize_vjp(&case.primitives, &case.scanner.grid, 0.0, real("cotangent_volume.npy").view()),
-        ),
-    ];
-    for (file, gradient) in gradients {
-        for (group, error) in errors(&gradient, &case.gradient(file)) {
-            println!("{} {file} {}: {error:.2e}", case.id, group.key());
-            assert!(error <= tolerance(&case.id, group.key()), "{} {file} {}: {error:e}", case.id, group.key());
-        }
-    }
+fn is_gradient(case: &trgs::oracle::Case) -> bool {
+    case.stage.starts_with("gradient")
 }
 
 #[test]
 fn gradients_in_f64_agree_with_50_digit_differences() {
-    vectors::cases().iter().for_each(|case| check::<f64>(case, |_, _| GRADIENT_AGAINST_TRUTH_F64));
+    assert_conformance(Precision::F64, Format::F64, is_gradient);
 }
 
 #[test]
 fn gradients_in_f32_agree_with_50_digit_differences() {
-    cases().iter().for_each(|case| check::<f32>(case, gradient_against_truth_f32));
+    assert_conformance(Precision::F32, Format::F32, is_gradient);
 }
 
 /// The whole chain of training: raw parameters → physical → image, and back.

@@ -5,7 +5,7 @@ mod common;
 use common::precision::{FAST_AGAINST_NAIVE_F64, GRADIENT_FAST_AGAINST_NAIVE_F64};
 use common::scenes;
 use ndarray::Array3;
-use trgs::primitives::{Group, Kernel, Parameters};
+use trgs::primitives::{Group, Kernel, Parameters, Primitives};
 use trgs::projector::{self, Projection, naive};
 use trgs::scene::Scanner;
 
@@ -127,6 +127,20 @@ fn what_the_cutoff_drops_is_within_its_reported_bound() {
             assert!(tightest < 100.0, "a bound that is never within a factor of 100 tells nothing: {tightest}");
         }
     }
+}
+
+#[test]
+fn primitives_behind_the_source_are_no_part_of_the_bound() {
+    let mut primitives = scenes::primitives(Kernel::StudentT, 2, 6);
+    primitives.parameters.mean[1] = [6.0, 2.0, 0.1];
+    let bound = |primitives: &Primitives| {
+        let field = projector::Field::<f64>::new(primitives, 1e-2);
+        field.view(&scenes::cone(), 0.0, Projection::Exact).truncation_bound()
+    };
+    let both = bound(&primitives);
+    primitives.parameters.density[1] = 0.0;
+    assert_eq!(both, bound(&primitives));
+    assert!(both.iter().any(|b| *b == 0.0) && both.iter().any(|b| *b > 0.0), "the other one counts");
 }
 
 #[test]

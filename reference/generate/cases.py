@@ -1,110 +1,102 @@
-"""The scenes of the vectors: small, asymmetric, anisotropic, off-centre, all in front of the source."""
+"""All cases in the order of the manifest, the files they share, and the meaning of the flags."""
 
-from dataclasses import dataclass, field
-from math import inf
+import cut_cases
+import raw_cases
+import scan_cases
+import scene_cases
+import small_cases
+from files import file_bytes
 
-from scene import Scanner, primitive
-
-STUDENT = ["Eq. 1", "Eq. 2", "Eq. 3", "Eq. 4", "Eq. 5", "X1"]
-LARGE_NU = STUDENT + ["X3"]
-GAUSSIAN = ["Eq. 1", "Eq. 3", "Eq. 4", "X1"]
-
-
-@dataclass(frozen=True)
-class Case:
-    id: str
-    title: str
-    scanner: Scanner
-    angles: list
-    primitives: list
-    level: str = "core"         # core | optional | stress
-    equations: list = field(default_factory=lambda: STUDENT)
-    flags: list = field(default_factory=list)
-
-    @property
-    def kernel(self):
-        return "gaussian" if self.primitives[0].gaussian else "student_t"
-
-
-CONE = Scanner("cone", dso=5.0, dsd=7.0, n_detector=(7, 9), s_detector=(3.5, 4.5),
-               n_voxel=(5, 6, 7), s_voxel=(2.0, 2.0, 2.0))
-OFFSET = Scanner("cone", dso=4.6, dsd=7.3, n_detector=(10, 8), s_detector=(3.9, 4.4),
-                 n_voxel=(5, 7, 4), s_voxel=(2.0, 1.7, 1.2), off_origin=(0.13, -0.21, 0.07), off_detector=(0.35, -0.22))
-PARALLEL = Scanner("parallel", dso=5.0, dsd=7.0, n_detector=(8, 10), s_detector=(1.9, 2.3),
-                   n_voxel=(6, 5, 7), s_voxel=(1.8, 2.0, 1.5), off_origin=(-0.08, 0.05, 0.11), off_detector=(-0.17, 0.09))
-WIDE = Scanner("cone", dso=5.0, dsd=7.0, n_detector=(8, 12), s_detector=(9.0, 13.0),
-               n_voxel=(6, 5, 7), s_voxel=(2.0, 2.0, 2.0), off_detector=(0.4, 0.3))
-# Every pixel centre below is a dyadic number, and so is the point of the axis that it looks at.
-DYADIC = Scanner("cone", dso=4.0, dsd=8.0, n_detector=(7, 9), s_detector=(1.75, 4.5),
-                 n_voxel=(5, 6, 7), s_voxel=(2.0, 2.0, 2.0))
-
-
-def student_body(nu):
-    return primitive((0.23, -0.31, 0.17), (0.31, 0.18, 0.24), (0.83, -0.31, 0.42, 0.19), 0.7, nu)
-
-
-def several(*nus):
-    """Up to five primitives of different size and orientation, one per given nu."""
-    shapes = [
-        ((0.21, -0.34, 0.15), (0.27, 0.14, 0.19), (0.81, -0.33, 0.41, 0.26), 0.62),
-        ((-0.45, 0.12, -0.38), (0.12, 0.33, 0.21), (0.35, 0.72, -0.18, 0.57), 0.35),
-        ((0.52, 0.48, 0.29), (0.09, 0.16, 0.23), (-0.27, 0.44, 0.66, -0.54), 1.1),
-        ((-0.18, -0.61, 0.44), (0.20, 0.08, 0.11), (0.95, 0.12, -0.07, 0.28), 0.48),
-        ((0.08, 0.27, -0.09), (0.41, 0.36, 0.30), (0.10, -0.88, 0.23, 0.40), 0.09),
-    ]
-    return [primitive(*shape, nu) for shape, nu in zip(shapes, nus)]
-
-
-def one_nu(name, nu, level, equations=STUDENT, flags=()):
-    return Case(f"nu-{name}", f"One primitive with nu = {name}, cone beam", CONE, [0.4, 2.7], [student_body(nu)],
-                level, equations, list(flags))
-
+FLAGS = {
+    "above-i0": "a reading above the photons without an object: clipped to 0",
+    "anisotropic-voxels": "the three sides of a voxel differ",
+    "at-source-plane": "a centre lies exactly in the plane of the source, where its depth is 0",
+    "behind-source": "a centre lies behind the source",
+    "below-floor": "a reading below the floor, which stands in for it",
+    "beyond-detector": "voxels that project beside the detector",
+    "centre-on-pixel": "a centre projects exactly on the centre of a pixel",
+    "centre-outside-detector": "centres project beside the detector",
+    "constant-images": "all pixels of an image are the same",
+    "equal-neighbours": "neighbours with the same value: the sub-gradient of their difference is 0",
+    "equal-pixels": "pixels where prediction and target are the same: the sub-gradient of |p-t| is 0",
+    "extreme-gradient": "gradients many orders of magnitude from 1",
+    "far-skirt": "values far below the peak",
+    "gaussian-limit": "the Gaussian kernel as the limit of nu to infinity, and nu so large that it is nearly reached",
+    "ill-conditioned": "scales of one primitive a thousand apart",
+    "near-limit": "a centre just nearer to the source than dso/100, where it is left out",
+    "negative-values": "values below 0",
+    "non-square-pixels": "the two sides of a pixel differ",
+    "nu-above-training-range": "nu > 100",
+    "nu-below-training-range": "nu < 2",
+    "odd-even-sides": "one side of the detector is odd, the other even",
+    "offset-detector": "the detector is shifted",
+    "offset-volume": "the volume is shifted",
+    "on-the-cutoff": "a pixel or a voxel at the cutoff itself, where either answer is right (see its allowance)",
+    "one-pixel": "a detector or an image of one pixel",
+    "one-row": "an image of one row",
+    "one-view": "a single view",
+    "parallel": "a parallel beam",
+    "range-above-one": "image values above the range of 1 that SSIM's constants are made for",
+    "saturated": "raw numbers far out, where a sigmoid or a softplus loses its slope",
+    "side-of-one": "an array with a side of 1",
+    "sign-flip": "a gradient that changes its sign",
+    "subnormal": "densities below the smallest normal number",
+    "support-beyond-detector": "the support of a primitive is larger than the detector",
+    "support-not-ellipse": "the plane of the source cuts the support, whose shadow is then no ellipse",
+    "tiny-density": "a density of 1e-30",
+    "tiny-quaternion": "a quaternion of norm 1e-18 or 1e-100",
+    "uneven-views": "views at uneven angles, not in order",
+    "unnormalised-quaternion": "quaternions whose norm is not 1",
+    "zero-density": "a density of 0",
+    "zero-gradient": "a gradient of exactly 0",
+    "zero-image": "an image of zeros",
+    "zero-rate": "a rate of 0 at one end",
+}
 
 CASES = [
-    Case("cone-centred", "Cone beam, centred detector, three Student-t primitives", CONE,
-         [0.3, 2.2, 4.9], several(2.5, 7.25, 14.6)),
-    Case("cone-offset", "Cone beam, shifted non-square detector, shifted volume with three different voxel sides", OFFSET,
-         [0.7, 2.9, 5.3], several(3.7, 2.2, 41.0, 9.5),
-         flags=["offset-detector", "non-square-pixels", "offset-volume", "anisotropic-voxels"]),
-    Case("cone-five", "Cone beam, five overlapping primitives", CONE, [1.1, 3.8], several(2.1, 4.4, 11.0, 26.5, 88.0)),
-    Case("parallel-offset", "Parallel beam, shifted non-square detector, shifted volume", PARALLEL,
-         [0.5, 1.6, 2.8], several(2.5, 7.25, 14.6),
-         flags=["parallel", "offset-detector", "non-square-pixels", "offset-volume", "anisotropic-voxels"]),
-    Case("needle", "A needle 1:1000 that one pixel of each view hits", CONE, [0.9, 2.4],
-         [primitive((0.0326, 0.2812, -0.0053), (0.5, 0.0005, 0.0006), (0.1079, 0.8708, 0.0144, -0.4794), 3.5, 3.3)],
-         "stress", flags=["ill-conditioned"]),
-    Case("pancake", "A pancake 1:1000, edge-on for one pixel of view 0", CONE, [0.9, 2.4],
-         [primitive((0.2772, -0.2258, 0.3575), (0.48, 0.0005, 0.41), (0.4985, -0.0528, 0.6938, 0.517), 5.5, 4.1)],
-         "stress", flags=["ill-conditioned"]),
-    one_nu("1", 1.0, "optional", flags=["nu-below-training-range"]),
-    one_nu("2", 2.0, "core"),
-    one_nu("3", 3.0, "core"),
-    one_nu("30", 30.0, "core"),
-    one_nu("1e3", 1e3, "optional", LARGE_NU, ["nu-above-training-range"]),
-    one_nu("1e4", 1e4, "optional", LARGE_NU, ["nu-above-training-range"]),
-    Case("gaussian-cone", "Gaussian kernel, cone beam, shifted detector", OFFSET, [0.7, 2.9, 5.3],
-         several(inf, inf, inf), equations=GAUSSIAN,
-         flags=["offset-detector", "non-square-pixels", "offset-volume", "anisotropic-voxels"]),
-    Case("gaussian-parallel", "Gaussian kernel, parallel beam", PARALLEL, [0.5, 1.6], several(inf, inf, inf, inf),
-         equations=GAUSSIAN,
-         flags=["parallel", "offset-detector", "non-square-pixels", "offset-volume", "anisotropic-voxels"]),
-    Case("wide-student", "Wide detector: the far skirts of two Student-t primitives", WIDE, [0.2, 4.1],
-         several(2.4, 17.0), "stress", flags=["far-skirt", "offset-detector", "non-square-pixels"]),
-    Case("wide-gaussian", "Wide detector: a Gaussian down to 1e-40 of its peak and less", WIDE, [0.2, 4.1],
-         [primitive((0.26, -0.38, 0.21), (0.26, 0.21, 0.3), (0.77, 0.31, -0.44, 0.2), 0.9, inf)], "stress", GAUSSIAN,
-         ["far-skirt", "offset-detector", "non-square-pixels"]),
-    Case("pixel-centre", "A centre that projects exactly on the centre of pixel (1, 6) of view 0", DYADIC, [0.0, 1.3],
-         [primitive((0.0, 0.5, 0.25), (0.22, 0.31, 0.15), (0.7, 0.2, -0.5, 0.4), 0.8, 5.2)], flags=["centre-on-pixel"]),
-    Case("quaternion-norm", "Quaternions of norm 0.001, 250 and 1, one of them with w = 0", CONE, [0.6, 3.3],
-         [primitive((0.3, -0.2, 0.12), (0.32, 0.12, 0.2), (0.0007, -0.0003, 0.0005, 0.0004), 0.6, 6.5),
-          primitive((-0.33, 0.25, -0.2), (0.15, 0.3, 0.11), (-120.0, 95.0, 160.0, -115.0), 0.5, 2.9),
-          primitive((0.05, 0.42, 0.33), (0.1, 0.21, 0.28), (0.0, 0.6, -0.8, 0.0), 0.4, 12.0)],
-         flags=["unnormalised-quaternion"]),
-    Case("outside-view", "Centres that project beside the detector; the image has their skirts only",
-         Scanner("cone", dso=5.0, dsd=7.0, n_detector=(7, 9), s_detector=(0.8, 1.1), n_voxel=(5, 6, 7),
-                 s_voxel=(2.0, 2.0, 2.0), off_detector=(0.1, -0.05)),
-         [0.3, 0.5],
-         [primitive((0.15, 0.85, 0.1), (0.28, 0.17, 0.22), (0.9, 0.2, -0.3, 0.25), 0.8, 3.1),
-          primitive((-0.2, 0.12, -0.9), (0.14, 0.25, 0.31), (0.4, -0.6, 0.5, 0.48), 0.55, 8.7)],
-         flags=["centre-outside-detector"]),
+    *scene_cases.covariances(),
+    *small_cases.kernels(),
+    *small_cases.integral_factors(),
+    *scene_cases.densities(),
+    *scene_cases.projected_kernels("affine"),
+    *scene_cases.projected_kernels("exact"),
+    *scene_cases.images("affine"),
+    *scene_cases.images("exact"),
+    *scene_cases.density_gradients(),
+    *scene_cases.image_gradients("affine"),
+    *scene_cases.image_gradients("exact"),
+    *raw_cases.activations(),
+    *raw_cases.raw_gradients(),
+    *cut_cases.supports(),
+    *cut_cases.cut_images("image-cutoff"),
+    *cut_cases.cut_densities(),
+    *cut_cases.cut_images("truncation-bound"),
+    *small_cases.image_losses("loss-l1"),
+    *small_cases.image_losses("loss-ssim"),
+    *small_cases.tv_losses(),
+    *small_cases.image_losses("loss-image"),
+    *small_cases.schedules(),
+    *small_cases.adams(),
+    *scan_cases.fdk_filters(),
+    *scan_cases.fdk_backprojections(),
+    *scan_cases.fdks(),
+    *scan_cases.noises(),
+    *scan_cases.randoms(),
+    *scan_cases.metric_cases(),
 ]
+
+
+def shared_inputs():
+    """path -> content of every file that is given; one path may not have two contents."""
+    found = {}
+    for case in CASES:
+        for given in case.inputs.values():
+            before = found.setdefault(given.path, given.content)
+            assert before is given.content or file_bytes(given.path, before) == file_bytes(given.path, given.content), given.path
+    return found
+
+
+INPUTS = shared_inputs()
+USED = {flag for case in CASES for flag in case.flags}
+assert USED == set(FLAGS), f"flags used but not described, or described but not used: {sorted(USED ^ set(FLAGS))}"
+assert len({case.id for case in CASES}) == len(CASES), "two cases have one id"

@@ -15,8 +15,9 @@ AGREEMENT = mpf(10)**-20
 PARAMETERS = {"mean": 3, "scale": 3, "quaternion": 4, "density": None, "nu": None}
 
 
-def components(name):
-    return [None] if PARAMETERS[name] is None else range(PARAMETERS[name])
+def shapes(count):
+    """Of the arrays of a model of `count` primitives, and of a gradient."""
+    return {name: (count,) if width is None else (count, width) for name, width in PARAMETERS.items()}
 
 
 def difference(function, p, name, component):
@@ -24,10 +25,14 @@ def difference(function, p, name, component):
     if name == "nu" and p.gaussian:
         return mpf(0)
 
+    unit = STEP
+    if name == "quaternion":        # a step of its own length for the tiny ones
+        unit *= min(1, mp.sqrt(sum(x * x for x in p.quaternion)))
+
     def slope(h):
         return (function(p.moved(name, component, h)) - function(p.moved(name, component, -h))) / (2 * h)
 
-    short, long = slope(STEP), slope(8 * STEP)
+    short, long = slope(unit), slope(8 * unit)
     size = max(abs(short), abs(function(p)) * mpf(10)**-6)
     assert abs(short - long) <= AGREEMENT * size, f"d/d{name}[{component}]: {mp.nstr(short, 25)} or {mp.nstr(long, 25)}"
     return short

@@ -2,7 +2,7 @@
 
 from mpmath import mp, mpf
 
-from scene import apply, combine, dot, kernel, ray, rotation, whitening
+from scene import apply, combine, dot, kernel, rotation
 
 # Quadrature must report a relative error below this; images are rounded to float64 afterwards.
 QUADRATURE_ERROR = mpf(10)**-34
@@ -60,6 +60,20 @@ def closed_form(p, whiten, point, direction, ratio):
     if p.gaussian:
         return p.density * mp.sqrt(2 * mp.pi / zz) * mp.exp(-dmin / 2)
     return p.density * ratio * mp.sqrt(p.nu * mp.pi / zz) * mp.power(1 + dmin / p.nu, -(p.nu + 2) / 2)
+
+
+def integral_factor(nu):
+    """[Eq. 5] [A] sqrt(nu pi) Gamma((nu+2)/2)/Gamma((nu+3)/2): the integral of T along a line of unit P through the centre."""
+    return mp.sqrt(2 * mp.pi) if mp.isinf(nu) else mp.sqrt(nu * mp.pi) * gamma_ratio(nu)
+
+
+def integral_factor_slope(nu):
+    """[A] Its derivative: a central difference, held against the digamma functions."""
+    h = mpf(10)**-17
+    slope = (integral_factor(nu + h) - integral_factor(nu - h)) / (2 * h)
+    other = integral_factor(nu) / 2 * (1 / nu + mp.digamma((nu + 2) / 2) - mp.digamma((nu + 3) / 2))
+    assert abs(slope / other - 1) < mpf(10)**-18, f"d/dnu at {mp.nstr(nu, 5)}: {mp.nstr(slope / other - 1, 3)}"
+    return slope
 
 
 def gamma_ratio(nu):
@@ -120,10 +134,24 @@ class CameraFrame:
         a = self.a0 + 2 * kappa * l + kappa**2 * q
         return self.amplitude_and_fall(mp.sqrt(dot(d, d)), a, (self.a0 / a) * (q - l * l / self.a0))
 
+    def pixel(self, a, b):
+        """The fractional pixel (row, column) with detector coordinates a, b; in a cone beam those over the distance dsd."""
+        s, scale = self.scanner, mpf(1) if self.parallel else mpf(self.scanner.dsd)
+        rows, columns = s.n_detector
+        dv, du = mpf(s.s_detector[0]) / rows, mpf(s.s_detector[1]) / columns
+        return ((scale * b - mpf(s.off_detector[1])) / dv - mpf(1) / 2 + mpf(rows) / 2,
+                (scale * a - mpf(s.off_detector[0])) / du - mpf(1) / 2 + mpf(columns) / 2)
 
-def exact_by_quadrature(p, whiten, scanner, view, row, column):
-    return line_integral(p, whiten, *ray(scanner, view, row, column))
+    def reach(self, row, column, exact):
+        """[X2] r delta-hat, what the cutoff is compared with; r = 1 in the affine projection."""
+        alpha, beta = self.offsets(row, column)
+        q, l = self.quadratic_and_linear(alpha, beta)
+        kappa = 1 / self.m[2] if exact and not self.parallel else mpf(0)
+        return (q - l * l / self.a0) * self.a0 / (self.a0 + 2 * kappa * l + kappa**2 * q)
 
 
-def exact_by_formula(p, whiten, scanner, view, row, column, ratio):
-    return closed_form(p, whiten, *ray(scanner, view, row, column), ratio)
+def left_out(p, scanner, view):
+    """The "near" rule: a centre whose depth from the source is at most dso/100 is not seen by a cone beam [choice]."""
+    if scanner.mode == "parallel":
+        return False
+    return view.camera(combine((1, p.mean), (-1, view.source)))[2] <= mpf(scanner.dso) / 100

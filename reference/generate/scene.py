@@ -144,3 +144,9 @@ def kernel(delta, nu):
     if mp.isinf(nu):
         return mp.exp(-delta / 2)
     return mp.power(1 + delta / nu, -(nu + 3) / 2)
+
+
+def covariance(p):
+    """[Eq. 3] Sigma = R diag(s^2) R^T"""
+    r = rotation(p.quaternion)
+    return [[sum(r[i][k] * r[j][k] * p.scale[k]**2 for k in range(3)) for j in range(3)] for i in range(3)]

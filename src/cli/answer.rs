@@ -13,7 +13,9 @@ const LONGEST_LIST: usize = 6;
 /// A result in both forms.
 pub(super) struct Answer {
     json: Value,
-    table: Table,
+    text: String,
+    /// Whether a check, if the command is one, said yes.
+    approves: bool,
 }
 
 impl Answer {
@@ -22,7 +24,7 @@ impl Answer {
         let json = to_json(result);
         let mut lines = Vec::new();
         flatten("", &json, &mut lines);
-        Self { table: table(&[], lines), json }
+        Self { text: table(&[], lines).trim_fmt(), json, approves: true }
     }
 
     /// A result with a table of its own.
@@ -31,12 +33,22 @@ impl Answer {
         header: [&str; N],
         rows: impl IntoIterator<Item = [String; N]>,
     ) -> Self {
-        Self { json: to_json(result), table: table(&header, rows) }
+        Self { json: to_json(result), text: table(&header, rows).trim_fmt(), approves: true }
+    }
+
+    /// The outcome of a check, with a text of its own.
+    pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
+        Self { json: to_json(result), text: text.trim_end().to_owned(), approves }
+    }
+
+    /// Whether the program may end with exit code 0.
+    pub(super) fn approves(&self) -> bool {
+        self.approves
     }
 
     /// Writes the result to standard output. It is no error when a reader like `head` does not want all of it.
     pub(super) fn print(&self, json: bool) -> Result<()> {
-        let text = if json { self.json.to_string() } else { self.table.trim_fmt() };
+        let text = if json { &self.json.to_string() } else { &self.text };
         let mut output = io::stdout().lock();
         match writeln!(output, "{text}").and_then(|()| output.flush()) {
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {

@@ -5,11 +5,14 @@
 
 mod answer;
 mod arguments;
+mod compare;
 mod demo;
 mod evaluate;
+mod explain;
 mod inspect;
 mod interrupt;
 mod messages;
+mod oracle;
 mod reconstruct;
 mod render;
 mod run_folder;
@@ -23,6 +26,7 @@ use std::process::ExitCode;
 use trgs::numeric::threads;
 use trgs::{Error, Result};
 
+const CHECK_SAID_NO: u8 = 1;
 const BAD_INPUT: u8 = 2;
 const INTERRUPTED: u8 = 130;
 /// More workers than this wait for each other.
@@ -75,6 +79,8 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     Render(render::Render),
     Voxelize(voxelize::Voxelize),
+    Oracle(oracle::Oracle),
+    Compare(compare::Compare),
     Inspect(inspect::Inspect),
 }
 
@@ -91,8 +97,9 @@ pub(crate) fn main() -> ExitCode {
     messages::install(&cli.global);
     interrupt::install();
     let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
-    match answer.flatten().and_then(|answer| answer.print(cli.global.json)) {
-        Ok(()) => ExitCode::SUCCESS,
+    match answer.flatten().and_then(|answer| answer.print(cli.global.json).map(|()| answer.approves())) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(CHECK_SAID_NO),
         Err(error) => {
             messages::error(&error);
             ExitCode::from(if matches!(error, Error::Interrupted { .. }) { INTERRUPTED } else { BAD_INPUT })
@@ -109,6 +116,8 @@ impl Command {
             Self::Evaluate(command) => command.run(),
             Self::Render(command) => command.run(),
             Self::Voxelize(command) => command.run(),
+            Self::Oracle(command) => command.run(),
+            Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(),
         }
     }

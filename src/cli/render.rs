@@ -1,7 +1,7 @@
 //! `trgs render`: projections of a model, and the gradient of whatever is made of them.
 
-use super::arguments::{cutoff, finite};
-use super::{Answer, check_size, interrupt};
+use super::arguments::{cutoff, finite, list};
+use super::{Answer, check_size, explain, interrupt};
 use clap::{Args, ValueEnum};
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Parameters, Primitives, model};
-use trgs::projector::{Field, Projection, forward, vjp};
+use trgs::projector::{Field, Kernels, Projection, forward, vjp};
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
 use trgs::scene::{Dataset, Scanner, npy};
@@ -22,7 +22,8 @@ use trgs::{Error, Result};
     after_help = "Examples:
   trgs render out/torso/model.npz --scanner data/torso --split test --out views.npy
   trgs render model.npz --scanner meta_data.json --angles 0,1.5708 --out views.npy \\
-      --vjp cotangent.npy --grad-out grad.npz"
+      --vjp cotangent.npy --grad-out grad.npz
+  trgs render out/torso/model.npz --scanner data/torso --explain 0,31,40"
 )]
 pub(super) struct Render {
     /// Model to project
@@ -42,8 +43,11 @@ pub(super) struct Render {
     #[arg(long, value_enum, default_value_t = Projection::Exact)]
     projection: Projection,
     /// Projections [view, v, u] to write
-    #[arg(long, value_name = "FILE.npy")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]
+    out: Option<PathBuf>,
+    /// List what each primitive adds to one pixel, counted from 0, the largest first
+    #[arg(long, value_name = "VIEW,ROW,COLUMN", value_parser = list::<usize, 3>)]
+    explain: Option<[usize; 3]>,
     #[command(flatten)]
     kernel: KernelArgs,
 }
@@ -58,7 +62,7 @@ pub(super) struct KernelArgs {
     #[arg(long, value_name = "EPS", default_value_t = 0.0, value_parser = cutoff)]
     pub(super) cutoff: f64,
     /// Cotangent of the output, of the same shape
-    #[arg(long, value_name = "COTANGENT.npy", requires = "grad_out")]
+    #[arg(long, value_name = "COTANGENT.npy", requires_all = ["grad_out", "out"])]
     vjp: Option<PathBuf>,
     /// Gradient of Σ cotangent·output to write, with the keys and shapes of the model
     #[arg(long, value_name = "GRAD.npz", requires = "vjp")]
@@ -87,6 +91,16 @@ pub(super) struct Written<'a> {
     pub(super) grad_out: Option<&'a Path>,
 }
 
+/// What is explained.
+#[derive(Serialize)]
+struct Pixel {
+    view: usize,
+    /// Radians.
+    angle: f64,
+    row: usize,
+    column: usize,
+}
+
 impl Render {
     pub(super) fn run(&self) -> Result<Answer> {
         match self.kernel.precision {
@@ -95,23 +109,49 @@ impl Render {
         }
     }
 
-    fn render<R: Real + Element>(&self) -> Result<Answer> {
+    fn render<R: Kernels + Element>(&self) -> Result<Answer> {
         let primitives = model::read(&self.model)?;
         let (scanner, angles) = self.views()?;
+        let shape = [angles.len(), scanner.detector.rows, scanner.detector.columns];
+        if let Some(pixel) = self.explain {
+            explain::check_index(pixel, shape, ["view", "row", "column"])?;
+        }
+        let written = match &self.out {
+            Some(out) => Some(self.write::<R>(out, &primitives, &scanner, &angles)?),
+            None => None,
+        };
+        match (self.explain, written) {
+            (Some([view, row, column]), written) => {
+                let field = Field::<R>::new(&primitives, self.kernel.cutoff);
+                let contributions = field.view(&scanner, angles[view], self.projection).contributions(row, column);
+                let pixel = Pixel { view, angle: angles[view], row, column };
+                Ok(explain::answer(pixel, &primitives, &contributions, written))
+            }
+            (None, written) => Ok(Answer::list(&written)),
+        }
+    }
+
+    fn write<'a, R: Kernels + Element>(
+        &'a self,
+        out: &'a Path,
+        primitives: &Primitives,
+        scanner: &Scanner,
+        angles: &[f64],
+    ) -> Result<Written<'a>> {
         let (projection, cutoff) = (self.projection, self.kernel.cutoff);
         check_size("projections", &[angles.len(), scanner.detector.rows, scanner.detector.columns])?;
-        let images = forward::<R>(&primitives, &scanner, &angles, projection, cutoff);
-        let pull_back = |d: &Array3<R>| vjp(&primitives, &scanner, &angles, projection, cutoff, d.view());
-        self.kernel.write(&self.out, &images, pull_back)?;
-        Ok(Answer::list(&Written {
-            out: &self.out,
+        let images = forward::<R>(primitives, scanner, angles, projection, cutoff);
+        let pull_back = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
+        self.kernel.write(out, &images, pull_back)?;
+        Ok(Written {
+            out,
             shape: images.shape().to_vec(),
             precision: self.kernel.precision,
             projection: Some(projection),
             cutoff,
-            truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(&primitives, &scanner, &angles)),
+            truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(primitives, scanner, angles)),
             grad_out: self.kernel.grad_out.as_deref(),
-        }))
+        })
     }
 
     fn views(&self) -> Result<(Scanner, Vec<f64>)> {
@@ -128,7 +168,7 @@ impl Render {
         Ok((dataset.scanner, views.angles))
     }
 
-    fn truncation_bound<R: Real>(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> f64 {
+    fn truncation_bound<R: Kernels>(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> f64 {
         let field = Field::<R>::new(primitives, self.kernel.cutoff);
         let bounds = angles.iter().map(|&angle| field.view(scanner, angle, self.projection).truncation_bound());
         bounds.fold(0.0, |largest, bounds| bounds.into_iter().fold(largest, f64::max))
@@ -137,7 +177,7 @@ impl Render {
 
 impl KernelArgs {
     /// Writes the output and, where asked for, what `pull_back` makes of the cotangent: both or neither computed.
-    pub(super) fn write<R: Real + Element>(
+    pub(super) fn write<R: Kernels + Element>(
         &self,
         out: &Path,
         output: &Array3<R>,

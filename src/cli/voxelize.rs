@@ -2,16 +2,16 @@
 
 use super::arguments::list;
 use super::render::{KernelArgs, Written};
-use super::{Answer, check_size};
+use super::{Answer, check_size, explain};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
-use std::path::PathBuf;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::Precision;
-use trgs::numeric::Real;
-use trgs::primitives::model;
-use trgs::projector::{voxelize, voxelize_vjp};
+use trgs::primitives::{Primitives, model};
+use trgs::projector::{Field, Kernels, voxelize, voxelize_vjp};
 use trgs::scene::Grid;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
@@ -24,7 +24,8 @@ use trgs::scene::npy::Element;
   trgs voxelize out/torso/model.npz --scanner data/torso --out volume.npy
   trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --out volume.npy
   trgs voxelize model.npz --grid 64,64,64 --out volume.npy \\
-      --vjp cotangent.npy --grad-out grad.npz"
+      --vjp cotangent.npy --grad-out grad.npz
+  trgs voxelize out/torso/model.npz --scanner data/torso --explain 20,32,17"
 )]
 pub(super) struct Voxelize {
     /// Model to sample
@@ -37,8 +38,11 @@ pub(super) struct Voxelize {
         value_parser = list::<f64, 6>)]
     corners: Option<[f64; 6]>,
     /// Volume [x, y, z] to write
-    #[arg(long, value_name = "FILE.npy")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]
+    out: Option<PathBuf>,
+    /// List what each primitive adds to one voxel, counted from 0, the largest first
+    #[arg(long, value_name = "X,Y,Z", value_parser = list::<usize, 3>)]
+    explain: Option<[usize; 3]>,
     #[command(flatten)]
     kernel: KernelArgs,
 }
@@ -54,6 +58,14 @@ struct PlaceArgs {
     grid: Option<[usize; 3]>,
 }
 
+/// What is explained.
+#[derive(Serialize)]
+struct Voxel {
+    voxel: [usize; 3],
+    /// Of its centre, scene units.
+    position: [f64; 3],
+}
+
 impl Voxelize {
     pub(super) fn run(&self) -> Result<Answer> {
         match self.kernel.precision {
@@ -62,22 +74,46 @@ impl Voxelize {
         }
     }
 
-    fn voxelize<R: Real + Element>(&self) -> Result<Answer> {
+    fn voxelize<R: Kernels + Element>(&self) -> Result<Answer> {
         let primitives = model::read(&self.model)?;
-        let (grid, cutoff) = (self.grid()?, self.kernel.cutoff);
+        let grid = self.grid()?;
+        if let Some(voxel) = self.explain {
+            explain::check_index(voxel, grid.shape, ["x", "y", "z"])?;
+        }
+        let written = match &self.out {
+            Some(out) => Some(self.write::<R>(out, &primitives, &grid)?),
+            None => None,
+        };
+        match (self.explain, written) {
+            (Some(voxel), written) => {
+                let contributions = Field::<R>::new(&primitives, self.kernel.cutoff).voxel_contributions(&grid, voxel);
+                let place = Voxel { voxel, position: grid.centre(voxel).to_array() };
+                Ok(explain::answer(place, &primitives, &contributions, written))
+            }
+            (None, written) => Ok(Answer::list(&written)),
+        }
+    }
+
+    fn write<'a, R: Kernels + Element>(
+        &'a self,
+        out: &'a Path,
+        primitives: &Primitives,
+        grid: &Grid,
+    ) -> Result<Written<'a>> {
+        let cutoff = self.kernel.cutoff;
         check_size("volume", &grid.shape)?;
-        let volume = voxelize::<R>(&primitives, &grid, cutoff);
-        let pull_back = |d: &Array3<R>| voxelize_vjp(&primitives, &grid, cutoff, d.view());
-        self.kernel.write(&self.out, &volume, pull_back)?;
-        Ok(Answer::list(&Written {
-            out: &self.out,
+        let volume = voxelize::<R>(primitives, grid, cutoff);
+        let pull_back = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
+        self.kernel.write(out, &volume, pull_back)?;
+        Ok(Written {
+            out,
             shape: volume.shape().to_vec(),
             precision: self.kernel.precision,
             projection: None,
             cutoff,
             truncation_bound: None,
             grad_out: self.kernel.grad_out.as_deref(),
-        }))
+        })
     }
 
     fn grid(&self) -> Result<Grid> {

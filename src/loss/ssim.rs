@@ -1,4 +1,4 @@
-//! Structural similarity of two images, with the definition of R²-Gaussian, and its gradient.
+//! Structural similarity of two images, with the definition of R²-Gaussian, and its gradient. Not in the paper.
 //!
 //! With `G` the blur by a normalised Gaussian window (11×11, σ = 1.5, zeros outside of the image),
 //! `μa = G a`, `μb = G b`, `σa² = G a² - μa²`, `σb² = G b² - μb²`, `σab = G ab - μa μb`:

@@ -52,6 +52,11 @@ pub trait Real:
     fn is_finite(self) -> bool;
 }
 
+/// Rounds to nearest: [`Real::from_f64`] where another trait has a function of that name.
+pub fn real<R: Real>(value: f64) -> R {
+    R::from_f64(value)
+}
+
 /// `WIDTH` scalars that are computed together.
 pub trait Lanes:
     Copy

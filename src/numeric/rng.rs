@@ -1,5 +1,5 @@
 //! Counter-based random numbers: a draw is a function of (seed, purpose, step, id, component),
-//! so it does not depend on the order of the work or on what else was drawn.
+//! so it does not depend on the order of the work or on what else was drawn. Not in the paper.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -1,4 +1,4 @@
-//! Adam (Kingma & Ba, 2015), with bias correction.
+//! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
 use crate::numeric::threads;
 

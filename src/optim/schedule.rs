@@ -1,4 +1,4 @@
-//! Learning rates over a run.
+//! Learning rates over a run. Not in the paper: they are R²-Gaussian's.
 
 use crate::numeric::elementary::{exp, log};
 

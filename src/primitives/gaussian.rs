@@ -1,11 +1,12 @@
 //! The Gaussian kernel `exp(-δ/2)`, the limit ν → ∞ of the t-kernel and the primitive of R²-Gaussian.
 
+use crate::numeric::Real;
 use std::f64::consts::{LN_2, TAU};
 
 /// δ is measured in units of this, so that the kernel is a power of two: `exp(-δ/2) = 2^-(δ/UNIT)`.
 pub(crate) const UNIT: f64 = 2.0 * LN_2;
 
-/// `√(2π)`: the integral of `exp(-t²/2)` over the whole line.
+/// `√(2π)`: the integral of `exp(-t²/2)` over the whole line, the limit of `[Eq. 5]`.
 pub fn line_integral() -> f64 {
     TAU.sqrt()
 }
@@ -13,4 +14,9 @@ pub fn line_integral() -> f64 {
 /// The Mahalanobis distance δ where the kernel has fallen to 2^-`bits` `[X2]`.
 pub(crate) fn reach(bits: f64) -> f64 {
     UNIT * bits
+}
+
+/// The largest δ/UNIT at which kernels in `R` hold `2^-(δ/UNIT)`.
+pub(crate) fn horizon<R: Real>() -> f64 {
+    R::HORIZON
 }

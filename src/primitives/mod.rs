@@ -7,11 +7,13 @@ pub mod activation;
 pub mod gaussian;
 pub mod initialisation;
 pub mod model;
+pub(crate) mod rotation;
 pub mod student_t;
 
 pub use activation::Activation;
 
 use crate::error::{Error, Result};
+use glam::{DMat3, DVec3};
 
 /// Which profile all primitives of a scene have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,7 +31,7 @@ pub struct Parameters {
     pub mean: Vec<[f64; 3]>,
     /// Standard deviations s along the principal axes, scene units, `[M,3]`.
     pub scale: Vec<[f64; 3]>,
-    /// Rotation (w,x,y,z), of any length but zero, `[M,4]`.
+    /// Rotation (w,x,y,z), of any length: the largest entry is at least 1e-150 in size, `[M,4]`.
     pub quaternion: Vec<[f64; 4]>,
     /// Density ρ at the centre, attenuation per scene unit, `[M]`.
     pub density: Vec<f64>,
@@ -130,6 +132,19 @@ impl Parameters {
         }
     }
 
+    /// The covariance of primitive `i`, scene units squared: `Σ = R diag(s²) Rᵀ` `[Eq. 3]`, R the rotation of its
+    /// quaternion, normalised. Symmetric to the bit; an entry is within 1e-15 of the largest.
+    ///
+    /// Tests: `covariance_agrees_with_the_entries_of_a_rotation_written_out`, and against the projector's whitening.
+    ///
+    /// # Panics
+    /// If there is no primitive `i`.
+    pub fn covariance(&self, i: usize) -> DMat3 {
+        let (rotation, _) = rotation::unit(self.quaternion[i]);
+        let root = DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::from_array(self.scale[i]));
+        root * root.transpose()
+    }
+
     /// The first number that is not finite, as an error of the given stage.
     ///
     /// # Errors
@@ -194,9 +209,9 @@ impl Primitives {
             if !scale.iter().all(|s| *s > 0.0 && s.is_finite()) {
                 return bad("scale", i, &scale, "positive lengths");
             }
-            let norm = q.iter().map(|x| x * x).sum::<f64>();
-            if !(norm >= f64::MIN_POSITIVE && norm.is_finite()) {
-                return bad("quaternion", i, &q, "four finite numbers (w,x,y,z), not all zero");
+            if !rotation::is_usable(q) {
+                let expected = format!("four finite numbers (w,x,y,z), not all below {:e}", rotation::SMALLEST);
+                return bad("quaternion", i, &q, &expected);
             }
             if !parameters.density[i].is_finite() {
                 return bad("density", i, &parameters.density[i], "a finite number");
@@ -214,5 +229,45 @@ impl Primitives {
             parameters.nu.fill(f64::INFINITY);
         }
         Ok(Self { kernel, parameters })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn one(scale: [f64; 3], quaternion: [f64; 4]) -> Parameters {
+        Parameters { scale: vec![scale], quaternion: vec![quaternion], ..Parameters::zeros(1) }
+    }
+
+    #[test]
+    fn covariance_agrees_with_the_entries_of_a_rotation_written_out() {
+        // A turn by 2·atan(1/2) about z: cos = 3/5, sin = 4/5.
+        let (c, s) = (0.6, 0.8);
+        for length in [1e-100, 1.0, 1e150] {
+            let covariance = one([0.2, 0.5, 3.0], [2.0, 0.0, 0.0, 1.0].map(|x| x * length)).covariance(0);
+            let (a, b) = (0.04, 0.25);
+            let expected = DMat3::from_cols_array_2d(&[
+                [c * c * a + s * s * b, c * s * (a - b), 0.0],
+                [c * s * (a - b), s * s * a + c * c * b, 0.0],
+                [0.0, 0.0, 9.0],
+            ]);
+            assert!((covariance - expected).to_cols_array().iter().all(|x| x.abs() < 9e-15), "{covariance}");
+        }
+    }
+
+    #[test]
+    fn covariance_is_symmetric_to_the_bit() {
+        let covariance = one([0.01, 0.3, 7.0], [0.7, -0.3, 0.5, 0.2]).covariance(0);
+        assert_eq!(covariance, covariance.transpose());
+        assert!(covariance.determinant() > 0.0);
+    }
+
+    #[test]
+    fn quaternions_of_any_length_are_accepted() {
+        for (length, usable) in [(1e-151, false), (1e-149, true), (1e-100, true), (1e150, true), (1e308, true)] {
+            let parameters = Parameters { nu: vec![3.0], ..one([0.1; 3], [0.0, length, 0.0, 0.0]) };
+            assert_eq!(Primitives::new(parameters).is_ok(), usable, "{length:e}");
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! The Student's t-kernel's own constants: its integral along a line and how far it reaches.
 
+use crate::numeric::Real;
 use crate::numeric::elementary::{exp2, log2};
 use std::f64::consts::PI;
 
@@ -32,7 +33,7 @@ const LOG_GAMMA_RATIO: [f64; 8] = [
 const SERIES_FROM: f64 = 10.0;
 
 /// `√(νπ)·Γ((ν+2)/2)/Γ((ν+3)/2)`: the integral of `(1+t²/ν)^(-(ν+3)/2)` over the whole line `[Eq. 5]`,
-/// and its derivative to ν.
+/// and its derivative to ν; the completed square of `[A]`.
 ///
 /// ν > 0. Relative error below 4e-16 (value) and 1e-13 (derivative) against 50 digits. The ratio is taken as
 /// one number: a difference of two log-gammas loses five digits at ν = 10⁴.
@@ -59,9 +60,10 @@ pub(crate) fn reach(nu: f64, bits: f64) -> f64 {
     nu * libm::expm1(std::f64::consts::LN_2 * bits * 2.0 / (nu + 2.0))
 }
 
-/// The largest δ/ν at which `(1+δ/ν)^-(exponent)` is still at least 2^-`horizon`.
-pub(crate) fn horizon(exponent: f64, horizon: f64) -> f64 {
-    exp2(horizon / exponent) - 1.0
+/// The largest δ/ν at which kernels in `R` hold every power of 1+δ/ν in use. The largest exponent is that of the
+/// voxel gradient, (ν+3)/2 + 1.
+pub(crate) fn horizon<R: Real>(nu: f64) -> f64 {
+    exp2(R::HORIZON / ((nu + 5.0) / 2.0)) - 1.0
 }
 
 /// `-log2 ε` for a relative cutoff, infinite for none.

@@ -8,6 +8,7 @@
 use super::Projection;
 use super::kernel::{Plane, Sums};
 use super::shape::{Shape, ShapeGradient};
+use super::view::from_even;
 use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec2, DVec3};
 use std::ops::Range;
@@ -15,9 +16,11 @@ use std::ops::Range;
 /// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
 pub(super) const NEAR: f64 = 0.01;
 
-/// A primitive on the detector of one view.
+/// A primitive on the detector of one view. The default is one that is left out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Footprint {
+    /// False for a primitive near or behind the source: it is left out of the view whatever the cutoff.
+    pub(super) seen: bool,
     pub(super) plane: Plane,
     /// Rows of the support, empty if the primitive is not seen.
     pub(super) rows: Range<usize>,
@@ -64,12 +67,38 @@ impl Geometry {
 impl Footprint {
     /// The primitive as the view sees it.
     pub(super) fn new(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> Self {
+        let Some((mut footprint, support)) = Self::prepare(shape, scanner, view, projection) else {
+            return Self::default();
+        };
+        let [rows, columns] = [scanner.detector.rows, scanner.detector.columns];
+        (footprint.rows, footprint.columns) = match support.extents(shape.limit * shape.unit) {
+            Some([row, column]) => (row.indices(rows), column.indices(columns)),
+            None => (0..rows, 0..columns),
+        };
+        footprint
+    }
+
+    /// The box of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has it.
+    pub(super) fn support_box(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> [f64; 4] {
+        const ALL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+        const NONE: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
+        let [[top, bottom], [left, right]] = match Self::prepare(shape, scanner, view, projection) {
+            None => [NONE; 2],
+            Some((_, support)) => {
+                support.extents(shape.reach * shape.unit).map_or([ALL; 2], |both| both.map(|e| [e.low, e.high]))
+            }
+        };
+        [top, bottom, left, right]
+    }
+
+    /// All but the rows and columns, which follow from the support. `None` for a primitive that is left out.
+    fn prepare(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> Option<(Self, Support)> {
         let detector = &scanner.detector;
         let m = view.to_camera(shape.mean);
         let (kappa, slope, step_u, step_v) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
                 if m.z <= NEAR * dso {
-                    return Self::default();
+                    return None;
                 }
                 let kappa = 1.0 / m.z;
                 (
@@ -81,7 +110,7 @@ impl Footprint {
             }
             Beam::Parallel { .. } => (0.0, DVec2::ZERO, detector.pitch_u, detector.pitch_v),
         };
-        let Some((u, v)) = scanner.project(m) else { return Self::default() };
+        let (u, v) = scanner.project(m)?;
         let (row_centre, column_centre) = detector.pixel(u, v);
         let d0 = view.w + view.u * slope.x + view.v * slope.y;
         let (p0, pu, pv) = (shape.whitening * d0, shape.whitening * view.u, shape.whitening * view.v);
@@ -112,15 +141,20 @@ impl Footprint {
             }
             Projection::Affine => plane.weight *= d0.length(),
         }
-        let steps = DVec2::new(step_u, step_v);
-        let (rows, columns) =
-            support(&plane, &geometry, steps, c, s, k, shape.limit * shape.unit, [detector.rows, detector.columns]);
-        Self { plane, rows, columns, geometry }
+        // The determinant of c is taken from its factors, which have all their digits.
+        let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
+        let support = Support { centre: [row_centre, column_centre], steps: [step_v, step_u], c, det_c, s, k };
+        Some((Self { seen: true, plane, geometry, ..Self::default() }, support))
     }
 
     /// Whether any pixel can see it.
     pub(super) fn is_empty(&self) -> bool {
         self.rows.is_empty() || self.columns.is_empty()
+    }
+
+    /// The rows within a band that the kernel walks.
+    pub(super) fn rows_in(&self, band: Range<usize>) -> Range<usize> {
+        from_even(self.rows.start.max(band.start)..self.rows.end.min(band.end))
     }
 
     /// From sums over pixels to the gradient of mean, precision matrix, density and ν. Mirrors [`Self::new`].
@@ -195,45 +229,65 @@ pub(super) fn symmetric(a: DVec3, b: DVec3, factor: f64) -> DMat3 {
     DMat3::from_cols(column(0), column(1), column(2))
 }
 
-/// Rows and columns of the pixels that the support can reach `[X2]`: the exact bounding box of the conic
-/// `δ ≤ cut·(h² + kδ)`, with `h = 1 + s·(α, β)`; the whole detector where that is no ellipse (the support holds the
-/// source or passes beside it).
-#[allow(clippy::too_many_arguments, reason = "the parts of one conic; a struct would be used once")]
-fn support(
-    plane: &Plane,
-    geometry: &Geometry,
-    steps: DVec2,
+/// The quadratic form of a primitive on the detector, in lengths (α, β) from its centre's shadow.
+struct Support {
+    /// Row and column of the centre.
+    centre: [f64; 2],
+    /// Lengths per row and per column.
+    steps: [f64; 2],
+    /// `c_uu, c_uv, c_vv` of δ `[Eq. 4]`, and its determinant.
     c: [f64; 3],
+    det_c: f64,
+    /// `h = 1 + s·(α, β)` and k of the exact projection `[X1]`; 0 for the affine one.
     s: DVec2,
     k: f64,
-    cut: f64,
-    size: [usize; 2],
-) -> (Range<usize>, Range<usize>) {
-    let whole = (0..size[0], 0..size[1]);
-    let t = 1.0 / cut - k;
-    // The conic's matrix is t·c - s sᵀ; its determinant is taken from that of c, which has all its digits.
-    let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
-    let s_adjugate = DVec2::new(c[2] * s.x - c[1] * s.y, c[0] * s.y - c[1] * s.x);
-    let determinant = t * (t * det_c - s.dot(s_adjugate));
-    let n = [t * c[0] - s.x * s.x, t * c[2] - s.y * s.y];
-    if !(t > 0.0 && n[0] > 0.0 && n[1] > 0.0 && determinant > 1e-9 * t * t * det_c) {
-        return whole;
-    }
-    let centre = s_adjugate * (t / determinant);
-    let radius = 1.0 + s.dot(centre);
-    let half = DVec2::new((radius * n[1] / determinant).sqrt(), (radius * n[0] / determinant).sqrt());
-    (
-        pixels(plane.row_centre, steps.y, centre.y, half.y, size[0]),
-        pixels(plane.column_centre, steps.x, centre.x, half.x, size[1]),
-    )
 }
 
-/// Indices of the pixel centres within `half` of the offset `middle`, with a breath of rounding to spare.
-pub(super) fn pixels(centre: f64, step: f64, middle: f64, half: f64, count: usize) -> Range<usize> {
-    let slack = 1e-9 * (1.0 + half / step);
-    let first = (centre + (middle - half) / step - slack).ceil().max(0.0);
-    let last = (centre + (middle + half) / step + slack).floor().min(count as f64 - 1.0);
-    if first > last { 0..0 } else { first as usize..last as usize + 1 }
+impl Support {
+    /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`. `None` where
+    /// that is no ellipse: the support holds the source or passes beside it, or there is no cutoff.
+    fn extents(&self, cut: f64) -> Option<[Extent; 2]> {
+        let Self { centre: [row, column], steps: [step_v, step_u], c, det_c, s, k } = *self;
+        let t = 1.0 / cut - k;
+        // The conic's matrix is t·c - s sᵀ; its determinant is taken from that of c.
+        let s_adjugate = DVec2::new(c[2] * s.x - c[1] * s.y, c[0] * s.y - c[1] * s.x);
+        let determinant = t * (t * det_c - s.dot(s_adjugate));
+        let n = [t * c[0] - s.x * s.x, t * c[2] - s.y * s.y];
+        if !(t > 0.0 && n[0] > 0.0 && n[1] > 0.0 && determinant > 1e-9 * t * t * det_c) {
+            return None;
+        }
+        let centre = s_adjugate * (t / determinant);
+        let radius = 1.0 + s.dot(centre);
+        let half = DVec2::new((radius * n[1] / determinant).sqrt(), (radius * n[0] / determinant).sqrt());
+        Some([Extent::new(row, step_v, centre.y, half.y), Extent::new(column, step_u, centre.x, half.x)])
+    }
+}
+
+/// An interval on an axis of pixels or voxels, in fractional indices.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extent {
+    low: f64,
+    high: f64,
+    /// A breath of rounding, in indices.
+    slack: f64,
+}
+
+impl Extent {
+    /// What lies within `half` of the offset `middle` from index `centre`; `step` is the length per index.
+    pub(super) fn new(centre: f64, step: f64, middle: f64, half: f64) -> Self {
+        Self {
+            low: centre + (middle - half) / step,
+            high: centre + (middle + half) / step,
+            slack: 1e-9 * (1.0 + half / step),
+        }
+    }
+
+    /// The indices below `count` within, with the breath of rounding to spare.
+    pub(super) fn indices(self, count: usize) -> Range<usize> {
+        let first = (self.low - self.slack).ceil().max(0.0);
+        let last = (self.high + self.slack).floor().min(count as f64 - 1.0);
+        if first > last { 0..0 } else { first as usize..last as usize + 1 }
+    }
 }
 
 #[cfg(test)]
@@ -258,6 +312,10 @@ mod tests {
     }
 
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
+        Footprint::new(&shape(mean, scale, 1e-2), &scanner(), &scanner().view(0.8), projection)
+    }
+
+    fn shape(mean: [f64; 3], scale: [f64; 3], cutoff: f64) -> Shape {
         let primitives = Primitives::new(Parameters {
             mean: vec![mean],
             scale: vec![scale],
@@ -265,8 +323,11 @@ mod tests {
             density: vec![1.0],
             nu: vec![7.0],
         });
-        let shape = Shape::new::<f64>(&primitives.unwrap(), 0, 1e-2);
-        Footprint::new(&shape, &scanner(), &scanner().view(0.8), projection)
+        Shape::new::<f64>(&primitives.unwrap(), 0, cutoff)
+    }
+
+    fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {
+        Footprint::support_box(&shape(mean, scale, cutoff), &scanner(), &scanner().view(0.8), projection)
     }
 
     /// Rows and columns that hold a pixel of the support, found by asking every pixel.
@@ -297,8 +358,49 @@ mod tests {
                     reached(&footprint),
                     "{scale:?} {projection:?}"
                 );
+                let [top, bottom, left, right] = support_box(mean, scale, 1e-2, projection);
+                let within =
+                    |low: f64, high: f64, n: usize| low.ceil().max(0.0) as usize..n.min(high.floor() as usize + 1);
+                assert_eq!(
+                    (within(top, bottom, 200), within(left, right, 240)),
+                    (footprint.rows, footprint.columns),
+                    "{scale:?} {projection:?}"
+                );
             }
         }
+    }
+
+    #[test]
+    fn a_box_is_neither_clipped_nor_rounded() {
+        // Cut by the left edge of the detector; the same primitive on a finer and wider detector of the same place.
+        let (mean, scale) = ([0.9, 0.2, 0.1], [0.3, 0.2, 0.1]);
+        let coarse = support_box(mean, scale, 1e-2, Projection::Exact);
+        let mut fine = scanner();
+        (fine.detector.pitch_u, fine.detector.pitch_v) = (0.001, 0.001);
+        let place = |scanner: &Scanner, [top, bottom, left, right]: [f64; 4]| {
+            let ((u0, v0), (u1, v1)) = (scanner.detector.position(top, left), scanner.detector.position(bottom, right));
+            [v0, v1, u0, u1]
+        };
+        let finer = Footprint::support_box(&shape(mean, scale, 1e-2), &fine, &fine.view(0.8), Projection::Exact);
+        assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
+        for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
+            assert!((a - b).abs() < 1e-13, "{a} against {b}");
+        }
+    }
+
+    #[test]
+    fn boxes_know_the_cutoff_alone() {
+        let (all, none) = ([f64::NEG_INFINITY, f64::INFINITY], [f64::INFINITY, f64::NEG_INFINITY]);
+        for projection in [Projection::Exact, Projection::Affine] {
+            assert_eq!(support_box([0.1; 3], [0.1; 3], 0.0, projection), [all, all].concat()[..]);
+            assert_eq!(support_box([5.0, 5.0, 0.0], [0.05; 3], 1e-2, projection), [none, none].concat()[..]);
+            assert_eq!(support_box([5.0, 5.0, 0.0], [0.05; 3], 0.0, projection), [none, none].concat()[..]);
+            // Beyond the horizon of f64, within it, and where the walked pixels come from.
+            let tails =
+                [1e-308, 1e-200, 1e-2].map(|cutoff| support_box([0.1; 3], [0.01; 3], cutoff, Projection::Affine));
+            assert!(tails.windows(2).all(|pair| pair[0][0] < pair[1][0] && pair[0][3] > pair[1][3]), "{tails:?}");
+        }
+        assert_eq!(support_box([1.0, 1.0, 0.0], [2.5, 2.0, 3.0], 1e-2, Projection::Exact), [all, all].concat()[..]);
     }
 
     #[test]

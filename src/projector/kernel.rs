@@ -95,6 +95,14 @@ impl<R: Real> Canvas<R> {
         Self { pixels: vec![R::ZERO; rows.next_multiple_of(2) * stride], stride }
     }
 
+    /// Zeros again, in some columns of all rows, to the end of the last column's register.
+    pub(super) fn clear(&mut self, columns: Range<usize>) {
+        let end = columns.end - 1 + R::Lanes::WIDTH / 2;
+        for row in self.pixels.chunks_exact_mut(self.stride) {
+            row[columns.start..end].fill(R::ZERO);
+        }
+    }
+
     /// The pixels of one row.
     pub(super) fn row(&self, row: usize, columns: usize) -> &[R] {
         &self.pixels[row * self.stride..][..columns]

@@ -7,20 +7,27 @@
 //! | pixels, SIMD | `kernel` | `[Eq. 4]`, `[X1]`, `[X3]` |
 //! | images band by band, gradients primitive by primitive | `view` | |
 //! | voxels and their adjoint | `voxelizer` | `[Eq. 1]`, `[Eq. 2]` |
+//! | what each primitive adds to one pixel or voxel | `contributions` | `[Eq. 1]` |
+//! | the kernel alone, by the same lanes | `profile` | `[Eq. 2]` |
 //! | the same, as plainly as it can be written | [`naive`] | `[Eq. 1]`–`[Eq. 5]`, `[X1]` |
 //!
 //! A pixel adds up its primitives in index order, a primitive its pixels in a fixed tree: no bit depends on threads.
 
+mod contributions;
 mod footprint;
 mod kernel;
+mod kernels;
 pub mod naive;
+mod profile;
 mod shape;
 mod view;
 mod voxelizer;
 
+pub use contributions::{Contribution, rank};
+pub use kernels::{KernelPair, Kernels};
+pub use profile::profile;
 pub use view::ViewField;
 
-use crate::numeric::Real;
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
 use ndarray::{Array3, ArrayView3, Axis};
@@ -51,7 +58,7 @@ pub struct FieldGradient {
     shapes: Vec<ShapeGradient>,
 }
 
-impl<R: Real> Field<R> {
+impl<R: Kernels> Field<R> {
     /// Prepares primitives. A primitive is cut off where its projection has fallen to `cutoff` of its peak (0: nowhere).
     pub fn new(primitives: &Primitives, cutoff: f64) -> Self {
         Self { kernel: primitives.kernel, cutoff, shapes: Shape::all::<R>(primitives, cutoff), precision: PhantomData }
@@ -76,7 +83,7 @@ impl<R: Real> Field<R> {
 /// Projections `[view, v, u]` of all primitives `[Eq. 4]`, `[X1]`.
 ///
 /// `cutoff`: relative to each primitive's peak, 0 for the untruncated truth. Tests: `tests/analytic.rs`, `tests/parity.rs`.
-pub fn forward<R: Real>(
+pub fn forward<R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,
     angles: &[f64],
@@ -94,7 +101,7 @@ pub fn forward<R: Real>(
 /// Gradient of `Σ cotangent·projection` to the physical parameters; `cotangent` is `[view, v, u]`.
 ///
 /// Tests: `tests/gradients.rs`, `tests/parity.rs`.
-pub fn vjp<R: Real>(
+pub fn vjp<R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,
     angles: &[f64],
@@ -111,12 +118,12 @@ pub fn vjp<R: Real>(
 }
 
 /// The field at the voxel centres of a grid, `[x, y, z]` `[Eq. 1]`, `[Eq. 2]`.
-pub fn voxelize<R: Real>(primitives: &Primitives, grid: &Grid, cutoff: f64) -> Array3<R> {
+pub fn voxelize<R: Kernels>(primitives: &Primitives, grid: &Grid, cutoff: f64) -> Array3<R> {
     Field::<R>::new(primitives, cutoff).voxels(grid)
 }
 
 /// Gradient of `Σ cotangent·volume` to the physical parameters; `cotangent` is `[x, y, z]`.
-pub fn voxelize_vjp<R: Real>(
+pub fn voxelize_vjp<R: Kernels>(
     primitives: &Primitives,
     grid: &Grid,
     cutoff: f64,

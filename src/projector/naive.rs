@@ -2,6 +2,7 @@
 //! compared with this page. It works in the camera frame with Σ⁻¹ itself and walks every pixel for every primitive.
 //!
 //! A primitive whose centre lies behind the source, or nearer to it than 1/100 of `dso`, contributes nothing.
+//! Quaternions are squared as they are, so their lengths must lie well between 1e-150 and 1e150.
 
 use super::Projection;
 use super::footprint::NEAR;
@@ -183,7 +184,7 @@ pub fn forward(
     })
 }
 
-/// Gradient of `Σ cotangent·projection` to the physical parameters.
+/// Gradient of `Σ cotangent·projection` to the physical parameters `[Eq. 4]`, `[X1]`.
 ///
 /// δ is stationary in the position along the ray, so `∂δ/∂Σ⁻¹ = e eᵀ` and moving the centre moves e alone.
 pub fn vjp(
@@ -260,7 +261,7 @@ pub fn voxelize(primitives: &Primitives, grid: &Grid, cutoff: f64) -> Array3<f64
     })
 }
 
-/// Gradient of `Σ cotangent·volume` to the physical parameters.
+/// Gradient of `Σ cotangent·volume` to the physical parameters `[Eq. 1]`.
 pub fn voxelize_vjp(primitives: &Primitives, grid: &Grid, cutoff: f64, cotangent: ArrayView3<'_, f64>) -> Parameters {
     let mut out = Parameters::zeros(primitives.len());
     for i in 0..primitives.len() {

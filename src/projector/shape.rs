@@ -2,7 +2,7 @@
 //! way back from a gradient in these terms to scales, quaternion, density and ν.
 
 use crate::numeric::{Real, threads};
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{Kernel, Parameters, Primitives, gaussian, rotation, student_t};
 use glam::{DMat3, DQuat, DVec3};
 
 /// Primitives worked on together.
@@ -25,7 +25,9 @@ pub(super) struct Shape {
     pub(super) line: (f64, f64),
     /// δ is measured in units of this: ν, or 2 ln 2 for the Gaussian.
     pub(super) unit: f64,
-    /// Largest δ/unit that counts.
+    /// Largest δ/unit within the cutoff, infinite without one.
+    pub(super) reach: f64,
+    /// Largest δ/unit that counts: the cutoff's, or the last one whose powers R can hold.
     pub(super) limit: f64,
     /// ν, infinite for the Gaussian.
     pub(super) nu: f64,
@@ -57,24 +59,20 @@ impl Shape {
     /// Primitive `i` with a relative cutoff ε (0: none), for kernels that run in `R`.
     pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, epsilon: f64) -> Self {
         let p = &primitives.parameters;
-        let [w, x, y, z] = p.quaternion[i];
-        let norm = (w * w + x * x + y * y + z * z).sqrt();
-        let rotation = DQuat::from_xyzw(x / norm, y / norm, z / norm, w / norm);
+        let (rotation, norm) = rotation::unit(p.quaternion[i]);
         let inverse_scale = 1.0 / DVec3::from_array(p.scale[i]);
         let nu = p.nu[i];
         let bits = student_t::bits(epsilon);
-        let (line, unit, limit) = match primitives.kernel {
+        let (line, unit, reach, horizon) = match primitives.kernel {
             Kernel::Gaussian => (
                 (gaussian::line_integral(), 0.0),
                 gaussian::UNIT,
-                (gaussian::reach(bits) / gaussian::UNIT).min(R::HORIZON),
+                gaussian::reach(bits) / gaussian::UNIT,
+                gaussian::horizon::<R>(),
             ),
-            // The largest exponent in use is the voxel gradient's, (ν+3)/2 + 1.
-            Kernel::StudentT => (
-                student_t::line_integral(nu),
-                nu,
-                (student_t::reach(nu, bits) / nu).min(student_t::horizon((nu + 5.0) / 2.0, R::HORIZON)),
-            ),
+            Kernel::StudentT => {
+                (student_t::line_integral(nu), nu, student_t::reach(nu, bits) / nu, student_t::horizon::<R>(nu))
+            }
         };
         Self {
             mean: DVec3::from_array(p.mean[i]),
@@ -85,7 +83,8 @@ impl Shape {
             density: p.density[i],
             line,
             unit,
-            limit,
+            reach,
+            limit: reach.min(horizon),
             nu,
         }
     }
@@ -147,4 +146,45 @@ pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient]) -> Parameter
         all.nu.extend(part.nu);
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn primitives(quaternion: [f64; 4]) -> Primitives {
+        Primitives::new(Parameters {
+            mean: vec![[0.1, 0.2, 0.3]],
+            scale: vec![[0.05, 0.12, 0.2]],
+            quaternion: vec![quaternion],
+            density: vec![1.0],
+            nu: vec![7.0],
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn whitening_inverts_the_covariance() {
+        let primitives = primitives([0.7, -0.3, 0.5, 0.2]);
+        let m = Shape::new::<f64>(&primitives, 0, 0.0).whitening;
+        let unit = m * primitives.parameters.covariance(0) * m.transpose();
+        assert!((unit - DMat3::IDENTITY).to_cols_array().iter().all(|x| x.abs() < 1e-14), "{unit}");
+    }
+
+    #[test]
+    fn the_gradient_to_a_quaternion_is_inverse_to_its_length_however_small() {
+        let column = |k: usize| DVec3::new(0.3, -0.8, 0.5) * (k + 1) as f64;
+        let gradient =
+            ShapeGradient { precision: DMat3::from_cols(column(0), column(1), column(2)), ..ShapeGradient::ZERO };
+        let to_quaternion = |length: f64| {
+            let shape = Shape::new::<f64>(&primitives([0.7, -0.3, 0.5, 0.2].map(|x| x * length)), 0, 0.0);
+            finish(&[shape], &[gradient]).quaternion[0]
+        };
+        let ordinary = to_quaternion(1.0);
+        for length in [1e-149, 1e-100, 1e150] {
+            for (a, b) in to_quaternion(length).into_iter().zip(ordinary) {
+                approx::assert_relative_eq!(a * length, b, max_relative = 1e-13);
+            }
+        }
+    }
 }

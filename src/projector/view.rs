@@ -1,11 +1,11 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
 use super::footprint::Footprint;
-use super::kernel::{self, Canvas, Plane, STRIP, Scratch, Sums};
+use super::kernel::{Canvas, STRIP, Scratch};
+use super::kernels::Kernels;
 use super::shape::CHUNK;
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::{Real, threads};
-use crate::primitives::Kernel;
+use crate::numeric::threads;
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
 use std::ops::Range;
@@ -13,36 +13,13 @@ use std::ops::Range;
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
 
-type Forward<R> = fn(&Plane, Range<usize>, Range<usize>, &mut Canvas<R>, usize, &mut Scratch<<R as Real>::Lanes>);
-type Backward<R> = fn(&Plane, Range<usize>, Range<usize>, &Canvas<R>, &mut Scratch<<R as Real>::Lanes>) -> Sums;
-
 /// The footprints of a [`Field`]'s primitives on the detector of one view.
 pub struct ViewField<'a, R> {
-    field: &'a Field<R>,
-    scanner: Scanner,
+    pub(super) field: &'a Field<R>,
+    pub(super) scanner: Scanner,
     view: View,
-    projection: Projection,
-    footprints: Vec<Footprint>,
-}
-
-/// The kernel for a profile and a projection, chosen outside of the loop over primitives.
-pub(super) fn forward_kernel<R: Real>(kernel: Kernel, projection: Projection) -> Forward<R> {
-    match (kernel, projection) {
-        (Kernel::StudentT, Projection::Exact) => kernel::forward::<R, true, true>,
-        (Kernel::StudentT, Projection::Affine) => kernel::forward::<R, true, false>,
-        (Kernel::Gaussian, Projection::Exact) => kernel::forward::<R, false, true>,
-        (Kernel::Gaussian, Projection::Affine) => kernel::forward::<R, false, false>,
-    }
-}
-
-/// The gradient's kernel for a profile and a projection.
-pub(super) fn backward_kernel<R: Real>(kernel: Kernel, projection: Projection) -> Backward<R> {
-    match (kernel, projection) {
-        (Kernel::StudentT, Projection::Exact) => kernel::backward::<R, true, true>,
-        (Kernel::StudentT, Projection::Affine) => kernel::backward::<R, true, false>,
-        (Kernel::Gaussian, Projection::Exact) => kernel::backward::<R, false, true>,
-        (Kernel::Gaussian, Projection::Affine) => kernel::backward::<R, false, false>,
-    }
+    pub(super) projection: Projection,
+    pub(super) footprints: Vec<Footprint>,
 }
 
 /// A range that starts at an even row, as the kernels want it.
@@ -50,7 +27,7 @@ pub(super) fn from_even(rows: Range<usize>) -> Range<usize> {
     rows.start & !1..rows.end
 }
 
-impl<'a, R: Real> ViewField<'a, R> {
+impl<'a, R: Kernels> ViewField<'a, R> {
     pub(super) fn new(field: &'a Field<R>, scanner: &Scanner, angle: f64, projection: Projection) -> Self {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
@@ -69,6 +46,21 @@ impl<'a, R: Real> ViewField<'a, R> {
         self.footprints.iter().map(|f| f.rows.len() * f.columns.len()).sum()
     }
 
+    /// The support of every primitive on the detector `[X2]`: `[row_min, row_max, column_min, column_max]` in fractional
+    /// pixel indices (0 is the centre of the first row or column), not clipped to the detector.
+    ///
+    /// It bounds the pixels that the field's cutoff ε lets the primitive reach, where its projection has not fallen to
+    /// ε of its peak. `(-∞, ∞, -∞, ∞)` where that set is not an ellipse: it holds the source or passes beside it, or ε
+    /// is 0 and it is the whole plane. `(∞, -∞, ∞, -∞)` for a primitive that is left out near or behind the source.
+    /// That a kernel in `R` adds nothing below `2^-R::HORIZON` is a limit of its numbers and no cutoff: it shrinks the
+    /// pixels that are walked, not these boxes.
+    ///
+    /// Tests: `support_boxes_bound_the_pixels_of_each_primitive`, `boxes_know_the_cutoff_alone`.
+    pub fn support_boxes(&self) -> Vec<[f64; 4]> {
+        let one = |shape| Footprint::support_box(shape, &self.scanner, &self.view, self.projection);
+        self.field.shapes.iter().map(one).collect()
+    }
+
     /// The image `[v, u]`: bands of 32 rows in parallel, primitives in index order.
     pub fn image(&self) -> Array2<R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
@@ -78,7 +70,7 @@ impl<'a, R: Real> ViewField<'a, R> {
                 band.push(i as u32);
             }
         }
-        let kernel = forward_kernel::<R>(self.field.kernel, self.projection);
+        let kernel = R::kernels(self.field.kernel, self.projection).forward;
         let mut image = vec![R::ZERO; rows * columns];
         threads::for_each_chunk(&mut image, STRIP * columns, |band, pixels| {
             let origin = band * STRIP;
@@ -87,15 +79,8 @@ impl<'a, R: Real> ViewField<'a, R> {
             let mut scratch = Scratch::new();
             for &i in &members[band] {
                 let footprint = &self.footprints[i as usize];
-                let inside = footprint.rows.start.max(origin)..footprint.rows.end.min(origin + height);
-                kernel(
-                    &footprint.plane,
-                    from_even(inside),
-                    footprint.columns.clone(),
-                    &mut canvas,
-                    origin,
-                    &mut scratch,
-                );
+                let rows = footprint.rows_in(origin..origin + height);
+                kernel(&footprint.plane, rows, footprint.columns.clone(), &mut canvas, origin, &mut scratch);
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
                 pixels.copy_from_slice(canvas.row(row, columns));
@@ -106,12 +91,12 @@ impl<'a, R: Real> ViewField<'a, R> {
     }
 
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
-    /// of |ρ| · line integral · largest scale · ε.
+    /// of |ρ| · line integral · largest scale · ε. One that is left out near or behind the source has nothing to drop.
     pub fn truncation_bound(&self) -> Array2<f64> {
         let bound = |i: usize| self.field.shapes[i].truncation_bound(self.field.cutoff);
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let mut bounds = Array2::from_elem((rows, columns), 0.0);
-        for (i, footprint) in self.footprints.iter().enumerate() {
+        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, footprint)| footprint.seen) {
             bounds += bound(i);
             for row in footprint.rows.clone() {
                 for column in footprint.columns.clone() {
@@ -138,7 +123,7 @@ impl<'a, R: Real> ViewField<'a, R> {
             pixels.iter_mut().zip(values).for_each(|(pixel, &value)| *pixel = value);
             self.times_ray_length(row, pixels);
         }
-        let kernel = backward_kernel::<R>(self.field.kernel, self.projection);
+        let kernel = R::kernels(self.field.kernel, self.projection).backward;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
             let first = chunk * GATHER;
             let mut scratch = Scratch::new();
@@ -163,18 +148,26 @@ impl<'a, R: Real> ViewField<'a, R> {
         });
     }
 
-    /// Multiplies a row of pixels by the length |d| of their rays between planes of unit distance `[X1]`; the affine
-    /// projection has the length of the centre's ray in its weight.
+    /// Multiplies a row of pixels by the lengths of their rays.
     fn times_ray_length(&self, row: usize, pixels: &mut [R]) {
-        let Beam::Cone { dsd, .. } = self.scanner.beam else { return };
+        let Some(length) = self.ray_lengths(row) else { return };
+        for (column, pixel) in pixels.iter_mut().enumerate() {
+            *pixel *= length(column);
+        }
+    }
+
+    /// The length |d| of the ray of each column of a row, between planes of unit distance `[X1]`. `None` if it is 1, or
+    /// in a footprint's weight: the affine projection has the length of the centre's ray there.
+    pub(super) fn ray_lengths(&self, row: usize) -> Option<impl Fn(usize) -> R + use<R>> {
+        let Beam::Cone { dsd, .. } = self.scanner.beam else { return None };
         if self.projection == Projection::Affine {
-            return;
+            return None;
         }
         let (u, v) = self.scanner.detector.position(row as f64, 0.0);
         let (first, pitch, rest) = (u / dsd, self.scanner.detector.pitch_u / dsd, 1.0 + v / dsd * (v / dsd));
-        for (column, pixel) in pixels.iter_mut().enumerate() {
+        Some(move |column: usize| {
             let slope = first + column as f64 * pitch;
-            *pixel *= R::from_f64((rest + slope * slope).sqrt());
-        }
+            R::from_f64((rest + slope * slope).sqrt())
+        })
     }
 }

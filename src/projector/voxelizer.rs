@@ -1,12 +1,13 @@
 //! The field at voxel centres, slice by slice along x, and the adjoint. A slice is a plane of pixels (rows = y,
 //! columns = z) for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`.
 
-use super::footprint::symmetric;
+use super::footprint::{Extent, symmetric};
 use super::kernel::{Canvas, Plane, STRIP, Scratch, Sums};
+use super::kernels::Kernels;
 use super::shape::{CHUNK, Shape, ShapeGradient};
-use super::view::{backward_kernel, forward_kernel, from_even};
+use super::view::from_even;
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::{Real, threads};
+use crate::numeric::threads;
 use crate::scene::Grid;
 use glam::DVec3;
 use ndarray::{Array3, ArrayView3};
@@ -18,7 +19,7 @@ const GATHER: usize = 16;
 /// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
 /// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
 #[derive(Clone, Copy, Debug, Default)]
-struct Solid {
+pub(super) struct Solid {
     /// The part that all slices share; `slant` is along z.
     plane: Plane,
     /// Rows by which the ridge moves per length along x, and what z and x gain, in units of √unit.
@@ -35,7 +36,7 @@ struct Solid {
 }
 
 impl Solid {
-    fn new(shape: &Shape, grid: &Grid) -> Self {
+    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
         let b = my.length();
@@ -68,12 +69,12 @@ impl Solid {
         }
     }
 
-    fn slices(&self) -> Range<usize> {
+    pub(super) fn slices(&self) -> Range<usize> {
         self.first..self.last
     }
 
     /// The primitive in one slice, with the rows and columns it reaches there.
-    fn slice(&self, slice: usize, grid: &Grid) -> (Plane, Range<usize>, Range<usize>) {
+    pub(super) fn slice(&self, slice: usize, grid: &Grid) -> (Plane, Range<usize>, Range<usize>) {
         let offset = self.offset(slice);
         let mut plane = self.plane;
         plane.shift = self.ax * offset;
@@ -142,16 +143,16 @@ impl Moments {
 
 /// Indices within `half` of `centre`, with a breath of rounding to spare.
 fn reach(centre: f64, step: f64, half: f64, count: usize) -> Range<usize> {
-    super::footprint::pixels(centre, step, 0.0, half, count)
+    Extent::new(centre, step, 0.0, half).indices(count)
 }
 
 /// Strips of [`STRIP`] rows from an even start.
-fn strips(rows: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+pub(super) fn strips(rows: Range<usize>) -> impl Iterator<Item = Range<usize>> {
     let rows = from_even(rows);
     rows.clone().step_by(STRIP).map(move |first| first..rows.end.min(first + STRIP))
 }
 
-impl<R: Real> Field<R> {
+impl<R: Kernels> Field<R> {
     fn solids(&self, grid: &Grid) -> Vec<Solid> {
         let mut solids = vec![Solid::default(); self.shapes.len()];
         threads::for_each_chunk(&mut solids, CHUNK, |chunk, solids| {
@@ -172,7 +173,7 @@ impl<R: Real> Field<R> {
                 slice.push(i as u32);
             }
         }
-        let kernel = forward_kernel::<R>(self.kernel, Projection::Affine);
+        let kernel = R::kernels(self.kernel, Projection::Affine).forward;
         let slices = threads::map(nx, |x| {
             let mut canvas = Canvas::<R>::new(ny, nz);
             let mut scratch = Scratch::new();
@@ -203,7 +204,7 @@ impl<R: Real> Field<R> {
             }
             canvas
         });
-        let kernel = backward_kernel::<R>(self.kernel, Projection::Affine);
+        let kernel = R::kernels(self.kernel, Projection::Affine).backward;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
             let mut scratch = Scratch::new();
             for (i, gradient) in gradients.iter_mut().enumerate() {

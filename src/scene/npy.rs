@@ -130,7 +130,7 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
     let text = String::from_utf8_lossy(&header[10..]);
     let text = text.trim_matches(['\0', ' ', '\n']);
     let wrong = |reason: &str| {
-        let expected = "a NumPy array (.npy) of floats of 4 or 8 bytes, integers or booleans";
+        let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
         let remedy = "check that this is the file you meant, or convert it with numpy's astype";
         Error::format(path, what, format!("the header {text:?} ({reason})"), expected, remedy)
     };
@@ -161,6 +161,7 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
         return Err(incomplete(format!("{size} for shape {:?} of '{kind}'", npy.shape())));
     }
     let (numbers, full_scale) = match &kind.to_string()[1..] {
+        "f2" => (values(npy, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
         "f4" => (values(npy, |v: f32| v).map(Numbers::F32), None),
         "f8" => (values(npy, |v: f64| v).map(Numbers::F64), None),
         "b1" => (values(npy, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),

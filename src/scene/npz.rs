@@ -8,7 +8,7 @@ use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
@@ -30,6 +30,15 @@ impl Npz {
     /// # Errors
     /// [`Error::Read`] or, for anything but a complete archive of arrays of numbers, [`Error::Format`].
     pub fn read(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(|source| Error::read(path, source))?;
+        Self::decode(BufReader::new(file), path)
+    }
+
+    /// [`Self::read`] from memory or an open file; `path` names it in errors.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`].
+    pub(crate) fn decode(source: impl Read + Seek, path: &Path) -> Result<Self> {
         let damaged = |error: ZipError| match error {
             ZipError::Io(source) => npy::unreadable(source, path, "archive"),
             error => Error::format(
@@ -40,8 +49,7 @@ impl Npz {
                 "it is truncated, damaged or something else",
             ),
         };
-        let file = File::open(path).map_err(|source| Error::read(path, source))?;
-        let mut archive = ZipArchive::new(BufReader::new(file)).map_err(damaged)?;
+        let mut archive = ZipArchive::new(source).map_err(damaged)?;
         let mut arrays = BTreeMap::new();
         for index in 0..archive.len() {
             let mut entry = archive.by_index(index).map_err(damaged)?;

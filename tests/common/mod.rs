@@ -1,6 +1,7 @@
 //! What several contracts share: scenes, the committed vectors, tolerances.
 #![allow(dead_code)]
 
+pub(crate) mod plain;
 pub(crate) mod precision;
 pub(crate) mod scenes;
 pub(crate) mod vectors;

@@ -1,59 +1,39 @@
-//! The committed vectors: 50-digit truth made by `reference/generate`, independent of this code.
+//! This program's own answers to the conformance vectors: 50-digit truth made by `reference/generate`, independent of
+//! this code. The tolerances are those of every backend: `reference/tolerances.toml`.
 
-use ndarray::Array3;
-use std::path::PathBuf;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives, model};
-use trgs::scene::npz::Npz;
-use trgs::scene::{Scanner, dataset, npy};
+use std::path::{Path, PathBuf};
+use trgs::config::Precision;
+use trgs::oracle::{Case, Format, Level, Options, Question, Report, Tolerances, Vectors, answers, check, waivers};
 
-/// One case of `reference/vectors/manifest.json`.
-pub(crate) struct Case {
-    pub(crate) id: String,
-    pub(crate) angles: Vec<f64>,
-    pub(crate) scanner: Scanner,
-    pub(crate) primitives: Primitives,
-    folder: PathBuf,
+/// The vectors in the source tree.
+pub(crate) fn vectors() -> Vectors {
+    Vectors::open(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/vectors")).unwrap()
 }
 
-impl Case {
-    pub(crate) fn array(&self, name: &str) -> Array3<f64> {
-        npy::read_f64(&self.folder.join(name), "[a, b, c]").unwrap()
-    }
-
-    pub(crate) fn gradient(&self, name: &str) -> Parameters {
-        let npz = Npz::read(&self.folder.join(name)).unwrap();
-        let mut gradient = Parameters::zeros(self.primitives.len());
-        for group in Group::ALL {
-            let values = npz.entry(group.key()).unwrap().numbers.clone().into_f64();
-            gradient.group_mut(group).copy_from_slice(values.as_standard_layout().as_slice().unwrap());
-        }
-        gradient
+/// Writes our answers to some cases.
+pub(crate) fn answer(vectors: &Vectors, precision: Precision, folder: &Path, wanted: impl Fn(&Case) -> bool) {
+    for case in vectors.manifest.cases.iter().filter(|case| wanted(case)) {
+        let outputs = answers::answer(&Question::new(vectors, case).unwrap(), precision);
+        answers::write(folder, case, &outputs.unwrap_or_else(|error| panic!("{}: {error}", case.id))).unwrap();
     }
 }
 
-/// All cases; an empty list fails.
-pub(crate) fn cases() -> Vec<Case> {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/vectors");
-    let manifest: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(root.join("manifest.json")).unwrap()).unwrap();
-    let cases: Vec<Case> = manifest["cases"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|case| {
-            let id = case["id"].as_str().unwrap().to_owned();
-            let folder = root.join(&id);
-            let primitives = model::read(&folder.join("model.npz")).unwrap();
-            assert_eq!(case["kernel"] == "gaussian", primitives.kernel == Kernel::Gaussian, "{id}");
-            Case {
-                angles: case["angles"].as_array().unwrap().iter().map(|a| a.as_f64().unwrap()).collect(),
-                scanner: dataset::read_scanner(&folder.join("meta_data.json")).unwrap(),
-                primitives,
-                folder,
-                id,
-            }
-        })
-        .collect();
-    assert!(cases.len() >= 19, "{} cases", cases.len());
-    cases
+/// Checks a folder of answers to some stages (none: all), without waivers.
+pub(crate) fn judge(vectors: &Vectors, folder: &Path, format: Format, stages: &[String]) -> Report {
+    let options = Options { format, level: Level::Stress, stages, waivers: &[], today: waivers::today() };
+    check(vectors, &Tolerances::embedded().unwrap(), folder, &options).unwrap()
+}
+
+/// Asserts that our answers to some stages pass as `format`, and prints the worst errors.
+pub(crate) fn assert_conformance(precision: Precision, format: Format, wanted: impl Fn(&Case) -> bool) {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    answer(&vectors, precision, folder.path(), &wanted);
+    let cases = || vectors.manifest.cases.iter().filter(|case| wanted(case));
+    let mut stages: Vec<String> = cases().map(|case| case.stage.clone()).collect();
+    stages.dedup();
+    assert!(!stages.is_empty());
+    let report = judge(&vectors, folder.path(), format, &stages);
+    println!("{}", trgs::oracle::report::markdown(&report));
+    assert_eq!(report.results.len(), cases().count());
+    assert!(report.passed(), "{}", trgs::oracle::report::markdown(&report));
 }

@@ -115,8 +115,12 @@ pub(super) struct Interpreted {
 
 impl Meta {
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        serde_json::from_slice(&text).map_err(|error| {
+        Self::parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+    }
+
+    /// The file's content; `path` names it in errors.
+    pub(super) fn parse(text: &[u8], path: &Path) -> Result<Self> {
+        serde_json::from_slice(text).map_err(|error| {
             Error::format(
                 path,
                 "scan description",

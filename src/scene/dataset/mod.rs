@@ -59,6 +59,11 @@ pub fn read_scanner(path: &Path) -> Result<Scanner> {
     Ok(Meta::read(&path)?.interpret(&path)?.scanner)
 }
 
+/// The scanner in the text of a `meta_data.json`; `path` names it in errors.
+pub(crate) fn parse_scanner(text: &[u8], path: &Path) -> Result<Scanner> {
+    Ok(Meta::parse(text, path)?.interpret(path)?.scanner)
+}
+
 impl Dataset {
     /// Reads a dataset; `path` is the folder or its `meta_data.json`.
     ///

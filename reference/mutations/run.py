@@ -1,0 +1,101 @@
+"""Put each fault of mutations.toml into a copy of the sources and see that the tests fail: the program's own answers
+to the conformance vectors first, then lanes, unit tests, parity and determinism.
+
+    python run.py                 all of them, and the table of reference/README.md
+    python run.py --sample 2      two by chance (the day decides, or --seed)
+
+Python 3.11 or newer, its standard library and cargo are all that is needed. A fault that does not compile is an error, one that survives too.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+# Asked in turn of what the vectors do not notice. The first failure counts.
+TESTS = [["--test", "lanes"], ["--lib"], ["--test", "parity"], ["--test", "determinism"]]
+
+
+def run(*command, folder, target):
+    environment = {**os.environ, "CARGO_TARGET_DIR": str(target), "CARGO_TERM_COLOR": "never"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def built(*arguments, folder, target):
+    outcome = run("cargo", *arguments, "--profile", "mutants", "--locked", folder=folder, target=target)
+    if outcome.returncode:
+        sys.exit(f"does not compile:\n{outcome.stderr[-3000:]}")
+
+
+def wrong_answer(folder, target):
+    """The program's first answer to the vectors that its own check refuses: what tests/analytic.rs and tests/gradients.rs ask."""
+    built("build", "--bin", "trgs", folder=folder, target=target)
+    trgs = str(target / "mutants" / "trgs")
+    for precision in ["f64", "f32"]:
+        with tempfile.TemporaryDirectory() as answers:
+            vectors = ["--vectors", str(folder / "reference/vectors")]
+            answer = run(trgs, "oracle", "answer", answers + "/own", "--precision", precision, *vectors, folder=folder, target=target)
+            if answer.returncode:
+                return f"vectors in {precision}: no answer"
+            check = run(trgs, "oracle", "check", answers + "/own", "--precision", precision, "--json", *vectors, folder=folder, target=target)
+            failed = [result["id"] for result in json.loads(check.stdout)["results"] if result["status"] == "failed"]
+            if failed:
+                return f"vectors in {precision}: {failed[0]} and {len(failed) - 1} more"
+    return None
+
+
+def failed_test(folder, target):
+    """The first test binary that fails, and the first of its tests."""
+    for selection in TESTS:
+        built("test", *selection, "--no-run", folder=folder, target=target)
+        outcome = run("cargo", "test", *selection, "--profile", "mutants", "--locked", folder=folder, target=target)
+        if outcome.returncode:
+            lines = [line.split() for line in outcome.stdout.splitlines() if line.endswith("FAILED")]
+            return f"{selection[-1].lstrip('-')}: {lines[0][1] if lines else 'no test reported'}"
+    return None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", metavar="TEXT", help="those whose description or file contains this")
+    parser.add_argument("--sample", type=int, metavar="N", help="only N of them")
+    parser.add_argument("--seed", default=datetime.date.today().isoformat(), help="which ones --sample takes")
+    parser.add_argument("--target", type=pathlib.Path, default=ROOT / "target" / "mutations", help="cargo's target folder")
+    arguments = parser.parse_args()
+    mutations = tomllib.loads((pathlib.Path(__file__).parent / "mutations.toml").read_text())["mutation"]
+    mutations = [m for m in mutations if arguments.only in m["what"] + m["file"]]
+    chosen = mutations if arguments.sample is None else random.Random(arguments.seed).sample(mutations, arguments.sample)
+    survived = 0
+    with tempfile.TemporaryDirectory() as copy:
+        copy = pathlib.Path(copy)
+        for name in ["Cargo.toml", "Cargo.lock", ".cargo", ".clippy.toml", "README.md", "src", "tests", "benches", "reference"]:
+            source = ROOT / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
+        print("| # | fault | file | killed by |\n|---|---|---|---|", flush=True)
+        for number, mutation in enumerate(chosen, 1):
+            path = copy / mutation["file"]
+            text = path.read_text()
+            if text.count(mutation["find"]) != 1:
+                sys.exit(f"{mutation['file']}: {mutation['find']!r} occurs {text.count(mutation['find'])} times")
+            path.write_text(text.replace(mutation["find"], mutation["replace"]))
+            began = time.time()
+            killer = wrong_answer(copy, arguments.target) or failed_test(copy, arguments.target)
+            path.write_text(text)
+            survived += killer is None
+            print(f"| {number} | {mutation['what']} | `{mutation['file']}` | {killer or '**nothing: it survived**'} |", flush=True)
+            print(f"{time.time() - began:.0f} s", file=sys.stderr, flush=True)
+    print(f"\n{len(chosen) - survived} of {len(chosen)} killed")
+    return 1 if survived else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+//! The sum of the views at every voxel.
+
+use super::{Filtered, Sample};
+use crate::numeric::{Real, real, threads};
+use crate::scene::{Beam, Scanner, View};
+use glam::DVec3;
+use ndarray::Array3;
+
+impl<R: Sample> Filtered<R> {
+    /// The volume on the scanner's grid.
+    pub(super) fn backproject(&self, scanner: &Scanner, angles: &[f64]) -> Array3<R> {
+        let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
+        let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
+        let [_, ny, nz] = scanner.grid.shape;
+        let slices = values.as_slice_mut().expect("a new array is in C order");
+        threads::for_each_chunk(slices, ny * nz, |x, slice| {
+            let mut profile = vec![R::ZERO; self.rows + 2];
+            for (number, view) in views.iter().enumerate() {
+                for (y, line) in slice.chunks_exact_mut(nz).enumerate() {
+                    self.add_view(scanner, number, view, [x, y], line, &mut profile);
+                }
+            }
+        });
+        values
+    }
+
+    /// Adds a view to the line of voxels along z at (x, y). `profile` is scratch of two more values than there are rows.
+    ///
+    /// All these voxels have one depth and one column, so the two columns next to it are blended once into a profile.
+    fn add_view(
+        &self,
+        scanner: &Scanner,
+        number: usize,
+        view: &View,
+        xy: [usize; 2],
+        line: &mut [R],
+        profile: &mut [R],
+    ) {
+        let first = view.to_camera(scanner.grid.centre([xy[0], xy[1], 0]));
+        let second = view.to_camera(scanner.grid.centre([xy[0], xy[1], 1]));
+        let weight = match scanner.beam {
+            Beam::Cone { dso, .. } => (dso / first.z) * (dso / first.z),
+            Beam::Parallel { .. } => 1.0,
+        };
+        let pixel = |camera: DVec3| scanner.project(camera).map(|(u, v)| scanner.detector.pixel(u, v));
+        let (Some((row, column)), Some((next_row, _))) = (pixel(first), pixel(second)) else { return };
+        if !(column > -1.0 && column < self.columns as f64) {
+            return;
+        }
+        let step = next_row - row;
+        // Voxels whose row lies within (-1, rows), where the bilinear function is not 0.
+        let crossing = |edge: f64| (edge - row) / step;
+        let (a, b) = (crossing(-1.0), crossing(self.rows as f64));
+        let from = (a.min(b).floor().max(-1.0) + 1.0) as usize;
+        let to = (a.max(b).ceil().clamp(0.0, line.len() as f64)) as usize;
+        if from >= to {
+            return;
+        }
+
+        let column = column + 1.0;
+        let (left, fraction) = (column.floor(), column - column.floor());
+        let sides = [weight * (1.0 - fraction), weight * fraction].map(real::<R>);
+        // `left` counts from the column of zeros before the detector.
+        self.blend(number, left as usize, sides, &mut profile[1..=self.rows]);
+
+        let (row, step): (R, R) = (real(row + 1.0), real(step));
+        let last = real(self.rows as f64);
+        for (z, value) in line.iter_mut().enumerate().take(to).skip(from) {
+            // The clamp only meets rounding at the ends, where the profile is 0 anyway.
+            let row = row + step * real(z as f64);
+            let row = if row > R::ZERO { row } else { R::ZERO };
+            let row = if row < last { row } else { last };
+            let above = Real::to_f64(row) as usize;
+            let (a, b) = (profile[above], profile[above + 1]);
+            *value += a + (b - a) * (row - real(above as f64));
+        }
+    }
+
+    /// The weighted sum of columns `left - 1` and `left` of a view; those beside the detector are 0.
+    fn blend(&self, view: usize, left: usize, [a, b]: [R; 2], profile: &mut [R]) {
+        let image = &self.values[view * self.rows * self.columns..][..self.rows * self.columns];
+        let column = |index: usize| &image[index * self.rows..][..self.rows];
+        match (left > 0, left < self.columns) {
+            (true, true) => {
+                for ((out, l), r) in profile.iter_mut().zip(column(left - 1)).zip(column(left)) {
+                    *out = a * *l + b * *r;
+                }
+            }
+            (false, _) => profile.iter_mut().zip(column(left)).for_each(|(out, &r)| *out = b * r),
+            (true, false) => profile.iter_mut().zip(column(left - 1)).for_each(|(out, &l)| *out = a * l),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::classical::fdk::backproject;
+    use crate::scene::{Beam, Detector, Grid, Scanner};
+    use ndarray::Array3;
+
+    #[test]
+    fn a_pixel_spreads_over_the_voxels_it_sees() {
+        let detector = Detector { rows: 5, columns: 8, pitch_v: 0.45, pitch_u: 0.3, offset_u: 0.1, offset_v: -0.05 };
+        let mut images = Array3::<f32>::zeros((2, 5, 8));
+        // In the middle of one view, in the corner of the other, whose margin fades to zero over a pixel.
+        (images[[0, 3, 4]], images[[1, 0, 7]]) = (2.0, -1.0);
+        let angles = [0.3, 2.0];
+        for beam in [Beam::Cone { dso: 4.0, dsd: 6.0 }, Beam::Parallel { dso: 4.0 }] {
+            let scanner = Scanner { beam, detector, grid: Grid::cube(14) };
+            let volume = backproject(&scanner, &angles, images.view()).unwrap();
+            let mut touched = [0; 2];
+            for (voxel, &value) in volume.indexed_iter() {
+                let mut expected = 0.0;
+                for (k, (angle, row, column, g)) in
+                    [(0.3, 3.0, 4.0, 2.0), (2.0, 0.0, 7.0, -1.0)].into_iter().enumerate()
+                {
+                    let camera = scanner.view(angle).to_camera(scanner.grid.centre(voxel.into()));
+                    let (u, v) = scanner.project(camera).unwrap();
+                    let (r, c) = detector.pixel(u, v);
+                    let near: f64 = (1.0 - (r - row).abs()).max(0.0) * (1.0 - (c - column).abs()).max(0.0);
+                    let weight = if matches!(beam, Beam::Cone { .. }) { 16.0 / (camera.z * camera.z) } else { 1.0 };
+                    touched[k] += usize::from(near > 0.0);
+                    expected += weight * near * g;
+                }
+                assert!((f64::from(value) - expected).abs() < 1e-5, "{beam:?} {voxel:?}: {value} against {expected}");
+            }
+            assert!(touched.iter().all(|&n| n > 5), "{touched:?}");
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! Weights and the ramp filter.
+
+use super::{Filtered, Sample, Window};
+use crate::numeric::elementary::cos;
+use crate::numeric::{Real, real, threads};
+use crate::scene::{Beam, Scanner};
+use ndarray::{ArrayView3, Axis};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlannerScalar};
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+impl<R: Sample> Filtered<R> {
+    /// Weighted and filtered projections of the scanner's size.
+    pub(super) fn new(scanner: &Scanner, angles: &[f64], images: ArrayView3<'_, R>, window: Window) -> Self {
+        let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
+        let ramp = Ramp::new(columns, window);
+        // On the full turn of a cone beam every ray is measured about twice, hence the half.
+        let (turn, share, magnification) = match scanner.beam {
+            Beam::Cone { dso, dsd } => (TAU, 0.5, dsd / dso),
+            Beam::Parallel { .. } => (PI, 1.0, 1.0),
+        };
+        let weights = angular_weights(angles, turn);
+        let mut values = vec![R::ZERO; images.len()];
+        threads::for_each_chunk(&mut values, rows * columns, |view, out| {
+            let scale = share * weights[view] * magnification / scanner.detector.pitch_u;
+            let image = images.index_axis(Axis(0), view);
+            let weighted = |row: usize, column: usize| {
+                let (u, v) = scanner.detector.position(row as f64, column as f64);
+                let cosine = match scanner.beam {
+                    Beam::Cone { dsd, .. } => dsd / (dsd * dsd + u * u + v * v).sqrt(),
+                    Beam::Parallel { .. } => 1.0,
+                };
+                real(Real::to_f64(image[[row, column]]) * cosine * scale)
+            };
+            let mut buffer = vec![Complex::default(); ramp.response.len()];
+            let mut scratch = vec![Complex::default(); ramp.scratch()];
+            for top in (0..rows).step_by(2) {
+                // The filter is real and even, so two rows pass through one complex transform without mixing.
+                let bottom = (top + 1 < rows).then_some(top + 1);
+                buffer.fill(Complex::default());
+                for (column, slot) in buffer[..columns].iter_mut().enumerate() {
+                    *slot = Complex::new(weighted(top, column), bottom.map_or(R::ZERO, |row| weighted(row, column)));
+                }
+                ramp.apply(&mut buffer, &mut scratch);
+                for (column, value) in buffer[..columns].iter().enumerate() {
+                    out[column * rows + top] = value.re;
+                    if let Some(row) = bottom {
+                        out[column * rows + row] = value.im;
+                    }
+                }
+            }
+        });
+        Self { values, rows, columns }
+    }
+}
+
+/// The angle each view stands for: half the distance between its neighbours on a circle of circumference `turn`.
+/// They add up to `turn`.
+fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {
+    let n = angles.len();
+    let mut order: Vec<(f64, usize)> =
+        angles.iter().enumerate().map(|(i, angle)| (angle.rem_euclid(turn), i)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut weights = vec![turn; n];
+    if n > 1 {
+        for (k, &(angle, view)) in order.iter().enumerate() {
+            let next = if k + 1 < n { order[k + 1].0 } else { order[0].0 + turn };
+            let before = if k > 0 { order[k - 1].0 } else { order[n - 1].0 - turn };
+            weights[view] = (next - before) / 2.0;
+            debug_assert!(before <= angle && angle <= next);
+        }
+    }
+    weights
+}
+
+/// The ramp filter along rows, in the frequency domain.
+struct Ramp<R> {
+    /// Response at each frequency, divided by the length, as the transforms back and forth multiply with it.
+    response: Vec<R>,
+    forward: Arc<dyn Fft<R>>,
+    backward: Arc<dyn Fft<R>>,
+}
+
+impl<R: Sample> Ramp<R> {
+    /// The filter for rows of `columns` pixels of size 1, as TIGRE samples it: in space, h(0) = ¼, h(n) = -1/(πn)² for
+    /// odd n and 0 for even. Rows are extended by at least as many zeros, so what wraps around stays outside of them.
+    fn new(columns: usize, window: Window) -> Self {
+        let length = (2 * columns).next_power_of_two().max(64);
+        let cosines: Vec<f64> = (0..length).map(|k| cos(TAU * k as f64 / length as f64)).collect();
+        let response = |k: usize| {
+            let odd = (1..length / 2).step_by(2);
+            let ramp = odd.fold(0.25, |sum, n| sum - 2.0 * cosines[n * k % length] / (PI * PI * (n * n) as f64));
+            let frequency = k.min(length - k) as f64 * TAU / length as f64;
+            real(ramp * window.at(frequency) / length as f64)
+        };
+        // The planner that does not ask which processor it runs on: the same bits everywhere.
+        let mut planner = FftPlannerScalar::new();
+        Self {
+            response: (0..length).map(response).collect(),
+            forward: planner.plan_fft_forward(length),
+            backward: planner.plan_fft_inverse(length),
+        }
+    }
+
+    fn scratch(&self) -> usize {
+        self.forward.get_inplace_scratch_len().max(self.backward.get_inplace_scratch_len())
+    }
+
+    fn apply(&self, buffer: &mut [Complex<R>], scratch: &mut [Complex<R>]) {
+        self.forward.process_with_scratch(buffer, scratch);
+        buffer.iter_mut().zip(&self.response).for_each(|(value, &factor)| *value = *value * factor);
+        self.backward.process_with_scratch(buffer, scratch);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Detector, Grid};
+    use ndarray::Array3;
+
+    #[test]
+    fn the_filter_is_the_sampled_ramp() {
+        let ramp = Ramp::<f32>::new(50, Window::RamLak);
+        let mut buffer = vec![Complex::default(); ramp.response.len()];
+        buffer[20] = Complex::new(1.0, -2.0);
+        ramp.apply(&mut buffer, &mut vec![Complex::default(); ramp.scratch()]);
+        for (n, value) in buffer[..50].iter().enumerate() {
+            let distance = n.abs_diff(20);
+            let expected = match distance {
+                0 => 0.25,
+                d if d % 2 == 1 => -1.0 / (PI * PI * (d * d) as f64),
+                _ => 0.0,
+            };
+            assert!(
+                (f64::from(value.re) - expected).abs() < 1e-7 && (f64::from(value.im) + 2.0 * expected).abs() < 1e-7
+            );
+        }
+    }
+
+    #[test]
+    fn views_are_weighted_by_half_the_distance_of_their_neighbours() {
+        let weights = angular_weights(&[1.0, 1.0 + TAU, 4.0], TAU);
+        assert!((weights.iter().sum::<f64>() - TAU).abs() < 1e-14 && (weights[2] - PI).abs() < 1e-14, "{weights:?}");
+        assert_eq!(angular_weights(&[3.0], TAU), [TAU]);
+    }
+
+    #[test]
+    fn an_impulse_becomes_the_sampled_ramp_times_its_constants() {
+        let detector = Detector { rows: 5, columns: 9, pitch_v: 0.7, pitch_u: 0.8, offset_u: 0.3, offset_v: -0.2 };
+        let mut images = Array3::<f32>::zeros((3, 5, 9));
+        images[[1, 3, 2]] = 1.0;
+        // The second view stands for (3.0 - 0.5)/2 of either turn.
+        let angles = [0.5, 1.0, 3.0];
+        for beam in [Beam::Cone { dso: 5.0, dsd: 7.0 }, Beam::Parallel { dso: 5.0 }] {
+            let scanner = Scanner { beam, detector, grid: Grid::cube(4) };
+            let filtered = super::super::filter(&scanner, &angles, images.view(), Window::RamLak).unwrap();
+            // Pixel (3, 2) lies at u = -2·0.8 + 0.3, v = 0.7 - 0.2.
+            let (u, v) = (-1.3_f64, 0.5_f64);
+            let front = match beam {
+                Beam::Cone { .. } => 0.5 * 1.25 * 7.0 / (49.0 + u * u + v * v).sqrt() / (0.8 * 5.0 / 7.0),
+                Beam::Parallel { .. } => 1.25 / 0.8,
+            };
+            for ((view, row, column), &value) in filtered.indexed_iter() {
+                let expected = match column.abs_diff(2) {
+                    _ if (view, row) != (1, 3) => 0.0,
+                    0 => 0.25 * front,
+                    n if n % 2 == 1 => -front / (PI * PI * (n * n) as f64),
+                    _ => 0.0,
+                };
+                assert!((f64::from(value) - expected).abs() < 3e-7, "{beam:?} {view} {row} {column}: {value}");
+            }
+        }
+    }
+}

@@ -1,0 +1,283 @@
+//! Filtered backprojection: of a cone beam by Feldkamp, Davis and Kress, of parallel rays exactly.
+//!
+//! Source, `[FDK84]`: L. A. Feldkamp, L. C. Davis, J. W. Kress, *Practical cone-beam algorithm*, JOSA A 1 (1984) 612.
+//! With the projection p, the detector position (u, v) and the depth `d = dso + w·x` of a voxel from the source,
+//!
+//! ```text
+//! f(x) = ½ Σ_views Δφ · (dso/d)² · (h * [p · dsd/√(dsd² + u² + v²)])(u, v)     u = dsd·(u·x)/d, v = dsd·(v·x)/d
+//! ```
+//!
+//! where h is the ramp filter along the rows, on a detector scaled back to the rotation axis, and the projections are
+//! read bilinearly and as 0 beyond the detector. In a parallel beam both weights are 1. Δφ is half the distance between
+//! the two neighbours of a view, so the views of a full turn may be uneven. A parallel view shows what its opposite
+//! does: there half a turn is enough. A cone beam needs the full turn. Nothing is clipped: values may be negative.
+
+mod backproject;
+mod filter;
+
+use crate::error::{Error, Result};
+use crate::numeric::Real;
+use crate::numeric::elementary::{cos, sin};
+use crate::scene::{Projections, Scanner, Volume};
+use ndarray::{Array3, ArrayView3};
+use rustfft::FftNum;
+
+/// What the ramp filter is multiplied with to damp noise; ω is the frequency, π at the finest one of the detector.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Window {
+    /// 1: the ramp filter of Ramachandran and Lakshminarayanan.
+    #[default]
+    RamLak,
+    /// `sin(ω/2)/(ω/2)`
+    SheppLogan,
+    /// `cos(ω/2)`
+    Cosine,
+    /// `0.54 + 0.46·cos ω`
+    Hamming,
+    /// `½ + ½·cos ω`
+    Hann,
+}
+
+impl Window {
+    /// The windows by the names that TIGRE gives them.
+    pub const NAMED: [(&str, Self); 5] = [
+        ("ram-lak", Self::RamLak),
+        ("shepp-logan", Self::SheppLogan),
+        ("cosine", Self::Cosine),
+        ("hamming", Self::Hamming),
+        ("hann", Self::Hann),
+    ];
+
+    /// Its value at frequency ω.
+    fn at(self, omega: f64) -> f64 {
+        match self {
+            Self::RamLak => 1.0,
+            Self::SheppLogan if omega == 0.0 => 1.0,
+            Self::SheppLogan => sin(omega / 2.0) / (omega / 2.0),
+            Self::Cosine => cos(omega / 2.0),
+            Self::Hamming => 0.54 + 0.46 * cos(omega),
+            Self::Hann => 0.5 + 0.5 * cos(omega),
+        }
+    }
+}
+
+/// Reconstructs the scanner's grid `[FDK84]`, or exactly by filtered backprojection for parallel rays.
+///
+/// Accuracy: values are f32. From 180 exact views of a ball the mean inside is off by 0.17 % in a cone beam, where the
+/// method itself is an approximation away from the plane of the source, and by 0.003 % in a parallel beam.
+///
+/// # Errors
+/// When the scanner cannot work or the projections do not have its detector's size.
+///
+/// Tests: known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
+pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window) -> Result<Volume> {
+    let (angles, images) = (&projections.angles, projections.images.view());
+    check(scanner, angles, images.shape())?;
+    let volume = Filtered::new(scanner, angles, images, window).backproject(scanner, angles);
+    Volume::new(scanner.grid, volume)
+}
+
+/// A scalar that projections are filtered and backprojected in: f32 or f64.
+pub trait Sample: Real + FftNum {}
+
+impl<R: Real + FftNum> Sample for R {}
+
+/// The projections weighted and filtered, with all constants inside: g of `f(x) = Σ_views (dso/d)² · g(u, v)`
+/// `[FDK84]`, and of `f(x) = Σ_views g(u, v)` in a parallel beam.
+///
+/// ```text
+/// g = ½ Δφ · (h * [p · dsd/√(dsd² + u² + v²)])        cone beam
+/// g =   Δφ · (h * p)                                  parallel beam, where the views stand for half a turn
+/// ```
+///
+/// `[view, v, u]` like the projections p, attenuation per scene unit of length; transforms run in `R`. h belongs to the
+/// detector scaled back to the rotation axis, with pitch `pitch_u·dso/dsd`.
+///
+/// # Errors
+/// As [`fdk`].
+///
+/// Tests: `an_impulse_becomes_the_sampled_ramp_times_its_constants`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
+pub fn filter<R: Sample>(
+    scanner: &Scanner,
+    angles: &[f64],
+    projections: ArrayView3<'_, R>,
+    window: Window,
+) -> Result<Array3<R>> {
+    check(scanner, angles, projections.shape())?;
+    Ok(Filtered::new(scanner, angles, projections, window).images())
+}
+
+/// The weighted sum of the views at every voxel: `f(x) = Σ_views (dso/d)² · g(u, v)` `[FDK84]`, with weight 1 in a
+/// parallel beam; u and v are where the voxel's ray meets the detector.
+///
+/// `filtered` g is `[view, v, u]`, read bilinearly between pixel centres, with zeros around the detector. The volume is
+/// on the scanner's grid, in the unit of g.
+///
+/// # Errors
+/// As [`fdk`].
+///
+/// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
+pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
+    check(scanner, angles, filtered.shape())?;
+    Ok(Filtered::from_images(filtered).backproject(scanner, angles))
+}
+
+/// Weighted and filtered projections.
+struct Filtered<R> {
+    /// `[view][column][row]`, so that the rows a line of voxels along z needs lie side by side.
+    values: Vec<R>,
+    rows: usize,
+    columns: usize,
+}
+
+impl<R: Sample> Filtered<R> {
+    /// From `[view, v, u]`.
+    fn from_images(images: ArrayView3<'_, R>) -> Self {
+        let (_, rows, columns) = images.dim();
+        Self { values: images.permuted_axes([0, 2, 1]).iter().copied().collect(), rows, columns }
+    }
+
+    /// To `[view, v, u]`.
+    fn images(&self) -> Array3<R> {
+        let (rows, columns) = (self.rows, self.columns);
+        let shape = (self.values.len() / (rows * columns), rows, columns);
+        Array3::from_shape_fn(shape, |(view, row, column)| self.values[(view * columns + column) * rows + row])
+    }
+}
+
+/// Refuses a scanner that cannot work, and projections of another.
+fn check(scanner: &Scanner, angles: &[f64], shape: &[usize]) -> Result<()> {
+    scanner.validate()?;
+    let expected = [angles.len(), scanner.detector.rows, scanner.detector.columns];
+    if shape == expected && !angles.is_empty() {
+        return Ok(());
+    }
+    let [_, rows, columns] = expected;
+    let (got, expected) =
+        (format!("shape {shape:?}"), format!("[view, {rows}, {columns}] with an angle for each view"));
+    Err(Error::invalid("projections", got, expected, "check nDetector = [v, u]"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::threads;
+    use crate::scene::Beam;
+    use crate::scene::phantom::Phantom;
+    use crate::scene::phantom::solid::{Shape, Solid};
+    use crate::scene::{Detector, Grid};
+    use glam::DVec3;
+    use std::f64::consts::{PI, TAU};
+
+    const CENTRE: DVec3 = DVec3::new(0.15, -0.2, 0.1);
+
+    fn ball() -> Phantom {
+        Phantom { name: "ball".into(), solids: vec![Solid::new(Shape::Ellipsoid, 0.6, CENTRE, DVec3::splat(0.5))] }
+    }
+
+    fn scanner(beam: Beam) -> Scanner {
+        let detector = Detector { rows: 96, columns: 110, pitch_v: 0.035, pitch_u: 0.03, offset_u: 0.0, offset_v: 0.0 };
+        Scanner { beam, detector, grid: Grid::cube(40) }
+    }
+
+    fn turn(n: usize) -> Vec<f64> {
+        Scanner::uniform_angles(n, 0.2, TAU)
+    }
+
+    /// Means within 0.35 and beyond 0.65 of the centre.
+    fn means(volume: &Volume) -> (f64, f64) {
+        let mut sums = [(0.0, 0), (0.0, 0)];
+        for ((x, y, z), &value) in volume.values.indexed_iter() {
+            let distance = volume.grid.centre([x, y, z]).distance(CENTRE);
+            let (sum, count) = &mut sums[usize::from(distance > 0.5)];
+            if !(0.35..0.65).contains(&distance) {
+                *sum += f64::from(value);
+                *count += 1;
+            }
+        }
+        (sums[0].0 / f64::from(sums[0].1), sums[1].0 / f64::from(sums[1].1))
+    }
+
+    fn assert_ball(scanner: &Scanner, angles: &[f64], tolerance: f64) {
+        let projections = ball().project(scanner, angles).unwrap();
+        let (inside, outside) = means(&fdk(scanner, &projections, Window::RamLak).unwrap());
+        assert!((inside / 0.6 - 1.0).abs() < tolerance && outside.abs() < 0.01, "inside {inside}, outside {outside}");
+    }
+
+    #[test]
+    fn a_ball_has_its_density_in_a_cone_beam() {
+        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &turn(180), 0.01);
+    }
+
+    #[test]
+    fn a_ball_has_its_density_in_a_parallel_beam_from_a_full_or_half_turn() {
+        let scanner = scanner(Beam::Parallel { dso: 5.0 });
+        assert_ball(&scanner, &turn(180), 0.01);
+        assert_ball(&scanner, &turn(91), 0.01);
+        assert_ball(&scanner, &Scanner::uniform_angles(90, 0.7, PI), 0.01);
+    }
+
+    #[test]
+    fn offsets_of_detector_and_volume_and_anisotropic_voxels_are_respected() {
+        for beam in [Beam::Cone { dso: 4.0, dsd: 7.0 }, Beam::Parallel { dso: 4.0 }] {
+            let mut scanner = scanner(beam);
+            (scanner.detector.offset_u, scanner.detector.offset_v) = (0.2, -0.15);
+            scanner.grid = Grid::new([31, 40, 24], DVec3::new(-0.8, -0.9, -1.0), DVec3::new(0.95, 0.7, 0.9)).unwrap();
+            assert_ball(&scanner, &turn(180), 0.01);
+        }
+    }
+
+    #[test]
+    fn uneven_views_are_weighted_by_the_angle_they_stand_for() {
+        let uneven: Vec<f64> = turn(180).into_iter().map(|a| a + 0.7 * sin(a)).rev().collect();
+        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &uneven, 0.01);
+        assert_ball(&scanner(Beam::Parallel { dso: 5.0 }), &uneven, 0.01);
+    }
+
+    #[test]
+    fn windows_damp_fine_detail_and_keep_the_mean() {
+        let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
+        let noisy = crate::scene::Noise::HIGH.apply(&ball().project(&scanner, &turn(60)).unwrap(), 1).unwrap();
+        let roughness = |window: Window| {
+            let volume = fdk(&scanner, &noisy, window).unwrap();
+            let (inside, _) = means(&volume);
+            assert!((inside / 0.6 - 1.0).abs() < 0.015, "{window:?}: {inside}");
+            volume.values.var(0.0)
+        };
+        let values = Window::NAMED.map(|(_, window)| roughness(window));
+        assert!(values.windows(2).all(|pair| pair[1] < pair[0]), "{values:?}");
+    }
+
+    #[test]
+    fn filtering_and_backprojecting_are_the_whole_to_the_bit() {
+        for beam in [Beam::Cone { dso: 5.0, dsd: 7.0 }, Beam::Parallel { dso: 5.0 }] {
+            let scanner = scanner(beam);
+            let projections = ball().project(&scanner, &turn(7)).unwrap();
+            let (angles, images) = (&projections.angles, projections.images.view());
+            let filtered = filter(&scanner, angles, images, Window::Hann).unwrap();
+            let both = backproject(&scanner, angles, filtered.view()).unwrap();
+            assert_eq!(both, fdk(&scanner, &projections, Window::Hann).unwrap().values);
+        }
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_no_bit() {
+        let scanner = scanner(Beam::Parallel { dso: 5.0 });
+        let projections = ball().project(&scanner, &turn(12)).unwrap();
+        let run = || fdk(&scanner, &projections, Window::Hann).unwrap();
+        assert_eq!(threads::install(1, run).unwrap(), threads::install(3, run).unwrap());
+    }
+
+    #[test]
+    fn projections_of_another_detector_are_refused() {
+        let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
+        let other = Projections::new(vec![0.0], Array3::zeros((1, 110, 96))).unwrap();
+        for refused in [
+            fdk(&scanner, &other, Window::RamLak).unwrap_err(),
+            filter(&scanner, &other.angles, other.images.view(), Window::RamLak).unwrap_err(),
+            backproject(&scanner, &other.angles, other.images.view()).unwrap_err(),
+        ] {
+            assert!(refused.to_string().contains("[view, 96, 110]"), "{refused}");
+        }
+    }
+}

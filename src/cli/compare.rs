@@ -1,0 +1,60 @@
+//! `trgs compare`: how two arrays differ, and what the difference looks like.
+
+use super::Answer;
+use super::arguments::finite;
+use clap::Args;
+use std::path::PathBuf;
+use trgs::Result;
+use trgs::oracle::Format;
+use trgs::oracle::compare::{Comparison, compare};
+
+/// Compare two files of arrays: norms, worst element, and the mistake that would explain the difference
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs compare expected.npy got.npy --axes view,v,u
+  trgs compare grad-expected.npz grad-got.npz --precision f32 --tolerance 1e-5")]
+pub(super) struct Compare {
+    /// What is right
+    #[arg(value_name = "A.npy")]
+    expected: PathBuf,
+    /// What is to be judged
+    #[arg(value_name = "B.npy")]
+    got: PathBuf,
+    /// Names of the axes, outermost first
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    axes: Vec<String>,
+    /// What an ulp is
+    #[arg(long, value_enum, default_value_t = Format::F64)]
+    precision: Format,
+    /// Exit with code 1 if an error is larger than this part of the peak
+    #[arg(long, value_name = "EPS", value_parser = finite)]
+    tolerance: Option<f64>,
+}
+
+impl Compare {
+    pub(super) fn run(&self) -> Result<Answer> {
+        let axes: Vec<&str> = self.axes.iter().map(String::as_str).collect();
+        let arrays = compare(&self.expected, &self.got, &axes, self.precision)?;
+        let approves = self.tolerance.is_none_or(|tolerance| arrays.iter().all(|array| array.within(tolerance)));
+        let lines: Vec<String> = arrays.iter().flat_map(describe).collect();
+        Ok(Answer::verdict(&arrays, lines.join("\n"), approves))
+    }
+}
+
+/// An array in a few lines.
+fn describe(array: &Comparison) -> Vec<String> {
+    let name = if array.array.is_empty() { String::new() } else { format!("{} ", array.array) };
+    let mut lines = vec![format!("{name}{:?}", array.shape)];
+    lines.extend(array.message.as_ref().map(|message| format!("  {message}")));
+    if let Some(d) = &array.difference {
+        lines.push(format!(
+            "  largest error / peak {:.3e}   L2 {:.3e}   1 - cosine {:.3e}   bias {:+.3e}   wrong zeros {:.1} %   significant elements {:.1} ulp",
+            d.peak, d.l2, d.cosine, d.bias, 100.0 * d.zeros, d.ulp
+        ));
+        if let Some(worst) = &d.worst {
+            lines.push(format!("  worst at {:?}: {:e} for {:e}", worst.index, worst.got, worst.expected));
+        }
+    }
+    lines.extend(array.looks_like.as_ref().map(|name| format!("  looks like {name}")));
+    lines
+}

@@ -1,0 +1,96 @@
+//! `--explain`: which primitives make one pixel or voxel.
+
+use super::Answer;
+use super::render::Written;
+use serde::Serialize;
+use trgs::numeric::Real;
+use trgs::primitives::Primitives;
+use trgs::projector::{Contribution, rank};
+use trgs::{Error, Result};
+
+/// Lines of the table; `--json` has all.
+const LINES: usize = 20;
+
+/// The result of a command that explains, and of its writing where it writes too.
+#[derive(Serialize)]
+struct Explanation<'a, P> {
+    #[serde(flatten)]
+    place: P,
+    /// Sum of all contributions.
+    value: f64,
+    /// Number in the model.
+    primitives: usize,
+    /// Those that add anything, the largest first.
+    contributions: Vec<Line>,
+    #[serde(flatten)]
+    written: Option<Written<'a>>,
+}
+
+#[derive(Serialize)]
+struct Line {
+    primitive: usize,
+    contribution: f64,
+    /// Of the value; null if that is 0.
+    share: f64,
+    sum: f64,
+    centre: [f64; 3],
+    /// Null for a Gaussian.
+    nu: f64,
+}
+
+/// Refuses an index beyond `shape`, whose axes have `names`.
+pub(super) fn check_index(index: [usize; 3], shape: [usize; 3], names: [&str; 3]) -> Result<()> {
+    for axis in 0..3 {
+        if index[axis] >= shape[axis] {
+            return Err(Error::invalid(
+                "--explain",
+                format!("{} {}", names[axis], index[axis]),
+                format!("0 to {}", shape[axis] - 1),
+                "count from 0, in the order of the output's axes",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The table of what each primitive adds, the largest first.
+pub(super) fn answer<R: Real>(
+    place: impl Serialize,
+    primitives: &Primitives,
+    contributions: &[R],
+    written: Option<Written<'_>>,
+) -> Answer {
+    let parameters = &primitives.parameters;
+    let line = |c: Contribution| Line {
+        primitive: c.primitive,
+        contribution: c.value,
+        share: c.share,
+        sum: c.sum,
+        centre: parameters.mean[c.primitive],
+        nu: parameters.nu[c.primitive],
+    };
+    let lines: Vec<Line> = rank(contributions).into_iter().map(line).collect();
+    let value = lines.last().map_or(0.0, |line| line.sum);
+    let mut rows: Vec<_> = lines.iter().take(LINES).map(Line::row).collect();
+    if lines.len() != rows.len() || lines.is_empty() {
+        let [more, sum] = [format!("{} more", lines.len() - rows.len()), format!("{value:.6e}")];
+        rows.push([more, String::new(), String::new(), sum, String::new(), String::new()]);
+    }
+    let header = ["primitive", "contribution", "share", "sum", "centre", "nu"];
+    let result = Explanation { place, value, primitives: primitives.len(), contributions: lines, written };
+    Answer::table(&result, header, rows)
+}
+
+impl Line {
+    fn row(&self) -> [String; 6] {
+        let [x, y, z] = self.centre;
+        [
+            self.primitive.to_string(),
+            format!("{:.6e}", self.contribution),
+            format!("{:.4}", self.share),
+            format!("{:.6e}", self.sum),
+            format!("{x:.4} {y:.4} {z:.4}"),
+            format!("{:.4}", self.nu),
+        ]
+    }
+}

@@ -1,0 +1,331 @@
+//! This program's own answers, in both of its precisions: a stage's name → the functions that compute it.
+
+use super::manifest::{Arrays, Case};
+use super::question::Question;
+use crate::classical::fdk::{self, Sample, Window};
+use crate::config::Precision;
+use crate::error::{Error, Result};
+use crate::evaluation;
+use crate::loss::{Ssim, SsimTarget, image_loss, l1::l1, tv::tv};
+use crate::numeric::rng::{self, Purpose};
+use crate::numeric::{Real, real};
+use crate::optim::{Adam, Exponential};
+use crate::output::create_folder;
+use crate::primitives::{Group, Parameters, Primitives, student_t};
+use crate::projector::{self, Field, Kernels};
+use crate::scene::noise::noisy_line_integral;
+use crate::scene::npy;
+use crate::scene::npz::{self, Entry};
+use ndarray::{Array, Array1, Array2, Array3, Array4, ArrayD, Axis, Dimension, Ix2, Ix3, IxDyn};
+use rand::Rng;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The outputs of a case, by role.
+pub type Outputs = BTreeMap<String, Arrays>;
+
+/// The stages this program computes, in the manifest's order.
+pub const STAGES: [&str; 29] = [
+    "covariance",
+    "kernel",
+    "integral-factor",
+    "density",
+    "projected-kernel-affine",
+    "projected-kernel-exact",
+    "image-affine",
+    "image-exact",
+    "gradient-density",
+    "gradient-image-affine",
+    "gradient-image-exact",
+    "activation",
+    "gradient-raw",
+    "support",
+    "image-cutoff",
+    "density-cutoff",
+    "truncation-bound",
+    "loss-l1",
+    "loss-ssim",
+    "loss-tv",
+    "loss-image",
+    "schedule",
+    "adam",
+    "fdk-filter",
+    "fdk-backprojection",
+    "fdk",
+    "noise",
+    "random",
+    "metrics",
+];
+
+/// What this program answers, with its pixel kernels and losses running in a precision.
+///
+/// # Errors
+/// When the question lacks an input or is of a stage that is not among [`STAGES`].
+pub fn answer(question: &Question, precision: Precision) -> Result<Outputs> {
+    match precision {
+        Precision::F32 => answer_in::<f32>(question),
+        Precision::F64 => answer_in::<f64>(question),
+    }
+}
+
+fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
+    Ok(match q.stage.as_str() {
+        "covariance" => one("covariance", covariance(&q.primitives()?)),
+        "kernel" => {
+            one("kernel", Array1::from(numbers(&projector::profile::<R>(&q.numbers("delta")?, &q.numbers("nu")?))))
+        }
+        "integral-factor" => {
+            let (factor, slope): (Vec<f64>, Vec<f64>) =
+                q.numbers("nu")?.into_iter().map(student_t::line_integral).unzip();
+            two(("factor", Array1::from(factor)), ("slope", Array1::from(slope)))
+        }
+        "density" => one("volume", volume::<R>(q, 0.0)?),
+        "density-cutoff" => one("volume", volume::<R>(q, q.setting("cutoff")?)?),
+        "projected-kernel-affine" | "projected-kernel-exact" => one("kernels", projected_kernels::<R>(q)?),
+        "image-affine" | "image-exact" => one("image", image::<R>(q, &q.primitives()?, 0.0)?),
+        "image-cutoff" => one("image", image::<R>(q, &q.primitives()?, q.setting("cutoff")?)?),
+        "gradient-density" => {
+            let (grid, cotangent) = (q.scanner()?.grid, q.array::<Ix3>("cotangent")?.mapv(real::<R>));
+            gradient(&projector::voxelize_vjp(&q.primitives()?, &grid, 0.0, cotangent.view()))
+        }
+        "gradient-image-affine" | "gradient-image-exact" => gradient(&image_gradient::<R>(q, &q.primitives()?)?),
+        "activation" => parameters("physical", &q.activation()?.forward(&q.parameters("raw")?).parameters),
+        "gradient-raw" => {
+            let physical = q.activation()?.forward(&q.parameters("raw")?);
+            let mut raw = image_gradient::<R>(q, &physical)?;
+            q.activation()?.vjp(&physical, &mut raw);
+            gradient(&raw)
+        }
+        "support" => one("box", support::<R>(q)?),
+        "truncation-bound" => one("bound", truncation_bound::<R>(q)?),
+        "loss-l1" => {
+            let (value, gradient) = l1(pixels::<R>(q, "prediction")?.view(), pixels::<R>(q, "target")?.view());
+            valued(value, gradient)
+        }
+        "loss-ssim" => {
+            let ssim = Ssim::<R>::default();
+            let target = SsimTarget::new(&ssim, pixels(q, "target")?.view());
+            let (value, gradient) = ssim.value_and_gradient(pixels(q, "prediction")?.view(), &target);
+            valued(value, gradient)
+        }
+        "loss-image" => {
+            let ssim = Ssim::<R>::default();
+            let target = SsimTarget::new(&ssim, pixels(q, "target")?.view());
+            let loss = image_loss(&ssim, q.setting("weight")?, pixels(q, "prediction")?.view(), &target);
+            valued(loss.total, loss.cotangent)
+        }
+        "loss-tv" => {
+            let (value, gradient) = tv(q.array::<Ix3>("block")?.mapv(real::<R>).view());
+            valued(value, gradient)
+        }
+        "schedule" => {
+            let schedule = Exponential {
+                first: q.setting("first")?,
+                last: q.setting("last")?,
+                steps: q.integer("length")? as usize,
+            };
+            one("rate", q.numbers("steps")?.iter().map(|&step| schedule.at(step as usize)).collect::<Array1<_>>())
+        }
+        "adam" => one("trajectory", adam(q)?),
+        "fdk-filter" => one("filtered", filtered::<R>(q)?.mapv(Real::to_f64)),
+        "fdk-backprojection" => {
+            let filtered = q.array::<Ix3>("filtered")?.mapv(real::<R>);
+            one("volume", fdk::backproject(&q.scanner()?, &q.angles()?, filtered.view())?.mapv(Real::to_f64))
+        }
+        "fdk" => {
+            one("volume", fdk::backproject(&q.scanner()?, &q.angles()?, filtered::<R>(q)?.view())?.mapv(Real::to_f64))
+        }
+        "noise" => one("noisy", noise(q)?),
+        "random" => random(q)?,
+        "metrics" => metrics(q)?,
+        stage => {
+            let remedy = "use vectors and program of one version";
+            return Err(Error::invalid("stage", stage, format!("one of {}", STAGES.join(", ")), remedy));
+        }
+    })
+}
+
+/// Writes the outputs of a case below `folder`, f64, under the names that the manifest gives them.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write(folder: &Path, case: &Case, outputs: &Outputs) -> Result<()> {
+    for (role, file) in &case.outputs {
+        let Some(arrays) = outputs.get(role) else { continue };
+        let path = folder.join(&file.file);
+        create_folder(path.parent().expect("a file is in a folder"))?;
+        match arrays.get("") {
+            Some(array) => npy::write(&path, array.view())?,
+            None => {
+                let entries: Vec<_> =
+                    arrays.iter().map(|(key, array)| (key.as_str(), Entry::F64(array.view()))).collect();
+                npz::write(&path, &entries)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
+    [(role.to_owned(), [(String::new(), array.into_dyn())].into())].into()
+}
+
+fn two<A: Dimension, B: Dimension>(a: (&str, Array<f64, A>), b: (&str, Array<f64, B>)) -> Outputs {
+    let mut both = one(a.0, a.1);
+    both.extend(one(b.0, b.1));
+    both
+}
+
+fn valued<R: Real, D: Dimension>(value: f64, gradient: Array<R, D>) -> Outputs {
+    two(("value", Array1::from(vec![value])), ("gradient", gradient.mapv(R::to_f64)))
+}
+
+fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
+    values.iter().map(|value| value.to_f64()).collect()
+}
+
+fn parameters(role: &str, values: &Parameters) -> Outputs {
+    let m = values.len();
+    let array = |group: Group| {
+        let shape = if group.width() == 1 { IxDyn(&[m]) } else { IxDyn(&[m, group.width()]) };
+        ArrayD::from_shape_vec(shape, values.group(group).to_vec()).expect("a group has M·width numbers")
+    };
+    [(role.to_owned(), Group::ALL.map(|group| (group.key().to_owned(), array(group))).into())].into()
+}
+
+fn gradient(values: &Parameters) -> Outputs {
+    parameters("grad", values)
+}
+
+fn covariance(primitives: &Primitives) -> Array3<f64> {
+    let matrices: Vec<_> = (0..primitives.len()).map(|i| primitives.parameters.covariance(i)).collect();
+    Array3::from_shape_fn((primitives.len(), 3, 3), |(i, row, column)| matrices[i].col(column)[row])
+}
+
+fn pixels<R: Real>(q: &Question, role: &str) -> Result<Array2<R>> {
+    Ok(q.array::<Ix2>(role)?.mapv(R::from_f64))
+}
+
+fn volume<R: Kernels>(q: &Question, cutoff: f64) -> Result<Array3<f64>> {
+    Ok(projector::voxelize::<R>(&q.primitives()?, &q.scanner()?.grid, cutoff).mapv(R::to_f64))
+}
+
+fn image<R: Kernels>(q: &Question, primitives: &Primitives, cutoff: f64) -> Result<Array3<f64>> {
+    let image = projector::forward::<R>(primitives, &q.scanner()?, &q.angles()?, q.projection()?, cutoff);
+    Ok(image.mapv(R::to_f64))
+}
+
+fn image_gradient<R: Kernels>(q: &Question, primitives: &Primitives) -> Result<Parameters> {
+    let cotangent = q.array::<Ix3>("cotangent")?.mapv(R::from_f64);
+    Ok(projector::vjp(primitives, &q.scanner()?, &q.angles()?, q.projection()?, 0.0, cotangent.view()))
+}
+
+/// Each primitive alone.
+fn projected_kernels<R: Kernels>(q: &Question) -> Result<Array4<f64>> {
+    let all = q.primitives()?;
+    let images: Vec<Array3<f64>> = (0..all.len())
+        .map(|i| {
+            let p = &all.parameters;
+            let alone = Parameters {
+                mean: vec![p.mean[i]],
+                scale: vec![p.scale[i]],
+                quaternion: vec![p.quaternion[i]],
+                density: vec![p.density[i]],
+                nu: vec![p.nu[i]],
+            };
+            image::<R>(q, &Primitives { kernel: all.kernel, parameters: alone }, 0.0)
+        })
+        .collect::<Result<_>>()?;
+    let views: Vec<_> = images.iter().map(|image| image.view()).collect();
+    Ok(ndarray::stack(Axis(0), &views).expect("images of one detector"))
+}
+
+fn support<R: Kernels>(q: &Question) -> Result<Array3<f64>> {
+    let (primitives, scanner, angles) = (q.primitives()?, q.scanner()?, q.angles()?);
+    let field = Field::<R>::new(&primitives, q.setting("cutoff")?);
+    let mut boxes = Array3::zeros((angles.len(), primitives.len(), 4));
+    for (view, &angle) in angles.iter().enumerate() {
+        for (i, sides) in field.view(&scanner, angle, q.projection()?).support_boxes().into_iter().enumerate() {
+            sides.into_iter().enumerate().for_each(|(k, side)| boxes[[view, i, k]] = side);
+        }
+    }
+    Ok(boxes)
+}
+
+fn truncation_bound<R: Kernels>(q: &Question) -> Result<Array3<f64>> {
+    let (primitives, scanner, angles, projection) = (q.primitives()?, q.scanner()?, q.angles()?, q.projection()?);
+    let field = Field::<R>::new(&primitives, q.setting("cutoff")?);
+    let bounds: Vec<_> =
+        angles.iter().map(|&angle| field.view(&scanner, angle, projection).truncation_bound()).collect();
+    let views: Vec<_> = bounds.iter().map(|image| image.view()).collect();
+    Ok(ndarray::stack(Axis(0), &views).expect("images of one detector"))
+}
+
+fn adam(q: &Question) -> Result<Array2<f64>> {
+    let (mut values, gradients, rates) = (q.numbers("start")?, q.array::<Ix2>("gradients")?, q.numbers("rates")?);
+    let mut adam = Adam::new(values.len(), [q.setting("beta1")?, q.setting("beta2")?], q.setting("epsilon")?);
+    let mut trajectory = Array2::zeros(gradients.raw_dim());
+    for ((gradient, rate), mut after) in gradients.outer_iter().zip(rates).zip(trajectory.outer_iter_mut()) {
+        adam.step(&mut values, &gradient.to_vec(), rate);
+        after.iter_mut().zip(&values).for_each(|(after, value)| *after = *value);
+    }
+    Ok(trajectory)
+}
+
+fn window(q: &Question) -> Result<Window> {
+    let name = q.word("window")?;
+    let window = Window::NAMED.iter().find(|(n, _)| *n == name);
+    window
+        .map(|(_, window)| *window)
+        .ok_or_else(|| Error::invalid("window", name, "a window of FDK", "see `reference`"))
+}
+
+fn filtered<R: Sample>(q: &Question) -> Result<Array3<R>> {
+    let projections = q.array::<Ix3>("projections")?.mapv(real::<R>);
+    fdk::filter(&q.scanner()?, &q.angles()?, projections.view(), window(q)?)
+}
+
+fn noise(q: &Question) -> Result<Array3<f64>> {
+    let projections = q.array::<Ix3>("projections")?;
+    let (counts, normals) = (q.array::<Ix3>("counts")?, q.array::<Ix3>("normals")?);
+    let (photons, sigma) = (q.setting("photons")?, q.setting("sigma")?);
+    let peak = projections.iter().fold(0.0_f64, |peak, &p| peak.max(p));
+    let readings =
+        counts.iter().zip(&normals).map(|(&counts, &normal)| noisy_line_integral(photons, sigma, peak, counts, normal));
+    Ok(Array3::from_shape_vec(projections.raw_dim(), readings.collect()).expect("as many draws as pixels"))
+}
+
+fn random(q: &Question) -> Result<Outputs> {
+    const PURPOSES: [Purpose; 6] = [
+        Purpose::Noise,
+        Purpose::Initialisation,
+        Purpose::ViewOrder,
+        Purpose::TotalVariation,
+        Purpose::TestAngles,
+        Purpose::Phantom,
+    ];
+    let number = q.integer("purpose")?;
+    let purpose = PURPOSES.into_iter().find(|purpose| *purpose as u64 == number);
+    let purpose = purpose.ok_or_else(|| Error::invalid("purpose", number, "1 to 6", "see numeric::rng"))?;
+    let stream = || Ok::<_, Error>(rng::stream(q.integer("seed")?, purpose, q.integer("step")?, q.integer("id")?));
+    let count = q.integer("count")? as usize;
+    let (mut words, mut doubles) = (stream()?, stream()?);
+    let words: Vec<f64> = (0..count).map(|_| f64::from(words.next_u32())).collect();
+    let uniform: Vec<f64> = (0..count / 2).map(|_| rand::RngExt::random::<f64>(&mut doubles)).collect();
+    Ok(two(("words", Array1::from(words)), ("uniform", Array1::from(uniform))))
+}
+
+fn metrics(q: &Question) -> Result<Outputs> {
+    let single = |role: &str| Ok::<_, Error>(q.array::<Ix3>(role)?.mapv(|value| value as f32));
+    let (truth, volume) = (single("volume_truth")?, single("volume")?);
+    let (true_images, images) = (single("projections_truth")?, single("projections")?);
+    let values = [
+        ("psnr_3d", evaluation::psnr_3d(truth.view(), volume.view())),
+        ("ssim_3d", evaluation::ssim_3d(truth.view(), volume.view())),
+        ("psnr_2d", evaluation::psnr_2d(true_images.view(), images.view())),
+        ("ssim_2d", evaluation::ssim_2d(true_images.view(), images.view())),
+    ];
+    let array = |value: f64| Array1::from(vec![value]).into_dyn();
+    let arrays = values.into_iter().map(|(name, metric)| (name.to_owned(), array(metric.value))).collect();
+    Ok([("metrics".to_owned(), arrays)].into())
+}

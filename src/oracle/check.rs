@@ -1,0 +1,310 @@
+//! A backend's answers against the truth.
+
+use super::diagnosis::{self, arrays::transposition};
+use super::difference::Difference;
+use super::format::Format;
+use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
+use super::question::Question;
+use super::tolerances::{Excess, Tolerances};
+use super::waivers::Waiver;
+use crate::error::{Error, Result};
+use crate::provenance;
+use jiff::civil::Date;
+use ndarray::ArrayD;
+use serde::Serialize;
+use serde_json::Value;
+use std::path::Path;
+
+/// What a backend may say of itself, in the folder of its answers.
+pub const BACKEND: &str = "backend.json";
+
+/// What to check, and how strictly.
+#[derive(Clone, Debug)]
+pub struct Options<'a> {
+    /// The backend's arithmetic.
+    pub format: Format,
+    /// The most that is asked: cases of higher levels are not looked at.
+    pub level: Level,
+    /// Only these stages; none: all.
+    pub stages: &'a [String],
+    /// Excuses.
+    pub waivers: &'a [Waiver],
+    /// The day that waivers are compared with.
+    pub today: Date,
+}
+
+/// How a case or an array came out, from good to bad.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    /// Within the tolerances.
+    Passed,
+    /// The format cannot hold the numbers of the case.
+    Skipped,
+    /// Failed, and excused.
+    Waived,
+    /// The backend wrote nothing.
+    Missing,
+    /// Beyond a tolerance, not finite, or not readable.
+    Failed,
+}
+
+/// One array of an output.
+#[derive(Clone, Debug, Serialize)]
+pub struct PartResult {
+    /// The output's role, and the array's name if it is one of an archive: `grad.nu`.
+    pub output: String,
+    /// The file, below the folder of answers.
+    pub file: String,
+    /// How it came out.
+    pub status: Status,
+    /// The errors, if there was something to compare.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference: Option<Difference>,
+    /// The norms that are too large.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub exceeded: Vec<Excess>,
+    /// What else is wrong.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub message: Option<String>,
+    /// The mistake that explains the error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub looks_like: Option<String>,
+}
+
+/// One case.
+#[derive(Clone, Debug, Serialize)]
+pub struct CaseResult {
+    /// `stage/name`.
+    pub id: String,
+    /// Part of the method.
+    pub stage: String,
+    /// How much was asked.
+    pub level: Level,
+    /// Tags of `reference/equations.md`.
+    pub equations: Vec<String>,
+    /// The worst of its arrays.
+    pub status: Status,
+    /// Its arrays.
+    pub parts: Vec<PartResult>,
+    /// Why a failure is excused, or that the excuse has run out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub waiver: Option<String>,
+}
+
+/// Everything that was found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// This program's version.
+    pub program: String,
+    /// The commit it was built from, if known.
+    pub commit: Option<String>,
+    /// Digest of the manifest that was checked against.
+    pub vectors: String,
+    /// What the backend says of itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backend: Option<Value>,
+    /// The backend's arithmetic.
+    pub format: Format,
+    /// The most that was asked.
+    pub level: Level,
+    /// Waivers of cases that passed.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub unused_waivers: Vec<String>,
+    /// All cases that were looked at.
+    pub results: Vec<CaseResult>,
+}
+
+impl Report {
+    /// Number of cases that came out as `status`.
+    pub fn count(&self, status: Status) -> usize {
+        self.results.iter().filter(|result| result.status == status).count()
+    }
+
+    /// Whether nothing failed or is missing.
+    pub fn passed(&self) -> bool {
+        self.results.iter().all(|result| result.status <= Status::Waived)
+    }
+}
+
+/// The cases of some stages up to a level.
+///
+/// # Errors
+/// When a stage does not exist, or nothing is left to look at.
+pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Result<Vec<&'a Case>> {
+    let cases = &vectors.manifest.cases;
+    if let Some(unknown) = stages.iter().find(|stage| !cases.iter().any(|case| case.stage == **stage)) {
+        let mut known: Vec<&str> = cases.iter().map(|case| case.stage.as_str()).collect();
+        known.dedup();
+        return Err(Error::invalid(
+            "--stage",
+            unknown,
+            format!("one of {}", known.join(", ")),
+            "see `trgs oracle list`",
+        ));
+    }
+    let wanted = |case: &&Case| case.level <= level && (stages.is_empty() || stages.contains(&case.stage));
+    let selected: Vec<&Case> = cases.iter().filter(wanted).collect();
+    if selected.is_empty() {
+        let got = format!("no case of {stages:?} up to this level");
+        return Err(Error::invalid("selection", got, "at least one case", "raise --level or name another --stage"));
+    }
+    Ok(selected)
+}
+
+/// Compares the answers in `folder` with the truth.
+///
+/// # Errors
+/// When the selection is empty, the folder does not exist, or the vectors are damaged. A wrong answer is no error but a
+/// result.
+pub fn check(vectors: &Vectors, tolerances: &Tolerances, folder: &Path, options: &Options<'_>) -> Result<Report> {
+    let cases = select(vectors, options.level, options.stages)?;
+    std::fs::read_dir(folder).map_err(|source| Error::read(folder, source))?;
+    let results = cases.into_iter().map(|case| check_case(vectors, tolerances, folder, options, case));
+    let results = results.collect::<Result<Vec<CaseResult>>>()?;
+    let unused = options
+        .waivers
+        .iter()
+        .filter(|waiver| results.iter().any(|result| result.id == waiver.case && result.status == Status::Passed));
+    Ok(Report {
+        program: format!("trgs {}", env!("CARGO_PKG_VERSION")),
+        commit: provenance::commit().map(Into::into),
+        vectors: vectors.digest.clone(),
+        backend: backend(folder)?,
+        format: options.format,
+        level: options.level,
+        unused_waivers: unused.map(|waiver| waiver.case.clone()).collect(),
+        results,
+    })
+}
+
+/// What the backend says of itself; saying nothing is allowed, nonsense is not.
+fn backend(folder: &Path) -> Result<Option<Value>> {
+    let path = folder.join(BACKEND);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+    serde_json::from_slice(&text).map(Some).map_err(|error| {
+        Error::format(
+            &path,
+            "backend",
+            error,
+            "JSON, for example {\"name\": …, \"version\": …, \"device\": …}",
+            "mend it",
+        )
+    })
+}
+
+fn check_case(
+    vectors: &Vectors,
+    tolerances: &Tolerances,
+    folder: &Path,
+    options: &Options<'_>,
+    case: &Case,
+) -> Result<CaseResult> {
+    let mut parts = Vec::new();
+    for (role, file) in &case.outputs {
+        let expected = vectors.arrays(file)?;
+        let allowance = case.allowances.get(role).map(|file| vectors.arrays(file)).transpose()?;
+        let got = read_answer(folder, file);
+        for (name, expected) in &expected {
+            let allowance = allowance.as_ref().and_then(|arrays| arrays.get(name));
+            let part =
+                Part { vectors, tolerances, case, role, file, name, expected, allowance, format: options.format };
+            parts.push(part.judge(&got)?);
+        }
+    }
+    let mut status = parts.iter().map(|part| part.status).max().unwrap_or(Status::Failed);
+    let mut excuse = None;
+    if status > Status::Waived
+        && let Some(waiver) = options.waivers.iter().find(|waiver| waiver.case == case.id)
+    {
+        if waiver.expires >= options.today {
+            status = Status::Waived;
+            excuse = Some(format!("{} (until {})", waiver.reason, waiver.expires));
+        } else {
+            excuse = Some(format!("its waiver ran out on {}: {}", waiver.expires, waiver.reason));
+        }
+    }
+    let (id, stage, equations) = (case.id.clone(), case.stage.clone(), case.equations.clone());
+    Ok(CaseResult { id, stage, level: case.level, equations, status, parts, waiver: excuse })
+}
+
+/// The backend's file, or what is wrong with it.
+fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (Status, String)> {
+    let path = folder.join(&file.file);
+    match std::fs::read(&path) {
+        Ok(bytes) => decode(&bytes, &path).map_err(|error| (Status::Failed, error.to_string())),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err((Status::Missing, "no such file".into())),
+        Err(error) => Err((Status::Failed, error.to_string())),
+    }
+}
+
+/// One array and all that judging it takes.
+struct Part<'a> {
+    vectors: &'a Vectors,
+    tolerances: &'a Tolerances,
+    case: &'a Case,
+    role: &'a str,
+    file: &'a FileRef,
+    name: &'a str,
+    expected: &'a ArrayD<f64>,
+    allowance: Option<&'a ArrayD<f64>>,
+    format: Format,
+}
+
+impl Part<'_> {
+    fn judge(&self, got: &std::result::Result<Arrays, (Status, String)>) -> Result<PartResult> {
+        let output = if self.name.is_empty() { self.role.into() } else { format!("{}.{}", self.role, self.name) };
+        let mut result = PartResult {
+            output,
+            file: self.file.file.clone(),
+            status: Status::Passed,
+            difference: None,
+            exceeded: Vec::new(),
+            message: None,
+            looks_like: None,
+        };
+        let finite = self.expected.iter().filter(|x| x.is_finite());
+        if finite.fold(0.0_f64, |peak, x| peak.max(x.abs())) > self.format.largest() {
+            result.status = Status::Skipped;
+            result.message = Some(format!("{} cannot hold its numbers", self.format));
+            return Ok(result);
+        }
+        let got = match got.as_ref().map(|arrays| arrays.get(self.name)) {
+            Ok(Some(got)) => got,
+            Ok(None) => {
+                (result.status, result.message) = (Status::Missing, Some(format!("no array {:?}", self.name)));
+                return Ok(result);
+            }
+            Err((status, message)) => {
+                (result.status, result.message) = (*status, Some(message.clone()));
+                return Ok(result);
+            }
+        };
+        if got.shape() != self.expected.shape() {
+            result.status = Status::Failed;
+            result.message = Some(format!("shape {:?}, expected {:?}", got.shape(), self.expected.shape()));
+            result.looks_like = transposition(self.expected, got, diagnosis::axes(self.role));
+            return Ok(result);
+        }
+        let part = if self.name.is_empty() { self.role } else { self.name };
+        let rule = self.tolerances.rule(self.case, part, self.format).ok_or_else(|| {
+            let got = format!("no rule for {} {part} in {}", self.case.id, self.format);
+            Error::invalid("tolerances", got, "a rule for every stage and format", "add one to the table")
+        })?;
+        let difference = Difference::new(self.expected, got, self.allowance, self.format);
+        result.exceeded = rule.limits[&self.format].exceeded(&difference);
+        if !result.exceeded.is_empty() {
+            result.status = Status::Failed;
+            if got.iter().any(|x| x.is_nan()) {
+                result.message = Some("NaN".into());
+            }
+            let question = Question::new(self.vectors, self.case)?;
+            result.looks_like = diagnosis::of_part(&question, self.role, self.name, self.expected, got, self.format);
+        }
+        result.difference = Some(difference);
+        Ok(result)
+    }
+}

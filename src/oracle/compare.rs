@@ -1,0 +1,78 @@
+//! Two files of arrays against each other, with the norms and the diagnosis of a check.
+
+use super::diagnosis::{self, arrays::transposition};
+use super::difference::Difference;
+use super::format::Format;
+use super::manifest::{Arrays, decode};
+use crate::error::{Error, Result};
+use serde::Serialize;
+use std::path::Path;
+
+/// One array of both files.
+#[derive(Clone, Debug, Serialize)]
+pub struct Comparison {
+    /// Its name in the archive; empty for a file of one array.
+    pub array: String,
+    /// Its shape in the first file.
+    pub shape: Vec<usize>,
+    /// The errors, if the shapes are equal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference: Option<Difference>,
+    /// What keeps the two from being compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub message: Option<String>,
+    /// The mistake that would make the second from the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub looks_like: Option<String>,
+}
+
+impl Comparison {
+    /// Whether both were compared and the largest error is at most `tolerance` of the peak.
+    pub fn within(&self, tolerance: f64) -> bool {
+        self.difference.as_ref().is_some_and(|difference| difference.peak <= tolerance)
+    }
+}
+
+/// Compares what was `expected` with what was `got`: two `.npy` files, or two `.npz` archives array by array. `axes`
+/// names the axes for the diagnosis, outermost first.
+///
+/// # Errors
+/// [`Error::Read`] or [`Error::Format`].
+pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Result<Vec<Comparison>> {
+    let (truth, answer) = (read(expected)?, read(got)?);
+    let one = |(name, e): (&String, &ndarray::ArrayD<f64>)| {
+        let mut result = Comparison {
+            array: name.clone(),
+            shape: e.shape().to_vec(),
+            difference: None,
+            message: None,
+            looks_like: None,
+        };
+        match answer.get(name) {
+            None => result.message = Some("only in the first file".into()),
+            Some(g) if g.shape() != e.shape() => {
+                result.message = Some(format!("shapes {:?} and {:?}", e.shape(), g.shape()));
+                result.looks_like = transposition(e, g, axes);
+            }
+            Some(g) => {
+                let difference = Difference::new(e, g, None, format);
+                if difference.peak > 0.0 {
+                    result.looks_like = diagnosis::of_array(e, g, axes);
+                }
+                result.difference = Some(difference);
+            }
+        }
+        result
+    };
+    let mut all: Vec<_> = truth.iter().map(one).collect();
+    for (name, g) in answer.iter().filter(|(name, _)| !truth.contains_key(*name)) {
+        let message = Some("only in the second file".into());
+        let (array, shape) = (name.clone(), g.shape().to_vec());
+        all.push(Comparison { array, shape, difference: None, message, looks_like: None });
+    }
+    Ok(all)
+}
+
+fn read(path: &Path) -> Result<Arrays> {
+    decode(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+}

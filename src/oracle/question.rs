@@ -1,0 +1,139 @@
+//! A case with its inputs read: what a backend is asked.
+
+use super::manifest::{Arrays, Case, Vectors, decode};
+use crate::error::{Error, Result};
+use crate::primitives::{Activation, Group, Kernel, Parameters, Primitives, activation::Interval};
+use crate::projector::Projection;
+use crate::scene::Scanner;
+use crate::scene::dataset::parse_scanner;
+use ndarray::{Array, ArrayD, Dimension};
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+
+/// Inputs in the terms of this program. A diagnosis changes one of them and asks what that would have given.
+#[derive(Clone, Debug)]
+pub struct Question {
+    pub(super) id: String,
+    pub(super) stage: String,
+    pub(super) settings: Map<String, Value>,
+    pub(super) scanner: Option<Scanner>,
+    arrays: BTreeMap<String, Arrays>,
+}
+
+impl Question {
+    /// Reads the inputs of a case.
+    ///
+    /// # Errors
+    /// Those of [`Vectors::bytes`] and of the readers.
+    pub fn new(vectors: &Vectors, case: &Case) -> Result<Self> {
+        let mut scanner = None;
+        let mut arrays = BTreeMap::new();
+        for (role, file) in &case.inputs {
+            let (bytes, path) = (vectors.bytes(file)?, vectors.path(file));
+            if role == "scanner" {
+                scanner = Some(parse_scanner(&bytes, &path)?);
+            } else {
+                arrays.insert(role.clone(), decode(&bytes, &path)?);
+            }
+        }
+        let (id, stage, settings) = (case.id.clone(), case.stage.clone(), case.settings.clone());
+        Ok(Self { id, stage, settings, scanner, arrays })
+    }
+
+    fn missing(&self, what: &str) -> Error {
+        Error::invalid(
+            format!("case {}", self.id),
+            "a manifest without it",
+            what,
+            "use vectors and program of one version",
+        )
+    }
+
+    pub(super) fn scanner(&self) -> Result<Scanner> {
+        self.scanner.ok_or_else(|| self.missing("input scanner"))
+    }
+
+    /// An input that is one array.
+    pub(super) fn array<D: Dimension>(&self, role: &str) -> Result<Array<f64, D>> {
+        let array = self.arrays.get(role).and_then(|arrays| arrays.get(""));
+        let array = array.ok_or_else(|| self.missing(&format!("input {role}")))?;
+        array
+            .clone()
+            .into_dimensionality()
+            .map_err(|_| self.missing(&format!("input {role} with another number of axes")))
+    }
+
+    /// An input that is one row of numbers.
+    pub(super) fn numbers(&self, role: &str) -> Result<Vec<f64>> {
+        Ok(self.array::<ndarray::Ix1>(role)?.to_vec())
+    }
+
+    /// An input with the arrays of a model, whatever they stand for.
+    pub(super) fn parameters(&self, role: &str) -> Result<Parameters> {
+        let arrays = self.arrays.get(role).ok_or_else(|| self.missing(&format!("input {role}")))?;
+        let m = arrays.get("density").map_or(0, ArrayD::len);
+        let mut parameters = Parameters::zeros(m);
+        for group in Group::ALL {
+            let array = arrays.get(group.key()).filter(|array| array.len() == m * group.width());
+            let array = array.ok_or_else(|| self.missing(&format!("input {role} with {}", group.key())))?;
+            parameters
+                .group_mut(group)
+                .copy_from_slice(array.as_standard_layout().as_slice().expect("standard layout"));
+        }
+        Ok(parameters)
+    }
+
+    pub(super) fn primitives(&self) -> Result<Primitives> {
+        Primitives::new(self.parameters("model")?)
+    }
+
+    /// Puts other parameters in the place of the model.
+    pub(super) fn set_model(&mut self, parameters: &Parameters) {
+        let arrays = self.arrays.get_mut("model").expect("only a question with a model gets another");
+        for group in Group::ALL {
+            let array = arrays.get_mut(group.key()).expect("a model has all groups");
+            array.iter_mut().zip(parameters.group(group)).for_each(|(old, new)| *old = *new);
+        }
+    }
+
+    pub(super) fn setting(&self, key: &str) -> Result<f64> {
+        self.settings.get(key).and_then(Value::as_f64).ok_or_else(|| self.missing(&format!("setting {key}")))
+    }
+
+    pub(super) fn integer(&self, key: &str) -> Result<u64> {
+        self.settings.get(key).and_then(Value::as_u64).ok_or_else(|| self.missing(&format!("setting {key}")))
+    }
+
+    pub(super) fn word(&self, key: &str) -> Result<&str> {
+        self.settings.get(key).and_then(Value::as_str).ok_or_else(|| self.missing(&format!("setting {key}")))
+    }
+
+    pub(super) fn list(&self, key: &str) -> Result<Vec<f64>> {
+        let values = self.settings.get(key).and_then(Value::as_array);
+        let values = values.and_then(|values| values.iter().map(Value::as_f64).collect::<Option<Vec<_>>>());
+        values.ok_or_else(|| self.missing(&format!("setting {key}")))
+    }
+
+    pub(super) fn angles(&self) -> Result<Vec<f64>> {
+        self.list("angles")
+    }
+
+    /// The projection that the stage's name or a setting tells.
+    pub(super) fn projection(&self) -> Result<Projection> {
+        match self.settings.get("projection").and_then(Value::as_str) {
+            Some("affine") => Ok(Projection::Affine),
+            Some("exact") => Ok(Projection::Exact),
+            Some(_) => Err(self.missing("setting projection: exact or affine")),
+            None => Ok(if self.stage.ends_with("affine") { Projection::Affine } else { Projection::Exact }),
+        }
+    }
+
+    pub(super) fn activation(&self) -> Result<Activation> {
+        let interval = |key: &str| match self.list(key)?[..] {
+            [min, max] => Ok(Interval { min, max }),
+            _ => Err(self.missing(&format!("setting {key} with two numbers"))),
+        };
+        let kernel = if self.word("kernel")? == "gaussian" { Kernel::Gaussian } else { Kernel::StudentT };
+        Ok(Activation { kernel, scale: interval("scale_range")?, nu: interval("nu_range")? })
+    }
+}

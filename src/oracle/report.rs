@@ -1,0 +1,175 @@
+//! The report of a check for readers (Markdown), programs (JSON) and build servers (JUnit).
+
+use super::check::{CaseResult, PartResult, Report, Status};
+use crate::error::{Error, Result};
+use crate::output::write_atomically;
+use quick_junit::{NonSuccessKind, TestCase, TestCaseStatus, TestSuite};
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Cases that the list of failures shows; the others are in the JSON.
+const LONGEST_LIST: usize = 60;
+
+/// Writes `file.json`, `file.md` and `file.xml`.
+///
+/// # Errors
+/// When the path does not end in `.json`, and [`Error::Write`].
+pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
+    if path.extension().is_none_or(|extension| extension != "json") {
+        return Err(Error::invalid(
+            "--report",
+            path.display(),
+            "a file ending in .json",
+            "the .md and .xml stand beside it",
+        ));
+    }
+    let paths = [path.to_owned(), path.with_extension("md"), path.with_extension("xml")];
+    write_atomically(&paths[0], |out| Ok(serde_json::to_writer_pretty(out, report)?))?;
+    write_atomically(&paths[1], |out| out.write_all(markdown(report).as_bytes()))?;
+    write_atomically(&paths[2], |out| junit(report).serialize(out).map_err(std::io::Error::other))?;
+    Ok(paths)
+}
+
+/// A page with a table of stages, one of failures, and one of what was excused.
+pub fn markdown(report: &Report) -> String {
+    let mut text = String::new();
+    let verdict = if report.passed() { "passed" } else { "FAILED" };
+    let backend = report.backend.as_ref().map_or_else(String::new, |backend| format!(" of {}", one_line(backend)));
+    let level = serde_json::to_value(report.level).expect("a word");
+    let _ = writeln!(text, "# Conformance{backend}: {verdict}\n");
+    let _ = writeln!(
+        text,
+        "{} cases up to level {}, as {}: {} passed, {} failed, {} missing, {} waived, {} skipped. {} ({}), vectors {}.\n",
+        report.results.len(),
+        level.as_str().expect("a word"),
+        report.format,
+        report.count(Status::Passed),
+        report.count(Status::Failed),
+        report.count(Status::Missing),
+        report.count(Status::Waived),
+        report.count(Status::Skipped),
+        report.program,
+        report.commit.as_deref().map_or("unknown commit", |commit| commit.get(..12).unwrap_or(commit)),
+        &report.vectors[..12],
+    );
+    text += &table(&["stage", "cases", "passed", "worst error / peak", "worst ulp", "in"], stage_rows(report));
+    let failures: Vec<&CaseResult> = report.results.iter().filter(|r| r.status > Status::Waived).collect();
+    if !failures.is_empty() {
+        text += "\n## Failed or missing\n\n";
+        let parts = failures.iter().flat_map(|r| r.parts.iter().filter(|p| p.status > Status::Waived).map(|p| (*r, p)));
+        let rows: Vec<_> = parts.clone().take(LONGEST_LIST).map(|(result, part)| failure_row(result, part)).collect();
+        text += &table(&["case", "output", "what", "at", "expected", "got", "ulp", "looks like"], rows);
+        if parts.clone().count() > LONGEST_LIST {
+            let _ = writeln!(text, "\n… and {} more: see the JSON report.", parts.count() - LONGEST_LIST);
+        }
+    }
+    let excused = report.results.iter().filter_map(|r| Some([r.id.clone(), r.waiver.clone()?]));
+    let excused: Vec<_> = excused.collect();
+    if !excused.is_empty() {
+        text += "\n## Waivers\n\n";
+        text += &table(&["case", "waiver"], excused);
+    }
+    if !report.unused_waivers.is_empty() {
+        let _ = writeln!(text, "\nNo longer needed: the waivers of {}.", report.unused_waivers.join(", "));
+    }
+    text
+}
+
+/// A row for each stage: its worst errors and the cases that have them.
+fn stage_rows(report: &Report) -> Vec<[String; 6]> {
+    let mut stages: Vec<&str> = report.results.iter().map(|r| r.stage.as_str()).collect();
+    stages.dedup();
+    let row = |stage: &str| {
+        let results = || report.results.iter().filter(move |r| r.stage == stage);
+        let compared =
+            || results().flat_map(|r| r.parts.iter().filter_map(move |p| Some((&r.id, p.difference.as_ref()?))));
+        let peak = compared().max_by(|a, b| a.1.peak.total_cmp(&b.1.peak));
+        let ulp = compared().map(|(_, d)| d.ulp).max_by(f64::total_cmp);
+        [
+            stage.to_owned(),
+            results().count().to_string(),
+            results().filter(|r| r.status == Status::Passed).count().to_string(),
+            peak.map_or_else(|| "–".into(), |(_, d)| format!("{:.1e}", d.peak)),
+            ulp.map_or_else(|| "–".into(), short),
+            peak.map_or_else(String::new, |(id, _)| id.rsplit('/').next().unwrap_or_default().to_owned()),
+        ]
+    };
+    stages.into_iter().map(row).collect()
+}
+
+/// A number of ulp.
+fn short(ulp: f64) -> String {
+    if ulp < 1e4 { format!("{ulp:.1}") } else { format!("{ulp:.1e}") }
+}
+
+fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
+    let worst = part.difference.as_ref().and_then(|d| d.worst.as_ref());
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.9e}"));
+    [
+        result.id.clone(),
+        part.output.clone(),
+        what(part),
+        worst.map_or_else(String::new, |w| format!("{:?}", w.index)),
+        number(worst.map(|w| w.expected)),
+        number(worst.map(|w| w.got)),
+        worst.map_or_else(String::new, |w| short(w.ulp)),
+        part.looks_like.clone().unwrap_or_default(),
+    ]
+}
+
+/// What is wrong with an array, in a few words.
+fn what(part: &PartResult) -> String {
+    let norms = part.exceeded.iter().map(|e| format!("{} {:.1e} > {:.1e}", e.norm, e.value, e.limit));
+    part.message.iter().cloned().chain(norms).collect::<Vec<_>>().join("; ")
+}
+
+/// A Markdown table, aligned for those who read it as text.
+fn table<const N: usize>(header: &[&str; N], rows: Vec<[String; N]>) -> String {
+    let mut table = comfy_table::Table::new();
+    table.load_style(comfy_table::presets::ASCII_MARKDOWN);
+    table.set_content_arrangement(comfy_table::ContentArrangement::Disabled);
+    table.set_header(header);
+    table.add_rows(rows.into_iter().map(|row| row.map(|cell| cell.replace('|', "\\|"))));
+    format!("{table}\n")
+}
+
+fn one_line(backend: &serde_json::Value) -> String {
+    let words = backend.as_object().map(|fields| {
+        fields.values().map(|v| v.as_str().map_or_else(|| v.to_string(), Into::into)).collect::<Vec<String>>().join(" ")
+    });
+    words.unwrap_or_else(|| backend.to_string())
+}
+
+/// A suite for each stage, a test for each case.
+fn junit(report: &Report) -> quick_junit::Report {
+    let mut all = quick_junit::Report::new("trgs oracle");
+    let mut stages: Vec<&str> = report.results.iter().map(|r| r.stage.as_str()).collect();
+    stages.dedup();
+    for stage in stages {
+        let mut suite = TestSuite::new(stage);
+        for result in report.results.iter().filter(|r| r.stage == stage) {
+            let bad = result.parts.iter().filter(|p| p.status != Status::Passed);
+            let lines: Vec<String> = bad
+                .map(|p| {
+                    let looks_like =
+                        p.looks_like.as_ref().map_or_else(String::new, |name| format!("; looks like {name}"));
+                    format!("{}: {}{looks_like}", p.output, what(p))
+                })
+                .chain(result.waiver.clone())
+                .collect();
+            let mut status = match result.status {
+                Status::Passed => TestCaseStatus::success(),
+                Status::Skipped | Status::Waived => TestCaseStatus::skipped(),
+                Status::Missing => TestCaseStatus::non_success(NonSuccessKind::Error),
+                Status::Failed => TestCaseStatus::non_success(NonSuccessKind::Failure),
+            };
+            if result.status != Status::Passed {
+                status.set_message(lines.join("\n"));
+            }
+            suite.add_test_case(TestCase::new(result.id.as_str(), status));
+        }
+        all.add_test_suite(suite);
+    }
+    all
+}

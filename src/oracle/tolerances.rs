@@ -1,0 +1,139 @@
+//! `reference/tolerances.toml`: how far an answer may be off, by stage, format and norm, and why.
+
+use super::difference::Difference;
+use super::format::Format;
+use super::manifest::Case;
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const FILE: &str = "reference/tolerances.toml";
+const TEXT: &str = include_str!("../../reference/tolerances.toml");
+
+/// The whole table.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tolerances {
+    /// In order: for an array, the last rule that fits it counts.
+    #[serde(rename = "rule")]
+    pub rules: Vec<Rule>,
+}
+
+/// One row.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rule {
+    /// Stages it is for.
+    pub stages: Vec<String>,
+    /// Cases it is for, `stage/name` or `*/name`; none: all of the stages.
+    #[serde(default)]
+    pub cases: Vec<String>,
+    /// Arrays of an output it is for, by their names in the archive or the output's role; none: all.
+    #[serde(default)]
+    pub parts: Vec<String>,
+    /// Why these numbers.
+    pub reason: String,
+    /// Limits by format.
+    pub limits: BTreeMap<Format, Limits>,
+    /// The envelope of this program's own answers (f16 and bf16: those in f64, rounded).
+    pub measured: BTreeMap<Format, Limits>,
+}
+
+/// A limit for each norm of [`Difference`]; a norm without one is only reported.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Largest error relative to the peak.
+    pub peak: Option<f64>,
+    /// Largest error of a significant element in its own ulp.
+    pub ulp: Option<f64>,
+    /// Largest error of any element relative to itself.
+    pub relative: Option<f64>,
+    /// Relative L2 error.
+    pub l2: Option<f64>,
+    /// 1 - cosine.
+    pub cosine: Option<f64>,
+    /// Signed bias, either way.
+    pub bias: Option<f64>,
+    /// Share of wrong zeros.
+    pub zeros: Option<f64>,
+}
+
+/// A norm that is above its limit.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Excess {
+    /// Which norm.
+    pub norm: &'static str,
+    /// Its value.
+    #[serde(serialize_with = "super::difference::as_number_or_text")]
+    pub value: f64,
+    /// What is allowed.
+    pub limit: f64,
+}
+
+impl Limits {
+    /// The norms of `difference` beside their limits.
+    fn pairs(&self, difference: &Difference) -> [(&'static str, f64, Option<f64>); 7] {
+        [
+            ("peak", difference.peak, self.peak),
+            ("ulp", difference.ulp, self.ulp),
+            ("relative", difference.relative, self.relative),
+            ("l2", difference.l2, self.l2),
+            ("cosine", difference.cosine, self.cosine),
+            ("bias", difference.bias.abs(), self.bias),
+            ("zeros", difference.zeros, self.zeros),
+        ]
+    }
+
+    /// The norms that are above their limit, or not even numbers.
+    pub fn exceeded(&self, difference: &Difference) -> Vec<Excess> {
+        let pairs = self.pairs(difference).into_iter();
+        let limited = pairs.filter_map(|(norm, value, limit)| Some((norm, value, limit?)));
+        let above = limited.filter(|&(_, value, limit)| value.is_nan() || value > limit);
+        above.map(|(norm, value, limit)| Excess { norm, value, limit }).collect()
+    }
+}
+
+impl Tolerances {
+    /// The table that was built into the program.
+    ///
+    /// # Errors
+    /// None in a program that passed its tests.
+    pub fn embedded() -> Result<Self> {
+        Self::parse(TEXT, Path::new(FILE))
+    }
+
+    /// The table in a file's text; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for anything but such a table, or a rule without any limit.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        let remedy = "compare it with reference/tolerances.toml of this version";
+        let table: Self = toml::from_str(text)
+            .map_err(|error| Error::format(path, "tolerances", error.message(), "a list of [[rule]]", remedy))?;
+        let empty = table.rules.iter().position(|rule| rule.limits.values().any(|limits| limits.peak.is_none()));
+        match empty {
+            Some(i) => {
+                let got = format!("no `peak` for {:?}", table.rules[i].stages);
+                Err(Error::format(path, format!("rule {i}"), got, "at least `peak` for each format", remedy))
+            }
+            None => Ok(table),
+        }
+    }
+
+    /// The rule for one array of a case's output.
+    pub fn rule(&self, case: &Case, part: &str, format: Format) -> Option<&Rule> {
+        self.rules.iter().rev().find(|rule| rule.fits(case, part) && rule.limits.contains_key(&format))
+    }
+}
+
+impl Rule {
+    fn fits(&self, case: &Case, part: &str) -> bool {
+        let name = case.id.rsplit('/').next();
+        self.stages.contains(&case.stage)
+            && (self.parts.is_empty() || self.parts.iter().any(|p| p == part))
+            && (self.cases.is_empty()
+                || self.cases.iter().any(|c| *c == case.id || c.strip_prefix("*/").is_some_and(|c| Some(c) == name)))
+    }
+}

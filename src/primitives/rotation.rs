@@ -1,0 +1,73 @@
+//! Rotations from quaternions (w,x,y,z) of any length.
+
+use glam::DQuat;
+
+/// Smallest largest entry of a usable quaternion: a gradient, which grows like 1/length, can still be squared.
+pub(crate) const SMALLEST: f64 = 1e-150;
+
+/// The bits of an `f64` that hold its exponent: of a normal number they leave the power of two below it.
+const EXPONENT: u64 = f64::INFINITY.to_bits();
+
+/// Whether a quaternion has a direction: finite entries, the largest at least [`SMALLEST`] in size.
+pub(crate) fn is_usable(q: [f64; 4]) -> bool {
+    q.iter().all(|x| x.is_finite()) && largest(q) >= SMALLEST
+}
+
+/// The unit quaternion `q/|q|` and the length `|q|` of a usable quaternion.
+///
+/// The length is found in units of the power of two below the largest entry. Its square neither overflows nor
+/// vanishes, and no bit of the result differs from the plain formula's where that one works.
+pub(crate) fn unit(q: [f64; 4]) -> (DQuat, f64) {
+    let scale = f64::from_bits(largest(q).to_bits() & EXPONENT);
+    let [w, x, y, z] = q.map(|entry| entry / scale);
+    let norm = (w * w + x * x + y * y + z * z).sqrt();
+    (DQuat::from_xyzw(x / norm, y / norm, z / norm, w / norm), norm * scale)
+}
+
+/// The largest size of an entry.
+fn largest(q: [f64; 4]) -> f64 {
+    q.iter().fold(0.0, |largest, x| if x.abs() > largest { x.abs() } else { largest })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use rand::RngExt;
+
+    /// A quaternion with entries of very different sizes.
+    fn quaternion(id: u64) -> [f64; 4] {
+        let mut random = stream(1, Purpose::Phantom, 0, id);
+        std::array::from_fn(|_| {
+            let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
+            sign * libm::pow(10.0, 12.0 * random.random::<f64>() - 6.0)
+        })
+    }
+
+    #[test]
+    fn ordinary_quaternions_keep_the_bits_of_the_plain_formula() {
+        for id in 0..10_000 {
+            let q = quaternion(id);
+            let [w, x, y, z] = q;
+            let norm = (w * w + x * x + y * y + z * z).sqrt();
+            let (unit, length) = unit(q);
+            assert_eq!(length.to_bits(), norm.to_bits(), "{q:?}");
+            assert_eq!(unit.to_array().map(f64::to_bits), [x, y, z, w].map(|x| (x / norm).to_bits()), "{q:?}");
+        }
+    }
+
+    #[test]
+    fn tiny_and_huge_quaternions_keep_their_direction() {
+        let (expected, length) = unit([0.7, -0.3, 0.5, 0.2]);
+        for factor in [1e-149, 1e-100, 1e100, 1e150, 1e300] {
+            let q = [0.7, -0.3, 0.5, 0.2].map(|x| x * factor);
+            assert!(is_usable(q), "{factor:e}");
+            let (direction, norm) = unit(q);
+            approx::assert_relative_eq!(norm, length * factor, max_relative = 1e-15);
+            assert!((direction - expected).length() < 1e-15, "{factor:e}: {direction}");
+        }
+        for bad in [[0.0; 4], [1e-151; 4], [1.0, f64::NAN, 0.0, 0.0], [f64::INFINITY, 1.0, 0.0, 0.0]] {
+            assert!(!is_usable(bad), "{bad:?}");
+        }
+    }
+}

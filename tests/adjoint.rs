@@ -1,0 +1,223 @@
+//! ⟨A x, y⟩ = ⟨x, Aᵀ y⟩: every backward pass is the transpose of its forward pass, with the factor 1.
+//!
+//! Images and volumes are linear in the densities, so there the two sides are computed exactly. In the other parameters
+//! A is the derivative, taken by differences along one random direction through all of them. Each test prints a table
+//! of the fitted factor ⟨Ax,y⟩/⟨x,Aᵀy⟩ and of the residual relative to ‖Ax‖·‖y‖: a wrong factor and a wrong
+//! entry look different there.
+
+mod common;
+
+use common::precision::{ADJOINT_ENTRY_F64, ADJOINT_F32, ADJOINT_F64, DIRECTIONAL_DERIVATIVE};
+use common::scenes;
+use ndarray::Array3;
+use trgs::numeric::Real;
+use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::projector::{self, Kernels, Projection};
+use trgs::scene::{Beam, Scanner};
+
+const ANGLES: [f64; 3] = [0.35, 2.2, 4.9];
+/// Random pairs (x, y) that a factor is fitted to.
+const PAIRS: u64 = 5;
+
+/// What is linear: a set of images or the volume, of primitives in a kernel.
+#[derive(Clone, Copy)]
+enum Operator {
+    Images(Projection, fn() -> Scanner),
+    Volume,
+}
+
+impl Operator {
+    const ALL: [Self; 5] = [
+        Self::Images(Projection::Exact, scenes::cone),
+        Self::Images(Projection::Affine, scenes::cone),
+        Self::Images(Projection::Exact, scenes::parallel),
+        Self::Images(Projection::Affine, scenes::parallel),
+        Self::Volume,
+    ];
+
+    fn name(self) -> String {
+        match self {
+            Self::Images(projection, scanner) => {
+                let beam = if matches!(scanner().beam, Beam::Cone { .. }) { "cone" } else { "parallel" };
+                format!("{beam} {projection:?}")
+            }
+            Self::Volume => "volume".into(),
+        }
+    }
+
+    fn shape(self) -> [usize; 3] {
+        match self {
+            Self::Images(_, scanner) => [ANGLES.len(), scanner().detector.rows, scanner().detector.columns],
+            Self::Volume => scenes::cone().grid.shape,
+        }
+    }
+
+    fn forward<R: Kernels>(self, primitives: &Primitives, cutoff: f64) -> Array3<R> {
+        match self {
+            Self::Images(projection, scanner) => {
+                projector::forward(primitives, &scanner(), &ANGLES, projection, cutoff)
+            }
+            Self::Volume => projector::voxelize(primitives, &scenes::cone().grid, cutoff),
+        }
+    }
+
+    fn vjp<R: Kernels>(self, primitives: &Primitives, cutoff: f64, y: &Array3<R>) -> Parameters {
+        match self {
+            Self::Images(projection, scanner) => {
+                projector::vjp(primitives, &scanner(), &ANGLES, projection, cutoff, y.view())
+            }
+            Self::Volume => projector::voxelize_vjp(primitives, &scenes::cone().grid, cutoff, y.view()),
+        }
+    }
+}
+
+fn dot<'a, R: Real>(a: impl IntoIterator<Item = &'a R>, b: impl IntoIterator<Item = &'a R>) -> f64 {
+    a.into_iter().zip(b).map(|(a, b)| a.to_f64() * b.to_f64()).sum()
+}
+
+/// Both sides of one pair and the norms' product ‖Ax‖·‖y‖.
+struct Sides {
+    forward: f64,
+    backward: f64,
+    norm: f64,
+}
+
+/// The factor that fits all pairs best, and the largest residual at the factor 1.
+fn fit(pairs: &[Sides]) -> (f64, f64) {
+    let (above, below) = pairs.iter().fold((0.0, 0.0), |(above, below), pair| {
+        (above + pair.forward * pair.backward, below + pair.backward * pair.backward)
+    });
+    let residual = |pair: &Sides| (pair.forward - pair.backward).abs() / pair.norm;
+    let worst = pairs.iter().map(residual).fold(0.0, |m: f64, r| if r.is_nan() { f64::INFINITY } else { m.max(r) });
+    (above / below, worst)
+}
+
+fn check(what: &str, pairs: &[Sides], tolerance: f64) {
+    let (factor, residual) = fit(pairs);
+    eprintln!("{what:<36} factor 1{:+.1e}  residual {residual:.1e}", factor - 1.0);
+    let strongest = pairs.iter().map(|p| p.backward.abs() / p.norm).fold(0.0, f64::max);
+    assert!(strongest > 1e-3, "{what}: the pairs are almost orthogonal ({strongest:e}) and show nothing");
+    let sides: Vec<_> = pairs.iter().map(|p| (p.forward, p.backward)).collect();
+    assert!(residual <= tolerance, "{what}: factor {factor}, residual {residual:e}, ⟨Ax,y⟩ and ⟨x,Aᵀy⟩ are {sides:?}");
+}
+
+fn densities_are_adjoint<R: Kernels>(precision: &str, tolerance: f64) {
+    for operator in Operator::ALL {
+        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+            for cutoff in [0.0, 1e-3] {
+                let mut primitives = scenes::primitives(kernel, 23, 31);
+                let pairs = (0..PAIRS).map(|seed| {
+                    let x = scenes::uniform(700 + seed, primitives.len(), -1.0, 1.0);
+                    primitives.parameters.density.copy_from_slice(&x);
+                    let y = scenes::cotangent(seed, operator.shape()).mapv(R::from_f64);
+                    let ax = operator.forward::<R>(&primitives, cutoff);
+                    let back = operator.vjp(&primitives, cutoff, &y).density;
+                    Sides {
+                        forward: dot(&ax, &y),
+                        backward: dot(&x, &back),
+                        norm: (dot(&ax, &ax) * dot(&y, &y)).sqrt(),
+                    }
+                });
+                let pairs: Vec<_> = pairs.collect();
+                check(&format!("{precision} {} {kernel:?} {cutoff}", operator.name()), &pairs, tolerance);
+            }
+        }
+    }
+}
+
+#[test]
+fn in_f64_the_gradient_to_densities_is_the_transpose_of_projecting_and_voxelizing() {
+    densities_are_adjoint::<f64>("f64", ADJOINT_F64);
+}
+
+#[test]
+fn in_f32_the_gradient_to_densities_is_the_transpose_of_projecting_and_voxelizing() {
+    densities_are_adjoint::<f32>("f32", ADJOINT_F32);
+}
+
+/// One entry of the transpose at a time: a wrong row that random pairs would average away.
+#[test]
+fn each_entry_of_the_matrix_is_that_of_its_transpose() {
+    let mut worst = 0.0_f64;
+    for operator in Operator::ALL {
+        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+            let mut primitives = scenes::primitives(kernel, 5, 32);
+            let shape = operator.shape();
+            for pixel in [[0, 0, 0], [shape[0] - 1, shape[1] - 1, shape[2] - 1], shape.map(|n| n / 2)] {
+                let mut y = Array3::zeros(shape);
+                y[pixel] = 1.0;
+                let row = operator.vjp::<f64>(&primitives, 0.0, &y).density;
+                for (i, entry) in row.iter().enumerate() {
+                    primitives.parameters.density.fill(0.0);
+                    primitives.parameters.density[i] = -1.0;
+                    let column = -operator.forward::<f64>(&primitives, 0.0)[pixel];
+                    let error = (entry - column).abs() / column.abs();
+                    worst = worst.max(error);
+                    assert!(
+                        error <= ADJOINT_ENTRY_F64,
+                        "{} {kernel:?}: A[{pixel:?}, {i}] = {column:e}, of the transpose {entry:e}",
+                        operator.name()
+                    );
+                }
+            }
+        }
+    }
+    eprintln!("single entries: {worst:.1e}");
+}
+
+/// A direction through all parameters, of the size of the parameters.
+fn direction(primitives: &Primitives, seed: u64) -> Parameters {
+    let mut direction = Parameters::zeros(primitives.len());
+    for (component, group) in (0..).zip(Group::ALL) {
+        let values = primitives.parameters.group(group);
+        let random = scenes::uniform(seed * 8 + component, values.len(), -1.0, 1.0);
+        for (i, (d, random)) in direction.group_mut(group).iter_mut().zip(random).enumerate() {
+            *d = random
+                * match group {
+                    Group::Mean => primitives.parameters.scale[i / 3][i % 3],
+                    Group::Nu if values[i].is_infinite() => 0.0,
+                    Group::Quaternion => 1.0,
+                    Group::Scale | Group::Density | Group::Nu => values[i],
+                };
+        }
+    }
+    direction
+}
+
+fn moved(primitives: &Primitives, direction: &Parameters, step: f64) -> Primitives {
+    let mut moved = primitives.clone();
+    for group in Group::ALL {
+        let values = moved.parameters.group_mut(group).iter_mut().zip(direction.group(group));
+        values.for_each(|(value, d)| *value += step * d);
+    }
+    moved
+}
+
+#[test]
+fn the_derivative_along_a_random_direction_is_the_gradient_times_the_direction() {
+    const STEP: f64 = 1e-3;
+    for operator in Operator::ALL {
+        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+            let pairs = (0..PAIRS).map(|seed| {
+                let mut primitives = scenes::primitives(kernel, 7, 33 + seed);
+                primitives.parameters.density[3] *= -1.0;
+                let x = direction(&primitives, 900 + seed);
+                let y = scenes::cotangent(40 + seed, operator.shape());
+                // The derivative of all pixels: central differences of two steps, extrapolated to h = 0.
+                let central = |h: f64| {
+                    let [after, before] = [h, -h].map(|h| operator.forward::<f64>(&moved(&primitives, &x, h), 0.0));
+                    (after - before) / (2.0 * h)
+                };
+                let jx = (central(STEP / 2.0) * 4.0 - central(STEP)) / 3.0;
+                let gradient = operator.vjp(&primitives, 0.0, &y);
+                Sides {
+                    forward: dot(&jx, &y),
+                    backward: Group::ALL.map(|group| dot(gradient.group(group), x.group(group))).iter().sum(),
+                    norm: (dot(&jx, &jx) * dot(&y, &y)).sqrt(),
+                }
+            });
+            let pairs: Vec<_> = pairs.collect();
+            check(&format!("{} {kernel:?}", operator.name()), &pairs, DIRECTIONAL_DERIVATIVE);
+        }
+    }
+}

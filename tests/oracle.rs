@@ -1,0 +1,388 @@
+//! The oracle's machinery: vectors as they should be, answers handed in whole, wrong, late or not at all.
+
+mod common;
+
+use common::vectors::{answer, judge, vectors};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use trgs::config::Precision;
+use trgs::oracle::check::Status;
+use trgs::oracle::tolerances::Limits;
+use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, check, report, waivers};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { all.extend(files(&path)) } else { all.push(path) }
+    }
+    all
+}
+
+#[test]
+fn every_file_of_the_vectors_is_listed_and_has_its_digest() {
+    let vectors = vectors();
+    let mut listed = BTreeSet::from(["manifest.json".to_owned()]);
+    let mut ids = BTreeSet::new();
+    for case in &vectors.manifest.cases {
+        assert!(ids.insert(&case.id), "{} twice", case.id);
+        assert!(case.id.starts_with(&format!("{}/", case.stage)), "{}", case.id);
+        for flag in &case.flags {
+            assert!(vectors.manifest.flags.contains_key(flag), "{}: nobody explains {flag}", case.id);
+        }
+        for file in case.inputs.values().chain(case.outputs.values()).chain(case.allowances.values()) {
+            assert!(file.sha256.is_some(), "{}", file.file);
+            vectors.bytes(file).unwrap();
+            listed.insert(file.file.clone());
+        }
+    }
+    let folder = root().join("reference/vectors");
+    let found: BTreeSet<String> = files(&folder)
+        .iter()
+        .map(|path| path.strip_prefix(&folder).unwrap().to_str().unwrap().replace('\\', "/"))
+        .collect();
+    assert_eq!(listed, found);
+    let size: u64 = files(&folder).iter().map(|path| path.metadata().unwrap().len()).sum();
+    assert!(size < 8_000_000, "{size} bytes");
+}
+
+#[test]
+fn the_vectors_in_the_program_are_those_in_the_source() {
+    let (built_in, source) = (Vectors::embedded().unwrap(), vectors());
+    assert_eq!(built_in.digest, source.digest);
+    for case in &source.manifest.cases {
+        for file in case.inputs.values().chain(case.outputs.values()) {
+            assert_eq!(built_in.bytes(file).unwrap(), source.bytes(file).unwrap(), "{}", file.file);
+        }
+    }
+}
+
+#[test]
+fn there_is_a_case_for_every_stage_and_every_stage_is_answered() {
+    let stages: BTreeSet<String> = vectors().manifest.cases.iter().map(|case| case.stage.clone()).collect();
+    assert_eq!(stages, answers::STAGES.map(String::from).into());
+}
+
+/// The adversarial inputs that a suite must not lack.
+#[test]
+fn every_kind_of_trouble_has_a_case() {
+    let vectors = vectors();
+    let used: BTreeSet<&str> = vectors.manifest.cases.iter().flat_map(|c| c.flags.iter().map(String::as_str)).collect();
+    let explained: BTreeSet<&str> = vectors.manifest.flags.keys().map(String::as_str).collect();
+    assert_eq!(used, explained, "flags in use and flags explained");
+    for needed in [
+        "ill-conditioned",
+        "gaussian-limit",
+        "zero-density",
+        "tiny-density",
+        "subnormal",
+        "centre-on-pixel",
+        "behind-source",
+        "at-source-plane",
+        "support-beyond-detector",
+        "support-not-ellipse",
+        "one-pixel",
+        "unnormalised-quaternion",
+        "tiny-quaternion",
+        "zero-image",
+        "parallel",
+        "offset-detector",
+        "non-square-pixels",
+        "far-skirt",
+    ] {
+        assert!(used.contains(needed), "no case is {needed}");
+    }
+    for scene in ["nu-1", "nu-2", "nu-3", "nu-30", "nu-1e3", "nu-1e6"] {
+        assert!(vectors.manifest.cases.iter().any(|case| case.id == format!("image-exact/{scene}")), "{scene}");
+    }
+}
+
+#[test]
+fn every_stage_and_format_has_a_tolerance_with_a_reason() {
+    let (vectors, tolerances) = (vectors(), Tolerances::embedded().unwrap());
+    let mut used = BTreeSet::new();
+    for case in &vectors.manifest.cases {
+        for (role, file) in &case.outputs {
+            for name in vectors.arrays(file).unwrap().keys() {
+                let part = if name.is_empty() { role } else { name };
+                for format in Format::ALL {
+                    let rule = tolerances.rule(case, part, format);
+                    let rule = rule.unwrap_or_else(|| panic!("no tolerance for {} {part} in {format}", case.id));
+                    used.insert(std::ptr::from_ref(rule) as usize);
+                    assert!(rule.reason.len() > 20, "{:?}: a reason, not {:?}", rule.stages, rule.reason);
+                }
+            }
+        }
+    }
+    assert_eq!(used.len(), tolerances.rules.len(), "a rule that no array uses");
+    for rule in &tolerances.rules {
+        for stage in &rule.stages {
+            assert!(answers::STAGES.contains(&stage.as_str()), "a rule for the stage {stage}");
+        }
+    }
+}
+
+/// The norms of all arrays that a rule is for, the largest of each.
+fn envelope(vectors: &Vectors, report: &trgs::oracle::Report, rule: usize, tolerances: &Tolerances) -> Limits {
+    let mut envelope = Limits::default();
+    let raise = |slot: &mut Option<f64>, value: f64| *slot = Some(slot.unwrap_or(0.0).max(value));
+    for result in &report.results {
+        let case = vectors.manifest.cases.iter().find(|case| case.id == result.id).unwrap();
+        for part in &result.parts {
+            let name = part.output.rsplit('.').next().unwrap();
+            let own = tolerances.rule(case, name, report.format).unwrap();
+            if let (true, Some(d)) = (std::ptr::eq(own, &tolerances.rules[rule]), &part.difference) {
+                raise(&mut envelope.peak, d.peak);
+                raise(&mut envelope.ulp, d.ulp);
+                raise(&mut envelope.relative, d.relative);
+                raise(&mut envelope.l2, d.l2);
+                raise(&mut envelope.cosine, d.cosine);
+                raise(&mut envelope.bias, d.bias.abs());
+                raise(&mut envelope.zeros, d.zeros);
+            }
+        }
+    }
+    envelope
+}
+
+/// Answers in f64, rounded to a format: what is left of the truth in it at best.
+fn answer_rounded(vectors: &Vectors, folder: &Path, format: Format) {
+    for case in &vectors.manifest.cases {
+        let mut outputs = answers::answer(&Question::new(vectors, case).unwrap(), Precision::F64).unwrap();
+        for arrays in outputs.values_mut() {
+            arrays.values_mut().for_each(|array| array.mapv_inplace(|x| format.round(x)));
+        }
+        answers::write(folder, case, &outputs).unwrap();
+    }
+}
+
+#[test]
+fn the_measured_envelopes_in_the_table_are_those_of_this_program() {
+    let (vectors, tolerances) = (vectors(), Tolerances::embedded().unwrap());
+    let mut wrong = Vec::new();
+    for format in Format::ALL {
+        let folder = tempfile::tempdir().unwrap();
+        match format {
+            Format::F64 => answer(&vectors, Precision::F64, folder.path(), |_| true),
+            Format::F32 => answer(&vectors, Precision::F32, folder.path(), |_| true),
+            _ => answer_rounded(&vectors, folder.path(), format),
+        }
+        let report = judge(&vectors, folder.path(), format, &[]);
+        assert!(report.passed(), "{}", report::markdown(&report));
+        for (i, rule) in tolerances.rules.iter().enumerate() {
+            let (Some(limits), actual) = (rule.limits.get(&format), envelope(&vectors, &report, i, &tolerances)) else {
+                continue;
+            };
+            let pairs = |l: &Limits| [l.peak, l.ulp, l.relative, l.l2, l.cosine, l.bias, l.zeros];
+            let stated = rule.measured.get(&format).copied().unwrap_or_default();
+            for (norm, ((stated, actual), limit)) in
+                pairs(&stated).into_iter().zip(pairs(&actual)).zip(pairs(limits)).enumerate()
+            {
+                let Some(limit) = limit else { continue };
+                let actual = actual.unwrap_or(0.0);
+                let Some(stated) = stated else {
+                    wrong.push(format!(
+                        "{format} rule {i} {:?} norm {norm}: measured {actual:.2e}, not stated",
+                        rule.stages
+                    ));
+                    continue;
+                };
+                // Two digits are stated.
+                if (stated - actual).abs() > 0.06 * actual {
+                    wrong.push(format!(
+                        "{format} rule {i} {:?} norm {norm}: measured {actual:.2e}, stated {stated:.2e}",
+                        rule.stages
+                    ));
+                }
+                assert!(limit >= actual, "{format} rule {i}: {limit:e} below {actual:e}");
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_blind_export_has_the_inputs_and_nothing_of_the_truth() {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    let cases: Vec<_> = vectors.manifest.cases.iter().collect();
+    let (blind, open) = (folder.path().join("blind"), folder.path().join("open"));
+    vectors.export(&blind, true, &cases).unwrap();
+    vectors.export(&open, false, &cases).unwrap();
+    let exported = Vectors::open(&blind).unwrap();
+    for case in &exported.manifest.cases {
+        assert!(case.inputs.values().all(|file| exported.bytes(file).is_ok()), "{}", case.id);
+        assert!(case.outputs.values().all(|file| file.sha256.is_none()), "{}", case.id);
+        assert!(case.allowances.is_empty());
+        for file in case.outputs.values() {
+            assert!(!blind.join(&file.file).exists() && !blind.join("expected").join(&file.file).exists());
+            assert!(open.join("expected").join(&file.file).exists());
+        }
+    }
+    // The truth is its own answer, and a folder without answers is none.
+    assert!(judge(&vectors, &open.join("expected"), Format::F64, &[]).passed());
+    let report = judge(&vectors, &blind, Format::F64, &[]);
+    assert_eq!(report.count(Status::Missing), report.results.len());
+    assert!(!report.passed());
+}
+
+/// Our answers to one stage in a folder, to be spoilt.
+fn answered(stage: &str) -> (Vectors, tempfile::TempDir, Vec<String>) {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    answer(&vectors, Precision::F64, folder.path(), |case| case.stage == stage);
+    (vectors, folder, vec![stage.to_owned()])
+}
+
+#[test]
+fn nan_a_missing_file_a_missing_array_a_wrong_shape_and_rubbish_fail() {
+    let (vectors, folder, stages) = answered("gradient-density");
+    let path = |scene: &str| folder.path().join("gradient-density").join(scene).join("grad.npz");
+    let case =
+        |scene: &str| vectors.manifest.cases.iter().find(|c| c.id == format!("gradient-density/{scene}")).unwrap();
+    let spoil = |scene: &str, change: &dyn Fn(&mut trgs::oracle::manifest::Arrays)| {
+        let mut outputs = answers::answer(&Question::new(&vectors, case(scene)).unwrap(), Precision::F64).unwrap();
+        change(outputs.get_mut("grad").unwrap());
+        answers::write(folder.path(), case(scene), &outputs).unwrap();
+    };
+    fs::remove_file(path("cone-centred")).unwrap();
+    spoil("cone-offset", &|arrays| drop(arrays.remove("nu")));
+    spoil("cone-five", &|arrays| arrays.get_mut("mean").unwrap()[[0, 1]] = f64::NAN);
+    spoil("nu-2", &|arrays| {
+        let transposed = arrays["mean"].t().to_owned();
+        arrays.insert("mean".into(), transposed);
+    });
+    fs::write(path("nu-3"), b"rubbish").unwrap();
+    let report = judge(&vectors, folder.path(), Format::F64, &stages);
+    let of = |scene: &str| report.results.iter().find(|r| r.id == format!("gradient-density/{scene}")).unwrap();
+    let part = |scene: &str, output: &str| of(scene).parts.iter().find(|p| p.output == output).unwrap();
+    assert_eq!(of("cone-centred").status, Status::Missing);
+    assert_eq!(of("cone-offset").status, Status::Missing);
+    assert_eq!(part("cone-offset", "grad.nu").status, Status::Missing);
+    assert_eq!(part("cone-offset", "grad.mean").status, Status::Passed);
+    assert_eq!(part("cone-five", "grad.mean").message.as_deref(), Some("NaN"));
+    assert_eq!(part("cone-five", "grad.mean").difference.as_ref().unwrap().worst.as_ref().unwrap().index, [0, 1]);
+    assert!(part("nu-2", "grad.mean").message.as_ref().unwrap().contains("shape [3, 1], expected [1, 3]"));
+    assert_eq!(of("nu-3").status, Status::Failed);
+    assert!(!report.passed());
+    assert_eq!(report.count(Status::Passed), report.results.len() - 5);
+}
+
+#[test]
+fn a_waiver_excuses_until_its_day_and_is_reported_when_it_is_not_needed() {
+    let (vectors, folder, stages) = answered("covariance");
+    let cases: Vec<_> = vectors.manifest.cases.iter().filter(|case| case.stage == "covariance").collect();
+    fs::remove_file(folder.path().join(&cases[0].outputs["covariance"].file)).unwrap();
+    let file = folder.path().join("waivers.toml");
+    let text = |case: &str, day: &str| format!("[[waiver]]\ncase = \"{case}\"\nreason = \"known\"\nexpires = {day}\n");
+    fs::write(&file, text(&cases[0].id, "2031-05-07") + &text(&cases[1].id, "2031-05-07")).unwrap();
+    let waivers = waivers::read(&file, &vectors.manifest.cases).unwrap();
+    let on = |year: i16, month: i8, day: i8| {
+        let today = jiff::civil::date(year, month, day);
+        let options = Options { format: Format::F64, level: Level::Stress, stages: &stages, waivers: &waivers, today };
+        check(&vectors, &Tolerances::embedded().unwrap(), folder.path(), &options).unwrap()
+    };
+    let report = on(2031, 5, 7);
+    assert!(report.passed());
+    assert_eq!((report.count(Status::Waived), report.unused_waivers.clone()), (1, vec![cases[1].id.clone()]));
+    assert!(report::markdown(&report).contains("known (until 2031-05-07)"));
+    let report = on(2031, 5, 8);
+    assert!(!report.passed());
+    assert!(report::markdown(&report).contains("ran out on 2031-05-07"));
+    for (bad, needle) in [
+        (text("covariance/none", "2031-05-07"), "covariance/none"),
+        (text(&cases[0].id, "\"soon\""), "expires"),
+        (text(&cases[0].id, "2031-05-07").replace("known", " "), "no reason"),
+        ("[[waiver]]\ncase = \"x\"\n".into(), "reason"),
+    ] {
+        fs::write(&file, &bad).unwrap();
+        let error = waivers::read(&file, &vectors.manifest.cases).unwrap_err().to_string();
+        assert!(error.contains(needle), "{error}");
+    }
+}
+
+#[test]
+fn the_report_is_written_for_readers_programs_and_build_servers() {
+    let (vectors, folder, stages) = answered("kernel");
+    let case = vectors.manifest.cases.iter().find(|case| case.stage == "kernel").unwrap();
+    let mut outputs = answers::answer(&Question::new(&vectors, case).unwrap(), Precision::F64).unwrap();
+    outputs.get_mut("kernel").unwrap().get_mut("").unwrap().mapv_inplace(|x| -x);
+    answers::write(folder.path(), case, &outputs).unwrap();
+    fs::write(folder.path().join("backend.json"), r#"{"name": "mine", "version": "3"}"#).unwrap();
+    let result = judge(&vectors, folder.path(), Format::F64, &stages);
+    let paths = report::write(&result, &folder.path().join("report.json")).unwrap();
+    let [json, markdown, junit] = paths.map(|path| fs::read_to_string(path).unwrap());
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["backend"]["name"], "mine");
+    assert_eq!(json["results"][0]["parts"][0]["looks_like"], "the opposite sign");
+    assert!(json["results"][0]["parts"][0]["difference"]["worst"]["ulp"].as_f64().unwrap() > 1e15);
+    assert!(markdown.contains("mine 3: FAILED") && markdown.contains("the opposite sign"), "{markdown}");
+    assert!(junit.contains("<failure") && junit.contains(&case.id), "{junit}");
+    assert!(report::write(&result, &folder.path().join("report.txt")).is_err());
+}
+
+#[test]
+fn damaged_vectors_and_those_of_another_version_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let vectors = vectors();
+    let cases: Vec<_> = vectors.manifest.cases.iter().filter(|case| case.stage == "covariance").collect();
+    let root = folder.path().join("vectors");
+    vectors.export(&root, false, &cases).unwrap();
+    let exported = Vectors::open(&root).unwrap();
+    let file = exported.manifest.cases[0].inputs["model"].clone();
+    let path = root.join(&file.file);
+    let mut bytes = fs::read(&path).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(&path, bytes).unwrap();
+    assert!(exported.bytes(&file).unwrap_err().to_string().contains("SHA-256"));
+    let manifest = fs::read_to_string(root.join("manifest.json")).unwrap();
+    for (from, to, needle) in [
+        ("\"schema_version\": 2", "\"schema_version\": 3", "schema_version 3"),
+        (file.file.as_str(), "../../etc/passwd", "not below the folder"),
+    ] {
+        fs::write(root.join("manifest.json"), manifest.replace(from, to)).unwrap();
+        let error = Vectors::open(&root).unwrap_err().to_string();
+        assert!(error.contains(needle), "{error}");
+    }
+}
+
+/// The table in `reference/README.md`: stage, worst ulp and worst error of the peak, in f64 and in f32.
+#[test]
+fn the_worst_ulp_of_every_stage_stands_in_the_readme() {
+    let (vectors, readme) = (vectors(), fs::read_to_string(root().join("reference/README.md")).unwrap());
+    let worst = [(Precision::F64, Format::F64), (Precision::F32, Format::F32)].map(|(precision, format)| {
+        let folder = tempfile::tempdir().unwrap();
+        answer(&vectors, precision, folder.path(), |_| true);
+        let report = judge(&vectors, folder.path(), format, &[]);
+        let mut worst: BTreeMap<String, (f64, f64)> = BTreeMap::new();
+        for result in &report.results {
+            let slot = worst.entry(result.stage.clone()).or_default();
+            for d in result.parts.iter().filter_map(|part| part.difference.as_ref()) {
+                *slot = (slot.0.max(d.ulp), slot.1.max(d.peak));
+            }
+        }
+        worst
+    });
+    let ulp = |x: f64| {
+        if x < 0.05 {
+            "0".into()
+        } else if x < 1e4 {
+            format!("{x:.1}")
+        } else {
+            format!("{x:.1e}")
+        }
+    };
+    let peak = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };
+    let mut missing = Vec::new();
+    for stage in answers::STAGES {
+        let [f64s, f32s] = worst.each_ref().map(|worst| worst[stage]);
+        let row = format!("| {stage} | {} | {} | {} | {} |", ulp(f64s.0), peak(f64s.1), ulp(f32s.0), peak(f32s.1));
+        if !readme.contains(&row) {
+            missing.push(row);
+        }
+    }
+    assert!(missing.is_empty(), "reference/README.md lacks\n{}", missing.join("\n"));
+}

@@ -1,0 +1,103 @@
+//! `trgs oracle` and `trgs compare` as authors of backends see them: files, results and exit codes.
+
+mod program;
+
+use ndarray::{Array2, Array3};
+use program::{Sandbox, stderr};
+use trgs::scene::npy;
+
+#[test]
+fn help_has_examples() {
+    let sandbox = Sandbox::new();
+    for command in ["oracle", "oracle list", "oracle export", "oracle answer", "oracle check", "compare"] {
+        let help = String::from_utf8(sandbox.run(&format!("{command} --help")).stdout).unwrap();
+        assert!(help.contains("Example") && help.contains("trgs "), "{command}: {help}");
+    }
+}
+
+#[test]
+fn the_list_tells_level_equations_and_flags_and_can_be_narrowed() {
+    let sandbox = Sandbox::new();
+    let all = sandbox.done("oracle list");
+    let core = sandbox.done("oracle list --level core");
+    let covariance = sandbox.done("oracle list --level core --stage covariance");
+    let count = |list: &serde_json::Value| list["cases"].as_array().unwrap().len();
+    assert!(count(&all) > count(&core) && count(&core) > count(&covariance) && count(&covariance) > 0);
+    assert_eq!(covariance["cases"][0]["equations"][0], "Eq. 3");
+    assert!(all["flags"]["ill-conditioned"].is_string());
+    let message = sandbox.refused("oracle list --stage covariances");
+    assert!(message.contains("covariances") && message.contains("image-exact"), "{message}");
+}
+
+#[test]
+fn a_stranger_exports_answers_and_checks() {
+    let sandbox = Sandbox::new();
+    let exported = sandbox.done("oracle export vectors --blind --level core");
+    assert!(exported["files"].as_u64().unwrap() > 20);
+    assert_eq!(sandbox.names_in("vectors"), ["inputs", "manifest.json"]);
+    // A second export replaces the first; a folder with something else in it is left alone.
+    sandbox.done("oracle export vectors --level core");
+    assert_eq!(sandbox.names_in("vectors"), ["expected", "inputs", "manifest.json"]);
+    sandbox.write("vectors/thesis.txt", "years");
+    assert!(sandbox.refused("oracle export vectors").contains("thesis.txt"));
+
+    for precision in ["f64", "f32"] {
+        sandbox.done(&format!("oracle answer {precision} --precision {precision}"));
+        let report = sandbox.done(&format!("oracle check {precision} --precision {precision}"));
+        assert!(report["results"].as_array().unwrap().iter().all(|r| r["status"] != "failed"));
+    }
+    // Single precision is not double precision.
+    assert_eq!(sandbox.run("oracle check f32 --precision f64").status.code(), Some(1));
+}
+
+#[test]
+fn a_failed_check_ends_with_1_and_writes_its_three_reports() {
+    let sandbox = Sandbox::new();
+    sandbox.done("oracle answer own --stage covariance,kernel");
+    let case = sandbox.done("oracle list --stage kernel")["cases"][0].clone();
+    let file = format!("own/{}", case["outputs"]["kernel"]["file"].as_str().unwrap());
+    let array = npy::read_f64::<ndarray::Ix1>(&sandbox.path(&file), "[N]").unwrap();
+    npy::write(&sandbox.path(&file), (array * 2.0).view()).unwrap();
+    let check = "oracle check own --stage covariance,kernel --precision f64";
+    let output = sandbox.run(&format!("{check} --report report.json"));
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("FAILED") && text.contains("a factor of 2"), "{text}");
+    assert_eq!(text.trim_end(), sandbox.text("report.md").trim_end());
+    assert!(sandbox.text("report.xml").contains("a factor of 2") && sandbox.text("report.json").contains("looks_like"));
+
+    let id = case["id"].as_str().unwrap();
+    let waiver = |day: &str| format!("[[waiver]]\ncase = \"{id}\"\nreason = \"twice is nice\"\nexpires = {day}\n");
+    sandbox.write("waivers.toml", waiver("9999-12-31"));
+    assert_eq!(sandbox.run(&format!("{check} --waivers waivers.toml")).status.code(), Some(0));
+    sandbox.write("waivers.toml", waiver("2020-01-01"));
+    assert_eq!(sandbox.run(&format!("{check} --waivers waivers.toml")).status.code(), Some(1));
+    sandbox.write("waivers.toml", waiver("tomorrow"));
+    assert!(sandbox.refused(&format!("{check} --waivers waivers.toml")).contains("waivers.toml"));
+    assert!(sandbox.refused(&format!("{check} --report report.txt")).contains(".json"));
+    assert!(sandbox.refused("oracle check nowhere").contains("nowhere"));
+}
+
+#[test]
+fn compare_names_what_it_sees() {
+    let sandbox = Sandbox::new();
+    let image = |shift: f64| {
+        Array3::from_shape_fn((2, 20, 24), |(n, r, c)| {
+            let (y, x) = (r as f64 - 9.2 - n as f64, c as f64 - 11.4 - shift);
+            1.0 / (1.0 + (x * x + 0.6 * y * y + 0.3 * x * y) / 20.0)
+        })
+    };
+    npy::write(&sandbox.path("a.npy"), image(0.0).view()).unwrap();
+    npy::write(&sandbox.path("b.npy"), image(0.5).view()).unwrap();
+    npy::write(&sandbox.path("c.npy"), image(0.0).mapv(|x| x as f32).view()).unwrap();
+    npy::write(&sandbox.path("d.npy"), Array2::<f64>::zeros((3, 4)).view()).unwrap();
+    let output = sandbox.run("compare a.npy b.npy --axes view,v,u");
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    assert!(text.contains("looks like a half-pixel shift in u towards higher indices"), "{text}");
+    assert_eq!(sandbox.run("compare a.npy b.npy --tolerance 1e-3").status.code(), Some(1));
+    assert_eq!(sandbox.run("compare a.npy c.npy --tolerance 1e-7 --precision f32").status.code(), Some(0));
+    assert_eq!(sandbox.done("compare a.npy a.npy --tolerance 0")[0]["difference"]["peak"], 0.0);
+    assert_eq!(sandbox.run("compare a.npy d.npy --tolerance 1").status.code(), Some(1));
+    assert!(sandbox.refused("compare a.npy nowhere.npy").contains("nowhere.npy"));
+}
