@@ -1,15 +1,32 @@
 //! `--explain`: which primitives make one pixel or voxel.
 
 use super::Answer;
-use super::render::Written;
 use serde::Serialize;
+use std::path::Path;
+use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::Primitives;
-use trgs::projector::{Contribution, rank};
+use trgs::projector::{Contribution, Projection, rank};
 use trgs::{Error, Result};
 
 /// Lines of the table; `--json` has all.
 const LINES: usize = 20;
+
+/// What was written.
+#[derive(Serialize)]
+pub(super) struct Written<'a> {
+    pub(super) out: &'a Path,
+    pub(super) shape: Vec<usize>,
+    pub(super) precision: Precision,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) projection: Option<Projection>,
+    pub(super) cutoff: f64,
+    /// Largest possible error of a pixel by the cutoff.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) truncation_bound: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) grad_out: Option<&'a Path>,
+}
 
 /// The result of a command that explains, and of its writing where it writes too.
 #[derive(Serialize)]

@@ -1,7 +1,8 @@
 //! `trgs render`: projections of a model, and the gradient of whatever is made of them.
 
 use super::arguments::{cutoff, finite, list};
-use super::{Answer, check_size, explain, interrupt};
+use super::explain::{self, Written};
+use super::{Answer, check_size, interrupt};
 use clap::{Args, ValueEnum};
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -73,22 +74,6 @@ pub(super) struct KernelArgs {
 enum Split {
     Train,
     Test,
-}
-
-/// What was written.
-#[derive(Serialize)]
-pub(super) struct Written<'a> {
-    pub(super) out: &'a Path,
-    pub(super) shape: Vec<usize>,
-    pub(super) precision: Precision,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) projection: Option<Projection>,
-    pub(super) cutoff: f64,
-    /// Largest possible error of a pixel by the cutoff.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) truncation_bound: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) grad_out: Option<&'a Path>,
 }
 
 /// What is explained.

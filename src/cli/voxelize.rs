@@ -1,8 +1,9 @@
 //! `trgs voxelize`: a model at voxel centres, and the gradient of whatever is made of them.
 
 use super::arguments::list;
-use super::render::{KernelArgs, Written};
-use super::{Answer, check_size, explain};
+use super::explain::{self, Written};
+use super::render::KernelArgs;
+use super::{Answer, check_size};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;

@@ -8,13 +8,17 @@
 use super::Projection;
 use super::kernel::{Plane, Sums};
 use super::shape::{Shape, ShapeGradient};
-use super::view::from_even;
 use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec2, DVec3};
 use std::ops::Range;
 
 /// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
 pub(super) const NEAR: f64 = 0.01;
+
+/// A range that starts at an even row, as the kernels want it.
+pub(super) fn from_even(rows: Range<usize>) -> Range<usize> {
+    rows.start & !1..rows.end
+}
 
 /// A primitive on the detector of one view. The default is one that is left out.
 #[derive(Clone, Debug, Default)]

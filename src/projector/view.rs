@@ -1,6 +1,6 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
-use super::footprint::Footprint;
+use super::footprint::{Footprint, from_even};
 use super::kernel::{Canvas, STRIP, Scratch};
 use super::kernels::Kernels;
 use super::shape::CHUNK;
@@ -8,7 +8,6 @@ use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
-use std::ops::Range;
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
@@ -20,11 +19,6 @@ pub struct ViewField<'a, R> {
     view: View,
     pub(super) projection: Projection,
     pub(super) footprints: Vec<Footprint>,
-}
-
-/// A range that starts at an even row, as the kernels want it.
-pub(super) fn from_even(rows: Range<usize>) -> Range<usize> {
-    rows.start & !1..rows.end
 }
 
 impl<'a, R: Kernels> ViewField<'a, R> {

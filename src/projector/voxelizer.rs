@@ -1,11 +1,10 @@
 //! The field at voxel centres, slice by slice along x, and the adjoint. A slice is a plane of pixels (rows = y,
 //! columns = z) for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`.
 
-use super::footprint::{Extent, symmetric};
+use super::footprint::{Extent, from_even, symmetric};
 use super::kernel::{Canvas, Plane, STRIP, Scratch, Sums};
 use super::kernels::Kernels;
 use super::shape::{CHUNK, Shape, ShapeGradient};
-use super::view::from_even;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::Grid;
