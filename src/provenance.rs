@@ -100,6 +100,11 @@ pub fn digest_file(path: &Path) -> Result<String> {
     Ok(hex(hasher))
 }
 
+/// SHA-256 of bytes, 64 hexadecimal digits.
+pub fn digest_bytes(bytes: &[u8]) -> String {
+    hex(Sha256::new_with_prefix(bytes))
+}
+
 /// SHA-256 of the bits of some numbers, little-endian: two arrays have the same digest if and only if they are equal
 /// bit by bit (so -0 is not 0). The shape does not enter.
 pub fn digest_f32<'a>(values: impl IntoIterator<Item = &'a f32>) -> String {

@@ -2,13 +2,13 @@
 
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder, write_atomically};
+use crate::provenance::digest_bytes;
 use crate::scene::npy;
 use crate::scene::npz::Npz;
 use ndarray::ArrayD;
 use rust_embed::RustEmbed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -135,7 +135,7 @@ impl Vectors {
                 return Err(wrong(format!("the file {file:?} of {}, which is not below the folder", case.id)));
             }
         }
-        Ok(Self { manifest, digest: sha256(&bytes), root })
+        Ok(Self { manifest, digest: digest_bytes(&bytes), root })
     }
 
     /// The bytes of a file, compared with its digest where there is one.
@@ -145,10 +145,10 @@ impl Vectors {
     pub fn bytes(&self, file: &FileRef) -> Result<Cow<'static, [u8]>> {
         let bytes = bytes(self.root.as_deref(), &file.file)?;
         match &file.sha256 {
-            Some(expected) if *expected != sha256(&bytes) => Err(Error::format(
+            Some(expected) if *expected != digest_bytes(&bytes) => Err(Error::format(
                 &self.path(file),
                 "SHA-256",
-                sha256(&bytes),
+                digest_bytes(&bytes),
                 format!("{expected}, as the manifest says"),
                 "the vectors were changed: take them anew",
             )),
@@ -231,8 +231,4 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
 /// Whether a path of the manifest stays in its folder.
 fn is_below(file: &str) -> bool {
     !file.is_empty() && file.split('/').all(|part| !matches!(part, "" | "." | "..") && !part.contains(['\\', ':']))
-}
-
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

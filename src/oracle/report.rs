@@ -76,10 +76,15 @@ pub fn markdown(report: &Report) -> String {
     text
 }
 
+/// The stages that were looked at, in the manifest's order.
+fn stages(report: &Report) -> Vec<&str> {
+    let mut stages: Vec<&str> = report.results.iter().map(|result| result.stage.as_str()).collect();
+    stages.dedup();
+    stages
+}
+
 /// A row for each stage: its worst errors and the cases that have them.
 fn stage_rows(report: &Report) -> Vec<[String; 6]> {
-    let mut stages: Vec<&str> = report.results.iter().map(|r| r.stage.as_str()).collect();
-    stages.dedup();
     let row = |stage: &str| {
         let results = || report.results.iter().filter(move |r| r.stage == stage);
         let compared =
@@ -95,7 +100,7 @@ fn stage_rows(report: &Report) -> Vec<[String; 6]> {
             peak.map_or_else(String::new, |(id, _)| id.rsplit('/').next().unwrap_or_default().to_owned()),
         ]
     };
-    stages.into_iter().map(row).collect()
+    stages(report).into_iter().map(row).collect()
 }
 
 /// A number of ulp.
@@ -144,9 +149,7 @@ fn one_line(backend: &serde_json::Value) -> String {
 /// A suite for each stage, a test for each case.
 fn junit(report: &Report) -> quick_junit::Report {
     let mut all = quick_junit::Report::new("trgs oracle");
-    let mut stages: Vec<&str> = report.results.iter().map(|r| r.stage.as_str()).collect();
-    stages.dedup();
-    for stage in stages {
+    for stage in stages(report) {
         let mut suite = TestSuite::new(stage);
         for result in report.results.iter().filter(|r| r.stage == stage) {
             let bad = result.parts.iter().filter(|p| p.status != Status::Passed);

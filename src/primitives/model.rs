@@ -11,26 +11,18 @@ use std::path::Path;
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file or the first unusable value.
 pub fn read(path: &Path) -> Result<Primitives> {
-    from_npz(&Npz::read(path)?, path)
-}
-
-/// The model in an archive; `path` names it in errors.
-pub(crate) fn from_npz(npz: &Npz, path: &Path) -> Result<Primitives> {
-    Primitives::new(parameters(npz, path)?).map_err(|error| error.in_file(path))
-}
-
-/// The arrays of an archive as they are, raw parameters and gradients too. A missing `nu` is infinite.
-pub(crate) fn parameters(npz: &Npz, path: &Path) -> Result<Parameters> {
+    let npz = Npz::read(path)?;
     let density: Array1<f64> = npz.get("density", "[M]")?;
     let nu: Array1<f64> =
         if npz.entry("nu").is_some() { npz.get("nu", "[M]")? } else { Array1::from_elem(density.len(), f64::INFINITY) };
-    Ok(Parameters {
-        mean: rows(path, npz, Group::Mean)?,
-        scale: rows(path, npz, Group::Scale)?,
-        quaternion: rows(path, npz, Group::Quaternion)?,
+    Primitives::new(Parameters {
+        mean: rows(path, &npz, Group::Mean)?,
+        scale: rows(path, &npz, Group::Scale)?,
+        quaternion: rows(path, &npz, Group::Quaternion)?,
         density: density.to_vec(),
         nu: nu.to_vec(),
     })
+    .map_err(|error| error.in_file(path))
 }
 
 /// An `[M, N]` array as rows.

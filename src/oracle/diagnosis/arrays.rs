@@ -10,7 +10,7 @@ pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str])
         Suspect::new("the opposite sign", -expected),
         Suspect::new("1 - x in the place of x", expected.mapv(|x| 1.0 - x)),
     ];
-    let name = |axis: usize| axes.get(axis).map_or_else(|| format!("axis {axis}"), |name| (*name).to_owned());
+    let name = |axis| axis_name(axes, axis);
     for axis in (0..expected.ndim()).filter(|&axis| expected.len_of(Axis(axis)) > 1) {
         let mut flipped = expected.clone();
         flipped.invert_axis(Axis(axis));
@@ -34,6 +34,11 @@ pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str])
     all
 }
 
+/// The name of an axis, or its number.
+fn axis_name(axes: &[&str], axis: usize) -> String {
+    axes.get(axis).map_or_else(|| format!("axis {axis}"), |name| (*name).to_owned())
+}
+
 /// The values with two axes exchanged, as they lie in memory, in the expected shape.
 fn stored_as(expected: &ArrayD<f64>, a: usize, b: usize) -> ArrayD<f64> {
     let mut turned = expected.view();
@@ -44,7 +49,7 @@ fn stored_as(expected: &ArrayD<f64>, a: usize, b: usize) -> ArrayD<f64> {
 
 /// The permutation of axes that makes the truth's shape the answer's and the values the same, in words.
 pub(crate) fn transposition(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Option<String> {
-    let name = |axis: usize| axes.get(axis).map_or_else(|| format!("axis {axis}"), |name| (*name).to_owned());
+    let name = |axis| axis_name(axes, axis);
     for a in 0..expected.ndim() {
         for b in a + 1..expected.ndim() {
             let mut turned = expected.view();
@@ -101,7 +106,7 @@ pub(super) fn half_shifts(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&st
     let first = expected.ndim().saturating_sub(if axes.first() == Some(&"x") { 3 } else { 2 });
     let mut all = Vec::new();
     for axis in (first..expected.ndim()).filter(|&axis| expected.len_of(Axis(axis)) > 4) {
-        let name = axes.get(axis).map_or_else(|| format!("axis {axis}"), |name| (*name).to_owned());
+        let name = axis_name(axes, axis);
         for (side, towards) in [(0, "higher"), (1, "lower")] {
             let array = between(expected, got, axis, side);
             let name = format!("a half-pixel shift in {name} towards {towards} indices");
