@@ -12,6 +12,7 @@
 //! | [`primitives`] | the kernels, raw and physical parameters, where they start | Sec. 3.1, Eq. 1–3 |
 //! | [`projector`] | primitives → images and volumes, and the gradients back | Sec. 3.1, Eq. 4–5, appendix A |
 //! | [`projector::naive`] | the same equations as plainly as they can be written | |
+//! | [`confidence`] | how well the rays cover a primitive, and the ν that this entitles it to | Eq. 6–10 |
 //! | [`loss`] | L1, D-SSIM, total variation | |
 //! | [`optim`] | Adam, learning rates | |
 //! | [`train`](mod@train) | the loop | Fig. 2 |
@@ -25,6 +26,7 @@
 //! primitive, `[X3]` the precision of its power, all three ours and explained in [`projector`].
 
 pub mod classical;
+pub mod confidence;
 pub mod config;
 pub mod error;
 pub mod evaluation;

@@ -1,0 +1,45 @@
+//! Cost of the ray confidence in points of the sphere per second: primitives × views × points, 18 views and 512 points,
+//! on one thread. `cargo bench --bench confidence`
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use std::hint::black_box;
+use trgs::confidence::{Coverage, Settings};
+use trgs::numeric::threads::Pool;
+use trgs::primitives::{Parameters, Primitives};
+use trgs::scene::{Beam, Detector, Grid, Scanner};
+
+const VIEWS: usize = 18;
+
+/// `m` rotated primitives along a spiral, with axes up to 1:4.
+fn primitives(m: usize) -> Primitives {
+    let mut parameters = Parameters::zeros(m);
+    for i in 0..m {
+        let t = i as f64;
+        parameters.mean[i] = [0.8 * (0.01 * t).sin(), 0.7 * (0.013 * t).cos(), 0.9 * (0.0007 * t).sin()];
+        parameters.scale[i] = [0.01, 0.02 + 0.01 * (0.3 * t).sin(), 0.02 + 0.02 * (0.7 * t).cos().abs()];
+        parameters.quaternion[i] = [(0.1 * t).cos(), 0.5, (0.2 * t).sin(), 0.3];
+        parameters.density[i] = 1.0;
+        parameters.nu[i] = 5.0;
+    }
+    Primitives::new(parameters).unwrap()
+}
+
+fn confidence(criterion: &mut Criterion) {
+    let detector = Detector { rows: 128, columns: 128, pitch_v: 0.03, pitch_u: 0.03, offset_u: 0.0, offset_v: 0.0 };
+    let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
+    let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
+    let (settings, pool) = (Settings::default(), Pool::new(1).unwrap());
+    let coverage = Coverage::new(settings);
+    let mut group = criterion.benchmark_group("confidence");
+    for m in [5_000, 50_000] {
+        let primitives = primitives(m);
+        group.throughput(Throughput::Elements((m * VIEWS * settings.sphere_points) as u64));
+        group.sample_size(10).bench_function(format!("{m} primitives"), |bencher| {
+            bencher.iter(|| pool.run(|| black_box(coverage.confidence(black_box(&primitives), &scanner, &angles))));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, confidence);
+criterion_main!(benches);

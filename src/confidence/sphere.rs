@@ -1,0 +1,61 @@
+//! Counting the points of a sphere that lie within tubes round its diameters: the hot loop.
+
+use super::naive;
+use crate::numeric::{Lanes, Real};
+use glam::DVec3;
+
+/// Points that are tested together.
+type Row = <f64 as Real>::Lanes;
+
+/// Rows worked on together: two hide the latency of the running minimum.
+const ROWS: usize = 2;
+
+/// A tube round the chord from `-direction` to `+direction`, in the primitive's local frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tube {
+    /// Unit vector.
+    pub(super) direction: DVec3,
+    /// `1 - r²`: the tube holds the points p of the sphere with `(p·u)²` not below this.
+    pub(super) nearest: f64,
+}
+
+/// The points of the sphere as blocks of rows; the last is filled up with NaN, which no tube holds.
+pub(super) struct Sphere {
+    blocks: Vec<[[Row; ROWS]; 3]>,
+}
+
+impl Sphere {
+    /// `n` points.
+    pub(super) fn new(n: usize) -> Self {
+        let point = |k: usize| if k < n { naive::sphere_point(k, n) } else { DVec3::NAN };
+        let block = |first: usize| {
+            [0, 1, 2].map(|axis| {
+                std::array::from_fn(|row| Row::from_fn(|lane| point(first + row * Row::WIDTH + lane)[axis]))
+            })
+        };
+        Self { blocks: (0..n).step_by(ROWS * Row::WIDTH).map(block).collect() }
+    }
+
+    /// Number of points within at least one tube.
+    ///
+    /// A point keeps the least of `(1 - r²) - (p·u)²` over the tubes; a difference has the sign of the comparison.
+    pub(super) fn covered(&self, tubes: &[Tube]) -> f64 {
+        let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
+        let mut covered = zero;
+        for [x, y, z] in &self.blocks {
+            let mut outside = [Row::splat(f64::INFINITY); ROWS];
+            for tube in tubes {
+                let [ux, uy, uz] = tube.direction.to_array().map(Row::splat);
+                let nearest = Row::splat(tube.nearest);
+                for (row, outside) in outside.iter_mut().enumerate() {
+                    let along = x[row] * ux + y[row] * uy + z[row] * uz;
+                    *outside = (nearest - along * along).at_most(*outside);
+                }
+            }
+            for outside in outside {
+                covered += outside.select_le(zero, one, zero);
+            }
+        }
+        covered.sum()
+    }
+}
