@@ -13,6 +13,7 @@
 //! | [`projector`] | primitives → images and volumes, and the gradients back | Sec. 3.1, Eq. 4–5, appendix A |
 //! | [`projector::naive`] | the same equations as plainly as they can be written | |
 //! | [`loss`] | L1, D-SSIM, total variation | |
+//! | [`wavelet`] | Haar transform of a block, confident neighbours, the loss on its detail | Sec. 3.3, Eq. 11–15 |
 //! | [`optim`] | Adam, learning rates | |
 //! | [`train`](mod@train) | the loop | Fig. 2 |
 //! | [`classical`] | FDK | Sec. 4.1 |
@@ -39,5 +40,6 @@ pub mod provenance;
 pub mod report;
 pub mod scene;
 pub mod train;
+pub mod wavelet;
 
 pub use error::{Error, Result};
