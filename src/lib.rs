@@ -14,6 +14,7 @@
 //! | [`projector::naive`] | the same equations as plainly as they can be written | |
 //! | [`confidence`] | how well the rays cover a primitive, and the ν that this entitles it to | Eq. 6–10 |
 //! | [`loss`] | L1, D-SSIM, total variation | |
+//! | [`wavelet`] | Haar transform of a block, confident neighbours, the loss on its detail | Sec. 3.3, Eq. 11–15 |
 //! | [`optim`] | Adam, learning rates | |
 //! | [`train`](mod@train) | the loop | Fig. 2 |
 //! | [`classical`] | FDK | Sec. 4.1 |
@@ -41,5 +42,6 @@ pub mod provenance;
 pub mod report;
 pub mod scene;
 pub mod train;
+pub mod wavelet;
 
 pub use error::{Error, Result};

@@ -1,0 +1,243 @@
+//! The orthonormal 3-D Haar transform `[Eq. 11]`, level by level.
+//!
+//! Along one axis, of each pair `(a, b)` of neighbours: low `(a + b)/√2`, high `(a - b)/√2`. In three axes a cell of
+//! 2×2×2 voxels becomes one coefficient in each of eight bands, `4·hx + 2·hy + hz` with `h = 1` for high: band 0 is low along
+//! all axes, band 7 high. All entries of the matrix are ±1/√8, so a band alone is its coefficient times a sign:
+//!
+//! ```text
+//! c_b(cell) = Σ_o ±f(2·cell + o)/√8,   f(2·cell + o) = Σ_b ±c_b(cell)/√8,   ± = (-1)^|b ∧ o|,   o = 4·ox + 2·oy + oz
+//! ```
+
+use crate::numeric::Real;
+use ndarray::{Array3, Array4, ArrayView3};
+use std::f64::consts::FRAC_1_SQRT_2;
+
+/// Bands of one level.
+pub const BANDS: usize = 8;
+
+/// What a block is made of `[Eq. 11]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Subbands<R> {
+    /// Level by level, finest first; level l = 1, 2, … is `[band, X/2^l, Y/2^l, Z/2^l]`. Band 0 of a level is what the next
+    /// one transforms: it belongs to the coefficients in the coarsest level only.
+    pub levels: Vec<Array4<R>>,
+}
+
+impl<R: Real> Subbands<R> {
+    /// Zeros for a block of `shape`.
+    ///
+    /// # Panics
+    /// When a side is not divisible by 2 once for each level, or `levels` is 0.
+    pub fn zeros(shape: [usize; 3], levels: usize) -> Self {
+        assert!(levels > 0, "a transform of no level");
+        let even = |side: &usize| *side > 0 && side.trailing_zeros() as usize >= levels;
+        assert!(shape.iter().all(even), "sides {shape:?} of a block, to be halved {levels} times");
+        let level = |l: usize| Array4::default((BANDS, shape[0] >> l, shape[1] >> l, shape[2] >> l));
+        Self { levels: (1..=levels).map(level).collect() }
+    }
+
+    /// The coefficients of one band, `[x, y, z]` in order; levels count from 1.
+    pub(super) fn band(&self, level: usize, band: usize) -> &[R] {
+        let all = self.levels[level - 1].as_slice().expect("coefficients are contiguous");
+        all.chunks_exact(all.len() / BANDS).nth(band).expect("a band below 8")
+    }
+
+    pub(super) fn band_mut(&mut self, level: usize, band: usize) -> &mut [R] {
+        let all = self.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
+        let size = all.len() / BANDS;
+        all.chunks_exact_mut(size).nth(band).expect("a band below 8")
+    }
+
+    /// The shape of the block.
+    fn shape(&self) -> [usize; 3] {
+        let finest = self.levels[0].shape();
+        [1, 2, 3].map(|axis| 2 * finest[axis])
+    }
+}
+
+/// The transform of a block `[x, y, z]` `[Eq. 11]`.
+///
+/// # Panics
+/// When a side is not divisible by 2 once for each level, or `levels` is 0.
+pub fn forward<R: Real>(block: ArrayView3<R>, levels: usize) -> Subbands<R> {
+    let (x, y, z) = block.dim();
+    let mut shape = [x, y, z];
+    let mut subbands = Subbands::zeros(shape, levels);
+    let mut low: Vec<R> = block.iter().copied().collect();
+    for level in 1..=levels {
+        for band in 0..BANDS {
+            analyse(&low, shape, band, subbands.band_mut(level, band));
+        }
+        low = subbands.band(level, 0).to_vec();
+        shape = shape.map(|side| side / 2);
+    }
+    subbands
+}
+
+/// The block `[x, y, z]` of a transform, whose bands 0 only count in the coarsest level `[Eq. 11]`.
+pub fn inverse<R: Real>(subbands: &Subbands<R>) -> Array3<R> {
+    let shape = subbands.shape();
+    let coarsest = subbands.levels.len();
+    let mut low = subbands.band(coarsest, 0).to_vec();
+    for level in (1..=coarsest).rev() {
+        let shape = shape.map(|side| side >> (level - 1));
+        let mut block = vec![R::ZERO; shape.iter().product()];
+        add_synthesis(&low, shape, 0, &mut block);
+        for band in 1..BANDS {
+            add_synthesis(subbands.band(level, band), shape, band, &mut block);
+        }
+        low = block;
+    }
+    Array3::from_shape_vec(shape, low).expect("coefficients of a block make up a block")
+}
+
+/// One band alone at full size: `shape` voxels in the order `[x, y, z]` from the band's coefficients of a level.
+pub(super) fn alone<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
+    let mut low = coefficients.to_vec();
+    for finer in (0..level).rev() {
+        let shape = shape.map(|side| side >> finer);
+        let mut block = vec![R::ZERO; shape.iter().product()];
+        let band = if finer + 1 == level { band } else { 0 };
+        add_synthesis(&low, shape, band, &mut block);
+        low = block;
+    }
+    low
+}
+
+/// The transpose of [`alone`]: the band's coefficients, of a level, of a block.
+pub(super) fn coefficients<R: Real>(block: &[R], shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
+    let mut low = block.to_vec();
+    for finer in 0..level {
+        let mut halved = vec![R::ZERO; low.len() / BANDS];
+        let band = if finer + 1 == level { band } else { 0 };
+        analyse(&low, shape.map(|side| side >> finer), band, &mut halved);
+        low = halved;
+    }
+    low
+}
+
+/// The factors ±1/√8 of a band for the even and the odd voxels of a row along z.
+fn factors<R: Real>(band: usize, x: usize, y: usize) -> [R; 2] {
+    let corner = 4 * (x % 2) + 2 * (y % 2);
+    let sign = |odd: usize| if (band & (corner + odd)).count_ones() % 2 == 1 { -1.0 } else { 1.0 };
+    [0, 1].map(|odd| R::from_f64(sign(odd) * 0.5 * FRAC_1_SQRT_2))
+}
+
+/// Coefficients of one band from a block of `shape`, one level.
+fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
+    let [_, ny, nz] = shape;
+    for (i, row) in block.chunks_exact(nz).enumerate() {
+        let (x, y) = (i / ny, i % ny);
+        let [even, odd] = factors::<R>(band, x, y);
+        let cells = &mut coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
+        for (cell, pair) in cells.iter_mut().zip(row.chunks_exact(2)) {
+            *cell += even * pair[0] + odd * pair[1];
+        }
+    }
+}
+
+/// Adds what one band's coefficients stand for to a block of `shape`, one level. The transpose of [`analyse`].
+fn add_synthesis<R: Real>(coefficients: &[R], shape: [usize; 3], band: usize, block: &mut [R]) {
+    let [_, ny, nz] = shape;
+    for (i, row) in block.chunks_exact_mut(nz).enumerate() {
+        let (x, y) = (i / ny, i % ny);
+        let [even, odd] = factors::<R>(band, x, y);
+        let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
+        for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
+            pair[0] += even * *cell;
+            pair[1] += odd * *cell;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use crate::wavelet::naive;
+    use ndarray::Axis;
+    use rand::RngExt;
+
+    fn block(shape: [usize; 3], seed: u64) -> Array3<f64> {
+        let mut random = stream(seed, Purpose::Phantom, 1, 0);
+        Array3::from_shape_simple_fn(shape, || random.random::<f64>() - 0.3)
+    }
+
+    fn energy(subbands: &Subbands<f64>) -> f64 {
+        let coarsest = subbands.levels.len();
+        let squares = (1..=coarsest).flat_map(|level| {
+            let first = usize::from(level < coarsest);
+            (first..BANDS).flat_map(move |band| subbands.band(level, band).iter().map(|c| c * c))
+        });
+        squares.sum()
+    }
+
+    #[test]
+    fn the_inverse_of_the_transform_is_the_block_and_both_have_the_same_energy() {
+        for (shape, levels) in [([2, 2, 2], 1), ([4, 6, 10], 1), ([32, 8, 2], 1), ([4, 12, 8], 2), ([8, 16, 24], 3)] {
+            let block = block(shape, levels as u64);
+            let subbands = forward(block.view(), levels);
+            let peak = block.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            let worst = (&inverse(&subbands) - &block).iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+            assert!(worst <= 1e-15 * peak, "{shape:?}, {levels} levels: {:e}", worst / peak);
+            let (before, after) = (block.iter().map(|v| v * v).sum::<f64>(), energy(&subbands));
+            assert!((before - after).abs() <= 1e-14 * before, "{shape:?}, {levels} levels: {before} or {after}");
+        }
+    }
+
+    #[test]
+    fn coefficients_and_bands_alone_are_those_of_the_definition() {
+        let block = block([4, 8, 12], 5);
+        let subbands = forward(block.view(), 2);
+        let finest = naive::transform(&block);
+        let coarsest = naive::transform(&finest.index_axis(Axis(0), 0).to_owned());
+        for (level, expected) in subbands.levels.iter().zip([finest, coarsest]) {
+            assert!((level - &expected).iter().all(|d| d.abs() <= 1e-13));
+        }
+        for (level, band) in (1..=2).flat_map(|level| (0..BANDS).map(move |band| (level, band))) {
+            let expected = naive::alone(&block, level, band);
+            let found = alone(subbands.band(level, band), [4, 8, 12], level, band);
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() <= 1e-13), "level {level}, band {band}");
+            let again = coefficients(block.as_slice().unwrap(), [4, 8, 12], level, band);
+            assert!(again.iter().zip(subbands.band(level, band)).all(|(a, b)| (a - b).abs() <= 1e-13));
+        }
+    }
+
+    #[test]
+    fn a_band_alone_and_its_coefficients_are_transposes_of_each_other() {
+        let (shape, level) = ([8, 4, 12], 2);
+        let (f, size) = (block(shape, 7), 2 * 3);
+        for band in 0..BANDS {
+            let c: Vec<f64> = block([1, 2, 3], band as u64).into_iter().collect();
+            let left: f64 = alone(&c, shape, level, band).iter().zip(&f).map(|(a, b)| a * b).sum();
+            let right: f64 =
+                coefficients(f.as_slice().unwrap(), shape, level, band).iter().zip(&c).map(|(a, b)| a * b).sum();
+            assert_eq!(c.len(), size);
+            assert!((left - right).abs() <= 1e-14, "band {band}: {left} or {right}");
+        }
+    }
+
+    /// The bands in which anything is larger than rounding.
+    fn excited(block: &Array3<f64>) -> Vec<usize> {
+        let subbands = forward(block.view(), 1);
+        (0..BANDS).filter(|&band| subbands.band(1, band).iter().any(|c| c.abs() > 1e-14)).collect()
+    }
+
+    #[test]
+    fn known_signals_are_in_the_bands_they_belong_to() {
+        let shape = (4, 6, 2);
+        assert_eq!(excited(&Array3::from_elem(shape, 0.7)), [0], "constant");
+        assert_eq!(excited(&Array3::from_shape_fn(shape, |(x, _, _)| x as f64)), [0, 4], "ramp along x");
+        assert_eq!(excited(&Array3::from_shape_fn(shape, |(_, y, _)| y as f64)), [0, 2], "ramp along y");
+        assert_eq!(excited(&Array3::from_shape_fn(shape, |(_, _, z)| z as f64)), [0, 1], "ramp along z");
+        let sign = |n: usize| if n.is_multiple_of(2) { 1.0 } else { -1.0 };
+        assert_eq!(excited(&Array3::from_shape_fn(shape, |(x, y, _)| sign(x + y))), [6], "chequers in x and y");
+        assert_eq!(excited(&Array3::from_shape_fn(shape, |(x, y, z)| sign(x + y + z))), [7], "chequers");
+    }
+
+    #[test]
+    #[should_panic(expected = "sides [4, 6, 4] of a block, to be halved 2 times")]
+    fn a_side_that_cannot_be_halved_is_refused() {
+        forward(block([4, 6, 4], 0).view(), 2);
+    }
+}
