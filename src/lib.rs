@@ -15,7 +15,8 @@
 //! | [`confidence`] | how well the rays cover a primitive, and the ν that this entitles it to | Eq. 6–10 |
 //! | [`loss`] | L1, D-SSIM, total variation | |
 //! | [`wavelet`] | Haar transform of a block, confident neighbours, the loss on its detail | Sec. 3.3, Eq. 11–15 |
-//! | [`optim`] | Adam, learning rates | |
+//! | [`optim`] | Adam, SGHMC, learning rates | Sec. 4.5 |
+//! | [`density`] | how primitives come and go: ADC, adding & recycling | Sec. 4.5 |
 //! | [`train`](mod@train) | the loop | Fig. 2 |
 //! | [`classical`] | FDK | Sec. 4.1 |
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
@@ -29,6 +30,7 @@
 pub mod classical;
 pub mod confidence;
 pub mod config;
+pub mod density;
 pub mod error;
 pub mod evaluation;
 pub mod loss;

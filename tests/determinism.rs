@@ -135,7 +135,7 @@ fn fifty_training_steps_have_the_same_bits_on_any_number_of_threads() {
         config.model.points = 400;
         config.loss.tv_block = 16;
         assert_independent_of_threads(&format!("training {precision:?}"), || {
-            let result = train::train(&dataset, &config, &mut |_, _| ControlFlow::Continue(())).unwrap();
+            let result = train::train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
             digest_of(&result.primitives.parameters) + &digest(result.volume.values.iter().map(|&x| f64::from(x)))
         });
     }
@@ -148,7 +148,10 @@ fn a_different_seed_gives_a_different_result() {
         let mut config = Config { iterations: 3, seed, ..Config::default() };
         config.model.points = 200;
         digest_of(
-            &train::train(&dataset, &config, &mut |_, _| ControlFlow::Continue(())).unwrap().primitives.parameters,
+            &train::train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(()))
+                .unwrap()
+                .primitives
+                .parameters,
         )
     };
     assert_eq!(run(1), run(1));

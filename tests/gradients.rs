@@ -9,7 +9,8 @@ use trgs::config::Precision;
 use trgs::oracle::Format;
 use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, Kernel, Parameters};
-use trgs::projector::{self, Projection};
+use trgs::projector::{self, Field, Projection};
+use trgs::scene::{Detector, Scanner};
 
 fn is_gradient(case: &trgs::oracle::Case) -> bool {
     case.stage.starts_with("gradient")
@@ -82,4 +83,42 @@ fn the_gradient_to_a_quaternion_is_tangential() {
         let lengths: f64 = q.iter().map(|a| a * a).sum::<f64>().sqrt() * d.iter().map(|a| a * a).sum::<f64>().sqrt();
         assert!(along.abs() <= 1e-14 * lengths && lengths > 0.0, "{along:e} of {lengths:e}");
     }
+}
+
+/// Moving the detector against a primitive moves its shadow; the affine projection knows nothing else of the detector.
+#[test]
+fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
+    for (scanner, name) in [(scenes::cone(), "cone"), (scenes::parallel(), "parallel")] {
+        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+            let primitives = scenes::primitives(kernel, 1, 17);
+            let Detector { rows, columns, pitch_u, pitch_v, .. } = scanner.detector;
+            let (half_u, half_v) = (pitch_u * columns as f64 / 2.0, pitch_v * rows as f64 / 2.0);
+            let cotangent = scenes::cotangent(6, (rows, columns));
+            let field = Field::<f64>::new(&primitives, 0.0);
+            let mut gradient = field.zero_gradient();
+            field.view(&scanner, 0.7, Projection::Affine).pull_back(cotangent.view(), &mut gradient);
+            let [u, v] = gradient.shadows().next().unwrap();
+            let moved = |u: f64, v: f64| {
+                let Detector { offset_u, offset_v, .. } = scanner.detector;
+                let detector =
+                    Detector { offset_u: offset_u - u * half_u, offset_v: offset_v - v * half_v, ..scanner.detector };
+                let scanner = Scanner { detector, ..scanner };
+                (field.view(&scanner, 0.7, Projection::Affine).image() * &cotangent).sum()
+            };
+            let h = 1e-5;
+            approx::assert_relative_eq!(u, (moved(h, 0.0) - moved(-h, 0.0)) / (2.0 * h), max_relative = 1e-7);
+            approx::assert_relative_eq!(v, (moved(0.0, h) - moved(0.0, -h)) / (2.0 * h), max_relative = 1e-7);
+            assert!(u.abs() > 1e-4 && v.abs() > 1e-4, "{name} {kernel:?}: nothing to compare");
+        }
+    }
+}
+
+/// Volumes say nothing about shadows.
+#[test]
+fn the_gradient_to_a_shadow_comes_from_views_alone() {
+    let (primitives, scanner) = (scenes::primitives(Kernel::StudentT, 3, 17), scenes::cone());
+    let field = Field::<f64>::new(&primitives, 0.0);
+    let mut gradient = field.zero_gradient();
+    field.pull_back_voxels(&scanner.grid, scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
+    assert!(gradient.shadows().all(|shadow| shadow == [0.0, 0.0]));
 }

@@ -7,6 +7,7 @@ use common::precision::{FAR_SOURCE_RATE, INVARIANCE_F64, LARGE_NU_RATE};
 use common::scenes;
 use glam::{DQuat, DVec3};
 use ndarray::{Array3, ArrayView3, Axis, Slice};
+use trgs::density::{Relocation, Successor, adc, ar, succeed};
 use trgs::primitives::{Kernel, Primitives};
 use trgs::projector::{self, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
@@ -319,4 +320,54 @@ fn a_cone_beam_from_far_away_approaches_the_parallel_beam_like_one_over_the_dist
             assert_first_order(&format!("DSO → ∞, {kernel:?} {projection:?}"), [1e3, 1e5], at, FAR_SOURCE_RATE);
         }
     }
+}
+
+/// The primitives after a step of density control.
+fn succeeded(primitives: &Primitives, successors: &[Successor]) -> Primitives {
+    assert!(successors.iter().filter(|s| s.fresh).count() > 3, "something was copied");
+    Primitives { kernel: primitives.kernel, parameters: succeed(&primitives.parameters, successors) }
+}
+
+/// Half as many again, all from living ones.
+fn grown(primitives: &Primitives, relocation: Relocation) -> Primitives {
+    let settings = ar::Settings { dead: 0.0, recycled: 0.0, growth: 0.5, cap: 1000, relocation };
+    let draws = scenes::uniform(63, 100, 0.0, 1.0);
+    let mut draws = draws.iter();
+    succeeded(primitives, &ar::ar(primitives, &settings, || *draws.next().unwrap()))
+}
+
+#[test]
+fn copying_primitives_changes_neither_projections_nor_field() {
+    everywhere("copies", |primitives, scanner, projection| {
+        let grown = grown(primitives, Relocation::Exact);
+        let after = images(&grown, scanner, &ANGLES, projection);
+        distance(after.view(), images(primitives, scanner, &ANGLES, projection).view())
+    });
+    in_space("copies", |primitives, grid| {
+        distance(volume(&grown(primitives, Relocation::Exact), grid).view(), volume(primitives, grid).view())
+    });
+}
+
+#[test]
+fn the_rule_for_opacities_does_change_them() {
+    let (primitives, grid) = (scenes::primitives(Kernel::StudentT, 13, 61), scenes::cone().grid);
+    let before = volume(&primitives, &grid);
+    assert!(distance(volume(&grown(&primitives, Relocation::Sss), &grid).view(), before.view()) > 1e-3);
+}
+
+#[test]
+fn cloning_what_pulls_changes_neither_projections_nor_field() {
+    let cloned = |primitives: &Primitives, grid: &Grid| {
+        let settings = adc::Settings { gradient: 0.5, split_scale: 1.0, faint: 0.0, cap: 1000 };
+        let pull: Vec<f64> = (0..primitives.len()).map(|i| (i % 3) as f64).collect();
+        let wide = Grid { min: DVec3::splat(-9.0), spacing: DVec3::splat(18.0), shape: [1; 3], ..*grid };
+        succeeded(primitives, &adc::adc(&primitives.parameters, &pull, &settings, &wide, |_| [0.0; 6]))
+    };
+    everywhere("clones", |primitives, scanner, projection| {
+        let after = images(&cloned(primitives, &scanner.grid), scanner, &ANGLES, projection);
+        distance(after.view(), images(primitives, scanner, &ANGLES, projection).view())
+    });
+    in_space("clones", |primitives, grid| {
+        distance(volume(&cloned(primitives, grid), grid).view(), volume(primitives, grid).view())
+    });
 }

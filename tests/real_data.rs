@@ -60,7 +60,7 @@ fn a_real_engine_is_reconstructed_within_1_5_db_of_the_published_code() {
     let scan = Dataset::read(&path).unwrap();
     let mut config = Config { iterations: 2000, ..Config::default() };
     config.model.points = 16_000;
-    let result = train(&scan, &config, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let result = train(&scan, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
     let psnr = psnr_3d(scan.truth.unwrap().values.view(), result.volume.values.view()).value;
     eprintln!("{psnr:.3} dB");
     assert!(psnr > 32.10 - 1.5, "{psnr} dB");

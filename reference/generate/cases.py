@@ -1,6 +1,7 @@
 """All cases in the order of the manifest, the files they share, and the meaning of the flags."""
 
 import cut_cases
+import population_cases
 import raw_cases
 import scan_cases
 import scene_cases
@@ -14,6 +15,7 @@ FLAGS = {
     "behind-source": "a centre lies behind the source",
     "below-floor": "a reading below the floor, which stands in for it",
     "beyond-detector": "voxels that project beside the detector",
+    "cap-reached": "the population is as large as it may get",
     "centre-on-pixel": "a centre projects exactly on the centre of a pixel",
     "centre-outside-detector": "centres project beside the detector",
     "constant-images": "all pixels of an image are the same",
@@ -77,6 +79,11 @@ CASES = [
     *small_cases.image_losses("loss-image"),
     *small_cases.schedules(),
     *small_cases.adams(),
+    *population_cases.gates(),
+    *population_cases.samplers(),
+    *population_cases.recyclings(),
+    *population_cases.controls(),
+    *population_cases.shadow_gradients(),
     *scan_cases.fdk_filters(),
     *scan_cases.fdk_backprojections(),
     *scan_cases.fdks(),

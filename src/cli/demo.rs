@@ -50,8 +50,8 @@ impl Demo {
         interrupt::shielded(|| dataset.write(&source))?;
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
-            let config = Config { method, seed: self.seed, iterations: ITERATIONS, ..Config::default() };
-            reconstruct(&source, &dataset, &config, folder, beside, global)
+            let config = Config { seed: self.seed, iterations: ITERATIONS, ..Config::of(method) };
+            reconstruct(&source, &dataset, &config, folder, None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");
         let fdk = run(Method::Fdk, &self.out.join("fdk"), None)?;

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use trgs::Result;
-use trgs::config::{Config, Precision};
+use trgs::config::{Config, Method, Precision};
 use trgs::evaluation::Metrics;
 use trgs::primitives::{Primitives, model};
 use trgs::projector::forward;
@@ -44,7 +44,7 @@ impl Evaluate {
     pub(super) fn run(&self) -> Result<Answer> {
         let dataset = Dataset::read(&self.against)?;
         let evaluation = if self.result.is_dir() {
-            let config = Config::read(&self.result.join("config.toml"))?;
+            let config = Config::read(&self.result.join("config.toml"), Method::TrGs)?;
             let volume = read_volume(&self.result.join("volume.npy"), &dataset)?;
             let model = self.result.join("model.npz");
             let primitives = if model.exists() { Some(model::read(&model)?) } else { None };

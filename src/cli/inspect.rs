@@ -5,7 +5,7 @@ use clap::Args;
 use serde_json::{Value, json};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use trgs::config::Config;
+use trgs::config::{Config, Method};
 use trgs::primitives::{Group, Kernel, Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::scene::npy::{self, Npy, Numbers};
@@ -77,7 +77,7 @@ fn dataset(path: &Path) -> Result<Value> {
 }
 
 fn run_folder(path: &Path) -> Result<Value> {
-    let config = Config::read(&path.join("config.toml"))?;
+    let config = Config::read(&path.join("config.toml"), Method::TrGs)?;
     let provenance: Provenance = read_json(&path.join("provenance.json"))?;
     let metrics: Value = read_json(&path.join("metrics.json"))?;
     let mut oddities = Vec::new();

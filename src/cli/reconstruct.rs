@@ -3,7 +3,7 @@
 use super::arguments::seed;
 use super::evaluate::evaluate;
 use super::messages::Progress;
-use super::run_folder::{Outcome, RunFolder};
+use super::run_folder::{Outcome, RunFolder, checkpoint_file};
 use super::{Answer, Global, check_size, interrupt};
 use clap::Args;
 use serde_json::json;
@@ -13,7 +13,7 @@ use trgs::classical::{Window, fdk};
 use trgs::config::{Config, Method, Precision};
 use trgs::projector::Projection;
 use trgs::scene::Dataset;
-use trgs::train::{Reconstruction, train};
+use trgs::train::{Checkpoint, Checkpoints, Reconstruction, Record, train};
 use trgs::{Error, Result};
 
 /// Reconstruct the volume of a dataset
@@ -23,9 +23,11 @@ use trgs::{Error, Result};
     after_help = "Examples:
   trgs reconstruct data/torso --out out/torso
   trgs reconstruct data/torso --out out/fdk --method fdk
-  trgs reconstruct data/torso --out out/wide --iterations 2000 --set model.nu_initial=4 --set loss.tv=0
+  trgs reconstruct data/torso --out out/r2 --method r2-gaussian
+  trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
+  trgs reconstruct data/torso --out out/torso --resume
 
-A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise its default.
+A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise the method's default.
 The config.toml of any run has all keys with their documentation."
 )]
 pub(super) struct Reconstruct {
@@ -62,18 +64,15 @@ pub(super) struct Reconstruct {
     /// Any key of the configuration, as in loss.tv=0.1; may be given more than once
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Go on from the last checkpoint of RUN
+    /// Go on from the last checkpoint of RUN, to the same result as if never stopped
     #[arg(long)]
     resume: bool,
 }
 
 impl Reconstruct {
     pub(super) fn run(&self, global: &Global) -> Result<Answer> {
-        if self.resume {
-            let remedy = "run it again without: the same seed gives the same result";
-            return Err(Error::invalid("--resume", "a run without checkpoints", "a later version of trgs", remedy));
-        }
-        let config = self.config()?;
+        let checkpoint = self.checkpoint()?;
+        let config = self.config(checkpoint.as_ref())?;
         let mut dataset = Dataset::read(&self.dataset)?;
         for oddity in &dataset.oddities {
             tracing::warn!("{}: {oddity}", self.dataset.display());
@@ -81,16 +80,38 @@ impl Reconstruct {
         if let Some(n) = self.views {
             dataset.train = dataset.train.select(&evenly_spaced(n, dataset.train.len())?);
         }
-        let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, None, global)?;
+        let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
+        let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
         tracing::info!("wrote {}, with a page to look at", report.display());
         let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
         Ok(outcome.evaluation.answer(context))
     }
 
-    /// The file, then the flags, then the settings.
-    fn config(&self) -> Result<Config> {
-        let mut config = self.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    /// The checkpoint to go on from. Without one a resumed run begins at the beginning, so that the same command can
+    /// be given again whenever a machine went down.
+    fn checkpoint(&self) -> Result<Option<Checkpoint>> {
+        let file = checkpoint_file(&self.out);
+        if !self.resume {
+            return Ok(None);
+        }
+        if !file.exists() {
+            tracing::warn!("{} does not exist: starting at the beginning", file.display());
+            return Ok(None);
+        }
+        let checkpoint = Checkpoint::read(&file)?;
+        tracing::info!("going on after iteration {}", checkpoint.iteration());
+        Ok(Some(checkpoint))
+    }
+
+    /// The checkpoint's or the file's, then the flags, then the settings.
+    fn config(&self, checkpoint: Option<&Checkpoint>) -> Result<Config> {
+        let method = self.method.unwrap_or(Method::TrGs);
+        let mut config = match (&self.config, checkpoint) {
+            (Some(file), _) => Config::read(file, method)?,
+            (None, Some(checkpoint)) => checkpoint.config()?,
+            (None, None) => Config::of(method),
+        };
         config.method = self.method.unwrap_or(config.method);
         config.iterations = self.iterations.unwrap_or(config.iterations);
         config.model.points = self.points.unwrap_or(config.model.points);
@@ -103,12 +124,14 @@ impl Reconstruct {
     }
 }
 
-/// Reconstructs the dataset that was read from `source` and writes the run; `beside` is shown on its page.
+/// Reconstructs the dataset that was read from `source` and writes the run; `beside` is shown on its page. Without
+/// `checkpoints` a run that is stopped leaves nothing.
 pub(super) fn reconstruct(
     source: &Path,
     dataset: &Dataset,
     config: &Config,
     out: &Path,
+    checkpoints: Option<Checkpoints>,
     beside: Option<&Outcome>,
     global: &Global,
 ) -> Result<Outcome> {
@@ -117,10 +140,10 @@ pub(super) fn reconstruct(
         let folder = RunFolder::begin(out, source, config)?;
         let began = Instant::now();
         let (primitives, volume, log) = match config.method {
-            Method::TrGs => {
+            Method::TrGs | Method::R2Gaussian => {
                 let mut progress = Progress::new(config.iterations, global);
-                let Reconstruction { primitives, volume, log } =
-                    train(dataset, config, &mut |iteration, record| progress.observe(iteration, record))?;
+                let mut observe = |iteration, record: Option<&Record>| progress.observe(iteration, record);
+                let Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
                 (Some(primitives), volume, log)
             }
             Method::Fdk => (None, fdk(&dataset.scanner, &dataset.train, Window::RamLak)?, Vec::new()),

@@ -3,10 +3,10 @@
 use super::evaluate::Evaluation;
 use std::ffi::OsString;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
 use trgs::numeric::threads;
-use trgs::output::{StagedFolder, stage_folder, write_atomically};
+use trgs::output::{create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::report::{self, Curve, Report};
@@ -14,10 +14,12 @@ use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;
 use trgs::{Error, Result};
 
+/// Where a run that fits primitives keeps its state.
+const CHECKPOINTS: &str = "checkpoints";
 /// What every run writes.
 const FILES: [&str; 5] = ["config.toml", "volume.npy", "metrics.json", "report.html", "provenance.json"];
 /// What a run that fits primitives writes too.
-const MODEL_FILES: [&str; 2] = ["model.npz", "log.jsonl"];
+const MODEL_FILES: [&str; 3] = ["model.npz", "log.jsonl", CHECKPOINTS];
 /// Files without a time in them, so that equal runs have equal digests.
 const TIMELESS: [&str; 4] = ["config.toml", "model.npz", "volume.npy", "metrics.json"];
 
@@ -34,7 +36,7 @@ pub(super) struct Outcome {
 
 /// A run's folder under construction.
 pub(super) struct RunFolder {
-    staged: StagedFolder,
+    folder: PathBuf,
     provenance: Provenance,
 }
 
@@ -43,6 +45,7 @@ impl Outcome {
     pub(super) fn name(&self) -> &'static str {
         match self.method {
             Method::TrGs => "TR-GS",
+            Method::R2Gaussian => "R²-Gaussian",
             Method::Fdk => "FDK",
         }
     }
@@ -65,7 +68,9 @@ impl RunFolder {
             Some(parent) if source.is_file() => parent,
             _ => source,
         })?;
-        Ok(Self { staged: stage_folder(folder)?, provenance })
+        // Only to find out whether it can be written; a run that is killed leaves no unfinished folder behind.
+        drop(stage_folder(folder)?);
+        Ok(Self { folder: folder.into(), provenance })
     }
 
     /// Writes everything and moves the folder to its place. `beside` is shown on the page for comparison.
@@ -76,7 +81,8 @@ impl RunFolder {
         outcome: &Outcome,
         beside: Option<&Outcome>,
     ) -> Result<()> {
-        let at = |name: &str| self.staged.path().join(name);
+        let staged = stage_folder(&self.folder)?;
+        let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at("volume.npy"), outcome.volume.values.view())?;
         write_text(&at("metrics.json"), &json(&outcome.evaluation))?;
@@ -85,12 +91,19 @@ impl RunFolder {
             let lines = outcome.log.iter().map(to_line);
             write_text(&at("log.jsonl"), &lines.collect::<String>())?;
         }
+        // The run's last state takes the place of those before it together with the results.
+        let last = checkpoint_file(&self.folder);
+        if outcome.primitives.is_some() && last.exists() {
+            let kept = checkpoint_file(staged.path());
+            create_folder(&at(CHECKPOINTS))?;
+            std::fs::copy(&last, &kept).map_err(|source| Error::write(&kept, source))?;
+        }
         for name in TIMELESS.into_iter().filter(|name| at(name).exists()) {
             self.provenance.outputs.insert(name.into(), digest_file(&at(name))?);
         }
         write_text(&at("report.html"), &page(dataset, config, outcome, beside, &self.provenance)?)?;
         write_text(&at("provenance.json"), &json(&self.provenance))?;
-        self.staged.commit()
+        staged.commit()
     }
 }
 
@@ -118,6 +131,13 @@ fn page(
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));
         facts.push(("Iterations".into(), config.iterations.to_string()));
+        let last = outcome.log.last();
+        if let Some(c) = last.and_then(|record| record.confidence) {
+            facts.push(("Mean confidence".into(), format!("{c:.3}")));
+        }
+        if let Some(rho) = last.and_then(|record| record.spearman) {
+            facts.push(("Spearman's ρ of ν and confidence".into(), format!("{rho:.2}")));
+        }
     }
     report::render(&Report {
         title: &format!("{} from {}", outcome.name(), dataset.name),
@@ -130,23 +150,31 @@ fn page(
     })
 }
 
-/// Refuses a folder with anything in it but an older run of the same method.
+/// The file with the state of a run.
+pub(super) fn checkpoint_file(run: &Path) -> PathBuf {
+    run.join(CHECKPOINTS).join("last.msgpack")
+}
+
+/// Refuses a folder with anything in it but an older run of the same kind, finished or not.
 fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
     let names: Vec<OsString> = match folder.read_dir() {
         Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(Error::write(folder, error)),
     };
+    let fits = method != Method::Fdk;
     let has = |file: &str| names.iter().any(|name| name == file);
     let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
     let got = match names.iter().find(foreign) {
         _ if names.is_empty() => return Ok(()),
         Some(name) => format!("a folder that holds {}", name.display()),
-        None if !has("provenance.json") => "a folder with parts of a run".into(),
-        None if has("model.npz") != (method == Method::TrGs) => "a run of another method".into(),
-        None => return Ok(()),
+        None if has(CHECKPOINTS) && !fits || has("provenance.json") && has("model.npz") != fits => {
+            "a run of another method".into()
+        }
+        None if has("provenance.json") || names.len() == 1 && has(CHECKPOINTS) => return Ok(()),
+        None => "a folder with parts of a run".into(),
     };
-    let expected = "a new or empty folder, or an older run of the same method";
+    let expected = "a new or empty folder, or an older run of the same kind";
     Err(Error::invalid(format!("--out {}", folder.display()), got, expected, "choose another folder"))
 }
 

@@ -7,7 +7,10 @@
 mod text;
 mod validate;
 
+use crate::confidence;
+use crate::density::Relocation;
 use crate::projector::Projection;
+use crate::wavelet;
 use documented::{Documented, DocumentedFields};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -18,6 +21,8 @@ use smart_default::SmartDefault;
 pub enum Method {
     /// Student's t-kernels, this project's subject.
     TrGs,
+    /// Gaussian kernels with the settings of R²-Gaussian, to compare with.
+    R2Gaussian,
     /// Filtered back projection of a cone beam (Feldkamp, Davis, Kress).
     Fdk,
 }
@@ -60,6 +65,10 @@ pub enum KernelName {
 pub enum PositionOptimiser {
     /// Like all other parameters.
     Adam,
+    /// Stochastic gradient Hamiltonian Monte Carlo as 3D Student Splatting has it.
+    Sghmc,
+    /// The same in the textbook's form.
+    SghmcTextbook,
 }
 
 /// How primitives come and go.
@@ -68,13 +77,17 @@ pub enum PositionOptimiser {
 pub enum DensityControl {
     /// The initial primitives stay.
     None,
+    /// Adaptive density control, R²-Gaussian's.
+    Adc,
+    /// Adding and recycling.
+    Ar,
 }
 
 /// How a volume is reconstructed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// How the volume is found: tr-gs or fdk.
+    /// How the volume is found: tr-gs, r2-gaussian or fdk.
     #[default(Method::TrGs)]
     pub method: Method,
     /// Training steps, one view each.
@@ -95,14 +108,23 @@ pub struct Config {
     /// Iterations between two reports.
     #[default = 100]
     pub report_every: usize,
+    /// Iterations between two checkpoints.
+    #[default = 500]
+    pub checkpoint_every: usize,
     /// What is fitted.
     pub model: ModelConfig,
     /// Where it starts.
     pub initialisation: InitialisationConfig,
     /// What is minimised.
     pub loss: LossConfig,
+    /// How well the rays around a primitive cover its directions, and what that says about its tails.
+    pub confidence: ConfidenceConfig,
+    /// Which details of the volume are sharpened and which are smoothed.
+    pub wavelet: WaveletConfig,
     /// How it is minimised.
     pub optimiser: OptimiserConfig,
+    /// How positions are stirred.
+    pub sghmc: SghmcConfig,
     /// How primitives come and go.
     pub density_control: DensityControlConfig,
 }
@@ -123,7 +145,7 @@ pub struct ModelConfig {
     /// Upper end of the degrees of freedom.
     #[default = 100.0]
     pub nu_max: f64,
-    /// Degrees of freedom at the start.
+    /// Degrees of freedom at the start; with confidence.enabled each primitive starts at its own target instead.
     #[default = 10.0]
     pub nu_initial: f64,
     /// Smallest scale, as a fraction of the volume's longest side.
@@ -164,12 +186,72 @@ pub struct LossConfig {
     pub tv_block: usize,
 }
 
+/// How well the rays around a primitive cover its directions (confidence c), and what that says about its tails.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct ConfidenceConfig {
+    /// Whether c pulls the degrees of freedom; the routing of wavelet details uses c in any case.
+    #[default = true]
+    pub enabled: bool,
+    /// Weight λ of the pull.
+    #[default = 1e-3]
+    pub weight: f64,
+    /// T: the lower, the steeper degrees of freedom rise with c.
+    #[default = 0.25]
+    pub temperature: f64,
+    /// Points on the unit sphere.
+    #[default = 512]
+    pub sphere_points: usize,
+    /// Radius that a ray covers at most, in units of the sphere's.
+    #[default = 0.5]
+    pub r_max: f64,
+    /// Ratio of size to extent along the ray at which that radius is reached.
+    #[default = 1.0]
+    pub kappa: f64,
+    /// Iterations between two computations of c, beside those after density control.
+    #[default = 500]
+    pub every: usize,
+}
+
+/// Which details of the volume are sharpened (near confident primitives) and which are smoothed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct WaveletConfig {
+    /// Whether they are.
+    #[default = true]
+    pub enabled: bool,
+    /// Iterations between two blocks.
+    #[default = 10]
+    pub every: usize,
+    /// Side of the block in voxels.
+    #[default = 32]
+    pub block: usize,
+    /// Levels of the Haar transform.
+    #[default = 1]
+    pub levels: usize,
+    /// K: nearest primitives that are asked for their confidence.
+    #[default = 8]
+    pub neighbours: usize,
+    /// τ: confidence from which a primitive counts as confident.
+    #[default = 0.35]
+    pub threshold: f64,
+    /// η: factor on the details near confident primitives.
+    #[default = 1.5]
+    pub enhancement: f64,
+    /// Weight of smoothing.
+    #[default = 1e-3]
+    pub suppress: f64,
+    /// Weight of sharpening.
+    #[default = 1e-3]
+    pub enhance: f64,
+}
+
 /// How it is minimised. Learning rates fall exponentially from the first number to the second over the run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct OptimiserConfig {
-    /// How positions move: adam.
-    #[default(PositionOptimiser::Adam)]
+    /// How positions move: sghmc, sghmc-textbook or adam.
+    #[default(PositionOptimiser::Sghmc)]
     pub position: PositionOptimiser,
     /// Learning rate of means, scene units.
     #[default([2e-4, 2e-5])]
@@ -194,11 +276,98 @@ pub struct OptimiserConfig {
     pub epsilon: f64,
 }
 
+/// How positions are stirred where optimiser.position is sghmc. Its step is the root of the learning rate of means.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct SghmcConfig {
+    /// Part of the run without momentum at the start.
+    #[default(7.0 / 30.0)]
+    pub burn_in: f64,
+    /// C of the burn-in, which scales its noise.
+    #[default = 50.0]
+    pub burn_in_friction: f64,
+    /// C afterwards: friction and noise.
+    #[default = 50.0]
+    pub friction: f64,
+    /// Density at which a primitive counts as fully there; below a hundredth of it a primitive is stirred.
+    #[default = 1.0]
+    pub density_reference: f64,
+    /// Of sghmc-textbook: the loss is divided by it to be an energy.
+    #[default = 1e-6]
+    pub temperature: f64,
+}
+
 /// How primitives come and go.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct DensityControlConfig {
-    /// none: the initial primitives stay.
-    #[default(DensityControl::None)]
+    /// ar: adding and recycling; adc: adaptive density control; none: the initial primitives stay.
+    #[default(DensityControl::Ar)]
     pub method: DensityControl,
+    /// Part of the run before it begins.
+    #[default(1.0 / 60.0)]
+    pub start: f64,
+    /// Part of the run after which it ends.
+    #[default = 0.5]
+    pub stop: f64,
+    /// Iterations between two steps.
+    #[default = 100]
+    pub every: usize,
+    /// Number of primitives that it does not lead beyond; adc may do so by one step.
+    #[default = 20_000]
+    pub cap: usize,
+    /// ar: density below which a primitive is dead.
+    #[default = 0.005]
+    pub dead: f64,
+    /// ar: largest fraction of all that is recycled in one step.
+    #[default = 0.05]
+    pub recycled: f64,
+    /// ar: fraction by which the population grows in one step.
+    #[default = 0.05]
+    pub growth: f64,
+    /// ar: how copies share. exact: field and projections stay; sss: as opacities; sss-program: as its program has it.
+    #[default(Relocation::Exact)]
+    pub relocation: Relocation,
+    /// adc: mean length of the gradient to a primitive's shadow, in halves of the detector, from which it is multiplied.
+    #[default = 5e-5]
+    pub gradient: f64,
+    /// adc: largest scale that is cloned and not split, as a fraction of the volume's longest side.
+    #[default = 0.1]
+    pub split_scale: f64,
+    /// adc: density below which a primitive is removed.
+    #[default = 1e-5]
+    pub faint: f64,
+}
+
+impl ConfidenceConfig {
+    /// What the confidence is computed with.
+    pub fn settings(&self) -> confidence::Settings {
+        let Self { sphere_points, r_max, kappa, temperature, .. } = *self;
+        confidence::Settings { sphere_points, r_max, kappa, temperature }
+    }
+}
+
+impl WaveletConfig {
+    /// What the wavelet loss is computed with.
+    pub fn settings(&self) -> wavelet::Settings {
+        let Self { neighbours, threshold, enhancement, suppress, enhance, levels, .. } = *self;
+        wavelet::Settings { neighbours, threshold, enhancement, suppress, enhance, levels }
+    }
+}
+
+impl Config {
+    /// The defaults of a method: [`Config::default`], and for R²-Gaussian its own.
+    pub fn of(method: Method) -> Self {
+        let mut config = Self { method, ..Self::default() };
+        if method == Method::R2Gaussian {
+            config.projection = Projection::Affine;
+            config.model.kernel = KernelName::Gaussian;
+            config.confidence.enabled = false;
+            config.wavelet.enabled = false;
+            config.optimiser.position = PositionOptimiser::Adam;
+            config.density_control.method = DensityControl::Adc;
+            config.density_control.cap = 500_000;
+        }
+        config
+    }
 }

@@ -1,6 +1,9 @@
 //! Reading and writing configurations.
 
-use super::{Config, DensityControlConfig, InitialisationConfig, LossConfig, ModelConfig, OptimiserConfig};
+use super::{
+    ConfidenceConfig, Config, DensityControlConfig, InitialisationConfig, LossConfig, Method, ModelConfig,
+    OptimiserConfig, SghmcConfig, WaveletConfig,
+};
 use crate::error::{Error, Result};
 use documented::{Documented, DocumentedFields};
 use std::collections::BTreeMap;
@@ -8,12 +11,15 @@ use std::path::Path;
 use toml::{Table, Value};
 
 /// The tables: name, what it is for, its keys and what they are for.
-const TABLES: [(&str, &str, &[&str], &[&str]); 6] = [
+const TABLES: [(&str, &str, &[&str], &[&str]); 9] = [
     ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
     ("model", ModelConfig::DOCS, ModelConfig::FIELD_NAMES, ModelConfig::FIELD_DOCS),
     ("initialisation", InitialisationConfig::DOCS, InitialisationConfig::FIELD_NAMES, InitialisationConfig::FIELD_DOCS),
     ("loss", LossConfig::DOCS, LossConfig::FIELD_NAMES, LossConfig::FIELD_DOCS),
+    ("confidence", ConfidenceConfig::DOCS, ConfidenceConfig::FIELD_NAMES, ConfidenceConfig::FIELD_DOCS),
+    ("wavelet", WaveletConfig::DOCS, WaveletConfig::FIELD_NAMES, WaveletConfig::FIELD_DOCS),
     ("optimiser", OptimiserConfig::DOCS, OptimiserConfig::FIELD_NAMES, OptimiserConfig::FIELD_DOCS),
+    ("sghmc", SghmcConfig::DOCS, SghmcConfig::FIELD_NAMES, SghmcConfig::FIELD_DOCS),
     (
         "density_control",
         DensityControlConfig::DOCS,
@@ -23,22 +29,43 @@ const TABLES: [(&str, &str, &[&str], &[&str]); 6] = [
 ];
 
 impl Config {
-    /// Reads a file; keys that it does not name keep their defaults. Ranges are not checked yet: see [`Self::validate`].
+    /// Reads a file; keys that it does not name keep the defaults of its method, or of `otherwise` if it names none.
+    /// Ranges are not checked yet: see [`Self::validate`].
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for the first line that is no TOML, unknown key or value of a wrong type.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: &Path, otherwise: Method) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
         let table: Table = text.parse().map_err(|error: toml::de::Error| {
             let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
             let remedy = "correct the line; the config.toml of any run is an example";
             Error::format(path, format!("line {line}"), error.message(), "TOML", remedy)
         })?;
-        let mut config = Self::default();
+        let mut first = Self::default();
+        if let Some(method) = table.get("method") {
+            first.put("method", method.clone()).map_err(|error| error.in_file(path))?;
+        } else {
+            first.method = otherwise;
+        }
+        let mut config = Self::of(first.method);
         for (key, value) in flatten(&table) {
             config.put(&key, value).map_err(|error| error.in_file(path))?;
         }
         Ok(config)
+    }
+
+    /// Reads what [`Self::to_toml`] gave.
+    ///
+    /// # Errors
+    /// A sentence on the first thing that does not fit.
+    pub fn from_toml(text: &str) -> std::result::Result<Self, String> {
+        toml::from_str(text).map_err(|error| error.message().into())
+    }
+
+    /// The first key that has another value in `other`, with both values.
+    pub fn difference(&self, other: &Self) -> Option<(String, String, String)> {
+        let pairs = self.entries().into_iter().zip(other.entries());
+        pairs.into_iter().find(|(a, b)| a != b).map(|((key, a), (_, b))| (key, a.to_string(), b.to_string()))
     }
 
     /// Sets one key from `table.key=value`. The value is TOML; strings may go without quotes.
@@ -138,14 +165,14 @@ fn comment(docs: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Method, Start};
+    use crate::config::Start;
 
     /// What reading a file with the given text says.
     fn read(text: &str) -> Result<Config> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.toml");
         std::fs::write(&path, text).unwrap();
-        Config::read(&path)
+        Config::read(&path, Method::TrGs)
     }
 
     #[test]
@@ -156,6 +183,27 @@ mod tests {
         }
         assert_eq!(read(&config.to_toml()).unwrap(), config);
         assert_eq!(read("").unwrap(), Config::default());
+    }
+
+    #[test]
+    fn a_file_without_a_method_has_the_defaults_of_the_one_that_is_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.toml");
+        std::fs::write(&path, "seed = 4").unwrap();
+        let r2 = Config { seed: 4, ..Config::of(Method::R2Gaussian) };
+        assert_eq!(Config::read(&path, Method::R2Gaussian).unwrap(), r2);
+        std::fs::write(&path, "seed = 4\nmethod = \"r2-gaussian\"").unwrap();
+        assert_eq!(Config::read(&path, Method::TrGs).unwrap(), r2);
+        assert_eq!(Config::from_toml(&r2.to_toml()).unwrap(), r2);
+    }
+
+    #[test]
+    fn the_first_difference_is_named_with_both_values() {
+        let (a, mut b) = (Config::default(), Config::default());
+        assert_eq!(a.difference(&b), None);
+        b.loss.tv = 0.5;
+        b.wavelet.levels = 2;
+        assert_eq!(a.difference(&b), Some(("loss.tv".into(), "0.05".into(), "0.5".into())));
     }
 
     #[test]

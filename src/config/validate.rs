@@ -1,6 +1,6 @@
 //! Which values make sense.
 
-use super::Config;
+use super::{Config, KernelName, Method};
 use crate::error::{Error, Result};
 use std::fmt::Debug;
 
@@ -13,11 +13,19 @@ impl Config {
     /// # Errors
     /// [`Error::Invalid`] for the first that does not.
     pub fn validate(&self) -> Result<()> {
-        let Self { model, initialisation, loss, optimiser, .. } = self;
+        let Self { model, initialisation, loss, confidence, wavelet, optimiser, sghmc, density_control, .. } = self;
         require("iterations", self.iterations, self.iterations >= 1, "at least 1")?;
         require("seed", self.seed, i64::try_from(self.seed).is_ok(), "at most 2^63 - 1, the largest integer of TOML")?;
         require("cutoff", self.cutoff, (0.0..1.0).contains(&self.cutoff), "a number in [0, 1)")?;
-        require("report_every", self.report_every, self.report_every >= 1, "at least 1")?;
+        for (key, period) in [
+            ("report_every", self.report_every),
+            ("checkpoint_every", self.checkpoint_every),
+            ("confidence.every", confidence.every),
+            ("wavelet.every", wavelet.every),
+            ("density_control.every", density_control.every),
+        ] {
+            require(key, period, period >= 1, "at least 1")?;
+        }
 
         let points = 4..=MOST_POINTS;
         require("model.points", model.points, points.contains(&model.points), "4 to 10 million")?;
@@ -36,7 +44,19 @@ impl Config {
         let positive = factor > 0.0 && factor.is_finite();
         require("initialisation.density_factor", factor, positive, "a positive number")?;
 
-        for (key, weight) in [("loss.d_ssim", loss.d_ssim), ("loss.tv", loss.tv)] {
+        for (key, weight) in [
+            ("loss.d_ssim", loss.d_ssim),
+            ("loss.tv", loss.tv),
+            ("confidence.weight", confidence.weight),
+            ("wavelet.enhancement", wavelet.enhancement),
+            ("wavelet.suppress", wavelet.suppress),
+            ("wavelet.enhance", wavelet.enhance),
+            ("density_control.dead", density_control.dead),
+            ("density_control.growth", density_control.growth),
+            ("density_control.gradient", density_control.gradient),
+            ("density_control.split_scale", density_control.split_scale),
+            ("density_control.faint", density_control.faint),
+        ] {
             require(key, weight, weight >= 0.0 && weight.is_finite(), "a number that is not negative")?;
         }
         require("loss.tv_block", loss.tv_block, loss.tv_block >= 2, "at least 2")?;
@@ -54,7 +74,57 @@ impl Config {
         let fractions = optimiser.beta.iter().all(|beta| (0.0..1.0).contains(beta));
         require("optimiser.beta", optimiser.beta, fractions, "two numbers in [0, 1)")?;
         let epsilon = optimiser.epsilon;
-        require("optimiser.epsilon", epsilon, epsilon > 0.0 && epsilon.is_finite(), "a positive number")
+        require("optimiser.epsilon", epsilon, epsilon > 0.0 && epsilon.is_finite(), "a positive number")?;
+
+        for (key, value) in [
+            ("confidence.temperature", confidence.temperature),
+            ("confidence.r_max", confidence.r_max),
+            ("confidence.kappa", confidence.kappa),
+            ("sghmc.density_reference", sghmc.density_reference),
+            ("sghmc.temperature", sghmc.temperature),
+        ] {
+            require(key, value, value > 0.0 && value.is_finite(), "a positive number")?;
+        }
+        let points = confidence.sphere_points;
+        require("confidence.sphere_points", points, (8..=1 << 20).contains(&points), "8 to 2^20")?;
+        let levels = wavelet.levels;
+        require("wavelet.levels", levels, (1..=8).contains(&levels), "1 to 8")?;
+        let whole = wavelet.block >> levels >= 1 && wavelet.block.trailing_zeros() as usize >= levels;
+        require("wavelet.block", wavelet.block, whole, &format!("a multiple of 2^levels = {}", 1 << levels))?;
+        require("wavelet.neighbours", wavelet.neighbours, (1..=255).contains(&wavelet.neighbours), "1 to 255")?;
+        let fraction = |key, value: f64| require(key, value, (0.0..=1.0).contains(&value), "a number from 0 to 1");
+        fraction("wavelet.threshold", wavelet.threshold)?;
+        fraction("sghmc.burn_in", sghmc.burn_in)?;
+        fraction("density_control.start", density_control.start)?;
+        fraction("density_control.stop", density_control.stop)?;
+        fraction("density_control.recycled", density_control.recycled)?;
+        let cap = density_control.cap;
+        require("density_control.cap", cap, (4..=MOST_POINTS).contains(&cap), "4 to 10 million")?;
+
+        // Beyond this the momentum changes its sign with every step and can grow without bound.
+        let rate = optimiser.mean[0].max(optimiser.mean[1]).sqrt();
+        for (key, friction) in [("sghmc.burn_in_friction", sghmc.burn_in_friction), ("sghmc.friction", sghmc.friction)]
+        {
+            let stable = friction >= 0.0 && rate * friction <= 1.0;
+            let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
+            require(key, friction, stable, &expected)?;
+        }
+        self.check_method()
+    }
+
+    /// Refuses settings that make a method another one.
+    fn check_method(&self) -> Result<()> {
+        if self.method == Method::R2Gaussian {
+            let gaussian = self.model.kernel == KernelName::Gaussian;
+            require("model.kernel", self.model.kernel, gaussian, "gaussian with method r2-gaussian")?;
+            for (key, enabled) in
+                [("confidence.enabled", self.confidence.enabled), ("wavelet.enabled", self.wavelet.enabled)]
+            {
+                require(key, enabled, !enabled, "false with method r2-gaussian")?;
+            }
+        }
+        let tails = self.model.kernel == KernelName::StudentT || !self.confidence.enabled;
+        require("confidence.enabled", true, tails, "false with gaussian kernels, which have no ν to pull")
     }
 }
 
@@ -70,8 +140,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_valid() {
-        Config::default().validate().unwrap();
+    fn the_defaults_of_all_methods_are_valid() {
+        for method in [Method::TrGs, Method::R2Gaussian, Method::Fdk] {
+            Config::of(method).validate().unwrap();
+        }
+    }
+
+    #[test]
+    fn a_method_is_not_bent_into_another() {
+        for setting in ["model.kernel=student-t", "confidence.enabled=true", "wavelet.enabled=true"] {
+            let mut config = Config::of(Method::R2Gaussian);
+            config.set(setting).unwrap();
+            let message = config.validate().unwrap_err().to_string();
+            assert!(message.contains("r2-gaussian"), "{message}");
+        }
+        let mut config = Config::default();
+        config.set("model.kernel=gaussian").unwrap();
+        assert!(config.validate().unwrap_err().to_string().contains("confidence.enabled"));
+    }
+
+    #[test]
+    fn friction_that_samples_unstably_is_refused() {
+        let mut config = Config::default();
+        config.set("sghmc.friction=71").unwrap();
+        let message = config.validate().unwrap_err().to_string();
+        assert!(message.starts_with("sghmc.friction: got 71.0") && message.contains("70.7"), "{message}");
     }
 
     #[test]

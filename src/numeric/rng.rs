@@ -20,6 +20,14 @@ pub enum Purpose {
     TestAngles = 5,
     /// Solids of a procedural phantom; id = solid.
     Phantom = 6,
+    /// Stirring of positions by the sampler; step = iteration, id = primitive.
+    Stirring = 7,
+    /// Positions of the parts of a split primitive; step = iteration, id = primitive.
+    Splitting = 8,
+    /// Choice of the primitives to copy; step = iteration.
+    Recycling = 9,
+    /// Position of the wavelet block; step = iteration.
+    Wavelet = 10,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -1,12 +1,13 @@
 //! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
 use crate::numeric::threads;
+use serde::{Deserialize, Serialize};
 
 /// Numbers updated together.
 const CHUNK: usize = 8192;
 
 /// Moments of one array of parameters.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
     beta: [f64; 2],
     epsilon: f64,
@@ -26,8 +27,23 @@ impl Adam {
     /// # Panics
     /// If an array does not have the length the optimiser was made for.
     pub fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64) {
+        self.advance(parameters, gradient, |parameter, m, root| *parameter -= rate * m / root);
+    }
+
+    /// The direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
+    ///
+    /// # Panics
+    /// If the gradient does not have the length the optimiser was made for.
+    pub fn direction(&mut self, gradient: &[f64]) -> Vec<f64> {
+        let mut direction = vec![0.0; gradient.len()];
+        self.advance(&mut direction, gradient, |direction, m, root| *direction = m / root);
+        direction
+    }
+
+    /// Updates the moments and calls `then(value, m̂, √v̂ + ε)` for each number.
+    fn advance(&mut self, values: &mut [f64], gradient: &[f64], then: impl Fn(&mut f64, f64, f64) + Sync + Send) {
         assert_eq!(
-            (parameters.len(), gradient.len()),
+            (values.len(), gradient.len()),
             (self.moments.len(), self.moments.len()),
             "lengths of parameters and gradient"
         );
@@ -36,16 +52,33 @@ impl Adam {
         let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)];
         let epsilon = self.epsilon;
         let mut work: Vec<_> =
-            parameters.chunks_mut(CHUNK).zip(self.moments.chunks_mut(CHUNK)).zip(gradient.chunks(CHUNK)).collect();
+            values.chunks_mut(CHUNK).zip(self.moments.chunks_mut(CHUNK)).zip(gradient.chunks(CHUNK)).collect();
         threads::for_each_chunk(&mut work, 1, |_, work| {
-            let ((parameters, moments), gradient) = &mut work[0];
-            for ((parameter, [m, v]), &g) in parameters.iter_mut().zip(moments.iter_mut()).zip(gradient.iter()) {
+            let ((values, moments), gradient) = &mut work[0];
+            for ((value, [m, v]), &g) in values.iter_mut().zip(moments.iter_mut()).zip(gradient.iter()) {
                 *m = beta1 * *m + (1.0 - beta1) * g;
                 *v = beta2 * *v + (1.0 - beta2) * (g * g);
-                *parameter -= rate * (*m / correction[0]) / ((*v / correction[1]).sqrt() + epsilon);
+                then(value, *m / correction[0], (*v / correction[1]).sqrt() + epsilon);
             }
         });
     }
+
+    /// Takes over a new population of rows of `width` numbers: the moments of an old row, or zeros. The count of steps
+    /// goes on.
+    pub fn succeed(&mut self, width: usize, rows: &[Option<usize>]) {
+        self.moments = succeed(&self.moments, width, rows, [0.0; 2]);
+    }
+}
+
+/// Rows of `width` elements taken from `old`, or filled with `empty`.
+pub(super) fn succeed<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
+    let mut new = vec![empty; rows.len() * width];
+    for (new, row) in new.chunks_exact_mut(width).zip(rows) {
+        if let Some(row) = row {
+            new.copy_from_slice(&old[row * width..][..width]);
+        }
+    }
+    new
 }
 
 /// `base^n` by repeated squaring: the same bits everywhere.
@@ -88,6 +121,28 @@ mod tests {
             adam.step(&mut parameters, &g_ours, 0.05);
             approx::assert_relative_eq!(parameters[0], x, max_relative = 1e-12);
         }
+    }
+
+    #[test]
+    fn the_direction_is_the_step_of_rate_one() {
+        let mut adam = Adam::new(2, [0.9, 0.999], 1e-15);
+        adam.direction(&[0.3, -2.0]);
+        let (mut parameters, mut twin) = ([0.0; 2], adam.clone());
+        twin.step(&mut parameters, &[-0.1, 5.0], 1.0);
+        assert_eq!(adam.direction(&[-0.1, 5.0]), parameters.map(|x| -x));
+        assert_eq!(adam, twin);
+    }
+
+    #[test]
+    fn a_new_population_keeps_the_moments_of_its_old_rows() {
+        let mut adam = Adam::new(6, [0.9, 0.999], 1e-15);
+        adam.direction(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        adam.succeed(2, &[Some(2), None, Some(0), Some(0)]);
+        let first: Vec<f64> = adam.moments.iter().map(|[m, _]| *m * 10.0).collect();
+        for (got, expected) in first.iter().zip([5.0, 6.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0]) {
+            approx::assert_relative_eq!(*got, expected, max_relative = 1e-14);
+        }
+        assert_eq!((first.len(), adam.steps), (8, 1));
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 pub mod adam;
 pub mod schedule;
+pub mod sghmc;
 
 pub use adam::Adam;
 pub use schedule::Exponential;
+pub use sghmc::Sghmc;

@@ -1,6 +1,7 @@
 //! This program's own answers, in both of its precisions: a stage's name → the functions that compute it.
 
 use super::manifest::{Arrays, Case};
+use super::population;
 use super::question::Question;
 use crate::classical::fdk::{self, Sample, Window};
 use crate::config::Precision;
@@ -9,7 +10,7 @@ use crate::evaluation;
 use crate::loss::{Ssim, SsimTarget, image_loss, l1::l1, tv::tv};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::{Real, real};
-use crate::optim::{Adam, Exponential};
+use crate::optim::{Adam, Exponential, sghmc};
 use crate::output::create_folder;
 use crate::primitives::{Group, Parameters, Primitives, student_t};
 use crate::projector::{self, Field, Kernels};
@@ -25,7 +26,7 @@ use std::path::Path;
 pub type Outputs = BTreeMap<String, Arrays>;
 
 /// The stages this program computes, in the manifest's order.
-pub const STAGES: [&str; 29] = [
+pub const STAGES: [&str; 34] = [
     "covariance",
     "kernel",
     "integral-factor",
@@ -49,6 +50,11 @@ pub const STAGES: [&str; 29] = [
     "loss-image",
     "schedule",
     "adam",
+    "sghmc-gate",
+    "sghmc",
+    "ar",
+    "adc",
+    "gradient-shadow",
     "fdk-filter",
     "fdk-backprojection",
     "fdk",
@@ -127,6 +133,14 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
             one("rate", q.numbers("steps")?.iter().map(|&step| schedule.at(step as usize)).collect::<Array1<_>>())
         }
         "adam" => one("trajectory", adam(q)?),
+        "sghmc-gate" => {
+            let reference = q.setting("reference")?;
+            one("gate", q.numbers("density")?.iter().map(|&d| sghmc::gate(d, reference)).collect::<Array1<_>>())
+        }
+        "sghmc" => one("trajectory", population::sghmc(q)?),
+        "ar" => population::recycled(q)?,
+        "adc" => population::controlled(q)?,
+        "gradient-shadow" => one("shadow", population::shadows::<R>(q)?),
         "fdk-filter" => one("filtered", filtered::<R>(q)?.mapv(Real::to_f64)),
         "fdk-backprojection" => {
             let filtered = q.array::<Ix3>("filtered")?.mapv(real::<R>);
@@ -166,7 +180,7 @@ pub fn write(folder: &Path, case: &Case, outputs: &Outputs) -> Result<()> {
     Ok(())
 }
 
-fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
+pub(super) fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
     [(role.to_owned(), [(String::new(), array.into_dyn())].into())].into()
 }
 
@@ -184,7 +198,7 @@ fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
     values.iter().map(|value| value.to_f64()).collect()
 }
 
-fn parameters(role: &str, values: &Parameters) -> Outputs {
+pub(super) fn parameters(role: &str, values: &Parameters) -> Outputs {
     let m = values.len();
     let array = |group: Group| {
         let shape = if group.width() == 1 { IxDyn(&[m]) } else { IxDyn(&[m, group.width()]) };
@@ -296,17 +310,21 @@ fn noise(q: &Question) -> Result<Array3<f64>> {
 }
 
 fn random(q: &Question) -> Result<Outputs> {
-    const PURPOSES: [Purpose; 6] = [
+    const PURPOSES: [Purpose; 10] = [
         Purpose::Noise,
         Purpose::Initialisation,
         Purpose::ViewOrder,
         Purpose::TotalVariation,
         Purpose::TestAngles,
         Purpose::Phantom,
+        Purpose::Stirring,
+        Purpose::Splitting,
+        Purpose::Recycling,
+        Purpose::Wavelet,
     ];
     let number = q.integer("purpose")?;
     let purpose = PURPOSES.into_iter().find(|purpose| *purpose as u64 == number);
-    let purpose = purpose.ok_or_else(|| Error::invalid("purpose", number, "1 to 6", "see numeric::rng"))?;
+    let purpose = purpose.ok_or_else(|| Error::invalid("purpose", number, "1 to 10", "see numeric::rng"))?;
     let stream = || Ok::<_, Error>(rng::stream(q.integer("seed")?, purpose, q.integer("step")?, q.integer("id")?));
     let count = q.integer("count")? as usize;
     let (mut words, mut doubles) = (stream()?, stream()?);

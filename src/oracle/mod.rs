@@ -30,6 +30,7 @@ pub mod diagnosis;
 pub mod difference;
 pub mod format;
 pub mod manifest;
+mod population;
 pub mod question;
 pub mod report;
 pub mod tolerances;

@@ -14,6 +14,7 @@ pub use activation::Activation;
 
 use crate::error::{Error, Result};
 use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Which profile all primitives of a scene have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +26,7 @@ pub enum Kernel {
 }
 
 /// Twelve numbers per primitive, an array per kind: parameters, their gradients, an optimiser's moments.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {
     /// Centre μ, scene units, `[M,3]`.
     pub mean: Vec<[f64; 3]>,

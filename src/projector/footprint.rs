@@ -48,6 +48,8 @@ struct Geometry {
     b: f64,
     ab: f64,
     a: f64,
+    /// Half the detector along (u, v) as lengths in the plane through the centre.
+    half: DVec2,
 }
 
 impl Geometry {
@@ -123,7 +125,9 @@ impl Footprint {
         let (cu, cv) = (p0.cross(pu), p0.cross(pv));
         let c = [cu.length_squared() / a0, cu.dot(cv) / a0, cv.length_squared() / a0];
         let b = c[2].sqrt();
-        let geometry = Geometry { slope, kappa, p0, g, b, ab: c[1] / b, a: shape.determinant() / (a0.sqrt() * b) };
+        let half = DVec2::new(step_u * detector.columns as f64, step_v * detector.rows as f64) / 2.0;
+        let geometry =
+            Geometry { slope, kappa, p0, g, b, ab: c[1] / b, a: shape.determinant() / (a0.sqrt() * b), half };
         let unit_root = shape.unit.sqrt();
         let mut plane = Plane {
             row_centre,
@@ -223,6 +227,7 @@ impl Footprint {
             precision,
             density: per_density * d_weight,
             nu: d_nu,
+            shadow: -d_offset * geometry.half,
         }
     }
 }

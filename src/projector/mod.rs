@@ -58,6 +58,15 @@ pub struct FieldGradient {
     shapes: Vec<ShapeGradient>,
 }
 
+impl FieldGradient {
+    /// The gradient to each centre's shadow on the detector, everything else held, `[∂/∂û, ∂/∂v̂]`: û and v̂ run from -1
+    /// to 1 over the detector. Summed over the views that were pulled back; volumes add nothing. It is what density
+    /// control by gradients measures. Not in the paper: units and meaning are R²-Gaussian's.
+    pub fn shadows(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.shapes.iter().map(|shape| shape.shadow.to_array())
+    }
+}
+
 impl<R: Kernels> Field<R> {
     /// Prepares primitives. A primitive is cut off where its projection has fallen to `cutoff` of its peak (0: nowhere).
     pub fn new(primitives: &Primitives, cutoff: f64) -> Self {

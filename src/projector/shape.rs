@@ -3,7 +3,7 @@
 
 use crate::numeric::{Real, threads};
 use crate::primitives::{Kernel, Parameters, Primitives, gaussian, rotation, student_t};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// Primitives worked on together.
 pub(super) const CHUNK: usize = 256;
@@ -41,17 +41,21 @@ pub(super) struct ShapeGradient {
     pub(super) precision: DMat3,
     pub(super) density: f64,
     pub(super) nu: f64,
+    /// To the centre's shadow with everything else held, in halves of the detector along (u, v), summed over views.
+    pub(super) shadow: DVec2,
 }
 
 impl ShapeGradient {
     // Not `Default`: glam's default matrix is the identity.
-    pub(super) const ZERO: Self = Self { mean: DVec3::ZERO, precision: DMat3::ZERO, density: 0.0, nu: 0.0 };
+    pub(super) const ZERO: Self =
+        Self { mean: DVec3::ZERO, precision: DMat3::ZERO, density: 0.0, nu: 0.0, shadow: DVec2::ZERO };
 
     pub(super) fn add(&mut self, other: &Self) {
         self.mean += other.mean;
         self.precision += other.precision;
         self.density += other.density;
         self.nu += other.nu;
+        self.shadow += other.shadow;
     }
 }
 

@@ -35,6 +35,11 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         Self { field, scanner: *scanner, view, projection, footprints }
     }
 
+    /// Whether the view sees each primitive: its support holds a pixel.
+    pub fn seen(&self) -> impl Iterator<Item = bool> {
+        self.footprints.iter().map(|footprint| !footprint.is_empty())
+    }
+
     /// Number of (pixel, primitive) pairs in the boxes of all supports: what an image costs.
     pub fn support_pixels(&self) -> usize {
         self.footprints.iter().map(|f| f.rows.len() * f.columns.len()).sum()

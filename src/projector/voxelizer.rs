@@ -8,7 +8,7 @@ use super::shape::{CHUNK, Shape, ShapeGradient};
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::Grid;
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use ndarray::{Array3, ArrayView3};
 use std::ops::Range;
 
@@ -136,7 +136,7 @@ impl Moments {
         } else {
             0.0
         };
-        ShapeGradient { mean, precision, density: self.value, nu }
+        ShapeGradient { mean, precision, density: self.value, nu, shadow: DVec2::ZERO }
     }
 }
 

@@ -1,0 +1,194 @@
+//! What an iteration of training costs and where the time goes, at 64³/128²/5,000 primitives and at 256³/512²/50,000.
+//!
+//! Each part runs by itself on a lattice of primitives whose supports are those of a run; what is not due in every
+//! iteration (wavelets 10, confidence and density control 100) counts with its share. After the measurements a table
+//! gives milliseconds per iteration and percentages. All cores; `cargo bench --bench iteration`
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use ndarray::Array2;
+use std::cell::RefCell;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+use trgs::confidence::{Coverage, nu_loss, nu_target};
+use trgs::config::Config;
+use trgs::density::{ar, succeed};
+use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use trgs::optim::sghmc::{Phase, Stir};
+use trgs::optim::{Adam, Sghmc};
+use trgs::primitives::activation::Interval;
+use trgs::primitives::{Activation, Group, Kernel, Parameters, Primitives};
+use trgs::projector::Field;
+use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::wavelet::{route, wavelet_loss};
+
+const VIEWS: usize = 18;
+
+fn scanner(voxels: usize, pixels: usize) -> Scanner {
+    let pitch = 4.0 / pixels as f64;
+    Scanner {
+        beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+        detector: Detector {
+            rows: pixels,
+            columns: pixels,
+            pitch_v: pitch,
+            pitch_u: pitch,
+            offset_u: 0.0,
+            offset_v: 0.0,
+        },
+        grid: Grid::cube(voxels),
+    }
+}
+
+/// A lattice of `side`³ primitives, a little more than one spacing wide.
+fn primitives(side: usize) -> Primitives {
+    let m = side * side * side;
+    let spacing = 1.6 / side as f64;
+    let at = |k: usize| (k as f64 + 0.5) * spacing - 0.8;
+    Primitives::new(Parameters {
+        mean: (0..m).map(|i| [at(i / (side * side)), at(i / side % side), at(i % side)]).collect(),
+        scale: (0..m).map(|i| [0.4, 0.45, 0.3 + 0.02 * (i % 7) as f64].map(|s| s * spacing)).collect(),
+        quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
+        density: (0..m).map(|i| 0.05 + 0.01 * (i % 11) as f64).collect(),
+        nu: (0..m).map(|i| 5.0 + (i % 30) as f64).collect(),
+    })
+    .expect("a valid lattice")
+}
+
+/// Mean time of each part, with how often it is due.
+#[derive(Default)]
+struct Shares(RefCell<Vec<(&'static str, Duration, usize)>>);
+
+impl Shares {
+    fn print(&self, name: &str) {
+        let parts = self.0.borrow();
+        let each = |(_, time, every): &(&str, Duration, usize)| time.as_secs_f64() * 1e3 / *every as f64;
+        let total: f64 = parts.iter().map(each).sum();
+        println!("\n{name}: {total:.2} ms per iteration");
+        for part in parts.iter() {
+            let once = part.1.as_secs_f64() * 1e3;
+            println!(
+                "  {:<28} {:8.3} ms {:5.1} %   ({once:.3} ms every {})",
+                part.0,
+                each(part),
+                100.0 * each(part) / total,
+                part.2
+            );
+        }
+        let new = parts.iter().filter(|part| part.2 > 1 || part.0.starts_with("pull")).map(each).sum::<f64>();
+        println!("  confidence, wavelets and density control together: {:.1} %\n", 100.0 * new / total);
+    }
+}
+
+fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usize) {
+    let (config, shares) = (Config::default(), Shares::default());
+    let (scanner, physical) = (scanner(voxels, pixels), primitives(side));
+    let (m, grid) = (physical.len(), scanner.grid);
+    let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
+    let activation = Activation {
+        kernel: Kernel::StudentT,
+        scale: Interval { min: 0.001, max: 1.0 },
+        nu: Interval { min: 2.0, max: 100.0 },
+    };
+    let raw = activation.inverse(&physical.parameters);
+    let field = Field::<f32>::new(&physical, config.cutoff);
+    let view = field.view(&scanner, 0.4, config.projection);
+    let image = view.image();
+    let ssim = Ssim::<f32>::default();
+    let target = SsimTarget::new(
+        &ssim,
+        Array2::from_shape_fn((pixels, pixels), |(v, u)| ((v * 7 + u * 3) % 11) as f32 / 11.0).view(),
+    );
+    let cotangent = image_loss(&ssim, 0.25, image.view(), &target).cotangent;
+    let block = grid.block([grid.shape[0] / 4; 3], [32; 3]);
+    let gradient = RefCell::new(field.zero_gradient());
+    let coverage = Coverage::new(config.confidence.settings());
+    let confidence = coverage.confidence(&physical, &scanner, &angles);
+    let targets: Vec<f64> =
+        confidence.iter().map(|&c| nu_target(c, &config.confidence.settings(), activation.nu)).collect();
+    let flat = field.finish(&gradient.borrow());
+    let adam = RefCell::new(Group::ALL.map(|group| Adam::new(m * group.width(), [0.9, 0.999], 1e-15)));
+    let (sghmc, moved) = (RefCell::new(Sghmc::new(m)), RefCell::new(raw.clone()));
+
+    let mut group = c.benchmark_group(name);
+    group.sample_size(10).warm_up_time(Duration::from_millis(500)).measurement_time(Duration::from_secs(3));
+    let mut part = |name: &'static str, every: usize, work: &dyn Fn()| {
+        let (mut spent, mut runs) = (Duration::ZERO, 0);
+        group.bench_function(name, |b| {
+            b.iter_custom(|n| {
+                let began = Instant::now();
+                (0..n).for_each(|_| work());
+                spent += began.elapsed();
+                runs += n as u32;
+                began.elapsed()
+            });
+        });
+        if runs > 0 {
+            shares.0.borrow_mut().push((name, spent / runs, every));
+        }
+    };
+    part("raw to field", 1, &|| {
+        black_box(Field::<f32>::new(&activation.forward(&raw), config.cutoff));
+    });
+    part("projection", 1, &|| {
+        black_box(field.view(&scanner, 0.4, config.projection).image());
+    });
+    part("image loss", 1, &|| {
+        black_box(image_loss(&ssim, 0.25, image.view(), &target));
+    });
+    part("projection, back", 1, &|| view.pull_back(cotangent.view(), &mut gradient.borrow_mut()));
+    part("total variation", 1, &|| {
+        let (_, cotangent) = tv(field.voxels(&block).view());
+        field.pull_back_voxels(&block, cotangent.view(), &mut gradient.borrow_mut());
+    });
+    part("gradient to raw", 1, &|| {
+        let mut gradient = field.finish(&gradient.borrow());
+        activation.vjp(&physical, &mut gradient);
+        black_box(gradient);
+    });
+    part("optimisers", 1, &|| {
+        let (mut adam, mut moved) = (adam.borrow_mut(), moved.borrow_mut());
+        for (group, adam) in Group::ALL.into_iter().zip(adam.iter_mut()).skip(1) {
+            adam.step(moved.group_mut(group), flat.group(group), 1e-4);
+        }
+        let direction = adam[0].direction(flat.group(Group::Mean));
+        sghmc.borrow_mut().step(&mut moved.mean, direction.as_chunks().0, 0.014, Phase::Sampling(50.0), |_| Stir::SHUT);
+    });
+    part("pull on ν", 1, &|| {
+        black_box(nu_loss(&physical.parameters.nu, &targets, &confidence, 1e-3));
+    });
+    part("wavelets", config.wavelet.every, &|| {
+        let settings = config.wavelet.settings();
+        let routing = route(&block, &physical.parameters.mean, &confidence, &settings).expect("finite means");
+        let loss = wavelet_loss(field.voxels(&block).view(), &routing, &settings);
+        field.pull_back_voxels(&block, loss.gradient.view(), &mut gradient.borrow_mut());
+    });
+    part("confidence", config.density_control.every, &|| {
+        black_box(coverage.confidence(&physical, &scanner, &angles));
+    });
+    part("adding and recycling", config.density_control.every, &|| {
+        let control = &config.density_control;
+        let settings = ar::Settings {
+            dead: control.dead,
+            recycled: control.recycled,
+            growth: control.growth,
+            cap: usize::MAX,
+            relocation: control.relocation,
+        };
+        let mut k = 0_u64;
+        let successors = ar::ar(&physical, &settings, || {
+            k += 1;
+            (k * 7919 % 10007) as f64 / 10007.0
+        });
+        black_box(activation.inverse(&succeed(&physical.parameters, &successors)));
+    });
+    group.finish();
+    shares.print(name);
+}
+
+fn all(c: &mut Criterion) {
+    bench(c, "64³ voxels, 128² pixels, 5,000 primitives", 17, 64, 128);
+    bench(c, "256³ voxels, 512² pixels, 50,000 primitives", 37, 256, 512);
+}
+
+criterion_group!(benches, all);
+criterion_main!(benches);

@@ -1,0 +1,385 @@
+//! Training: the paper's loop. Reads like its pipeline; every number is computed elsewhere.
+//!
+//! ```text
+//! first volume (FDK) → points → raw parameters; rays around them → confidence c → targets of ν
+//! repeat:  raw → physical → field ─┬─ one view: image → L1, D-SSIM ──────────────────┐
+//!                            │     ├─ a random block: voxels → TV ───────────────────┤
+//!                            │     └─ now and then a block: voxels, routes → wavelets ┼→ gradient → raw gradient
+//!                            └─ ν, c → pull on ν ─────────────────────────────────────┘        │
+//!          now and then: who is needed is copied, who is not goes; c again  ←  SGHMC, Adam  ←──┘
+//! ```
+
+mod optimiser;
+mod record;
+mod state;
+mod views;
+
+pub use record::Record;
+pub use state::{Checkpoint, Checkpoints};
+
+use crate::classical::fdk::{Window, fdk};
+use crate::confidence::{Coverage, nu_loss, nu_target, spearman};
+use crate::config::{Config, DensityControl, KernelName, Precision, Start};
+use crate::density::{adc, ar};
+use crate::error::{Error, Result};
+use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use crate::numeric::rng::{self, Purpose};
+use crate::numeric::{real, reduce};
+use crate::primitives::activation::Interval;
+use crate::primitives::initialisation::{self, Point};
+use crate::primitives::{Activation, Kernel, Parameters, Primitives};
+use crate::projector::{Field, FieldGradient, Kernels};
+use crate::scene::Volume;
+use crate::scene::dataset::Dataset;
+use crate::wavelet::{route, wavelet_loss};
+use glam::DVec3;
+use optimiser::Step;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use record::Losses;
+use state::State;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Instant;
+use views::{ViewOrder, random_block};
+
+/// Called after every iteration, with a record where one is due. `Break` stops the run.
+pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a;
+
+/// What a run ends with.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// Physical parameters.
+    pub primitives: Primitives,
+    /// The field on the dataset's grid.
+    pub volume: Volume,
+    /// All reports.
+    pub log: Vec<Record>,
+}
+
+/// Reconstructs a dataset by fitting primitives to its training views. With `checkpoints` the state is kept in a file
+/// from time to time, at the end and when `observe` stops the run; going on from it leads to the same bits.
+///
+/// # Errors
+/// For a configuration that does not fit the data or the checkpoint, a value that is not finite, a checkpoint that
+/// cannot be written, or when `observe` stops the run.
+pub fn train(
+    dataset: &Dataset,
+    config: &Config,
+    checkpoints: Option<Checkpoints>,
+    observe: &mut Observe<'_>,
+) -> Result<Reconstruction> {
+    match config.precision {
+        Precision::F32 => Trainer::<f32>::new(dataset, config, checkpoints)?.run(observe),
+        Precision::F64 => Trainer::<f64>::new(dataset, config, checkpoints)?.run(observe),
+    }
+}
+
+/// The primitives that a run starts from.
+///
+/// # Errors
+/// When the dataset does not have what the configuration asks for.
+pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitives> {
+    let kernel = kernel(config);
+    let start = &config.initialisation;
+    let points = match start.from {
+        Start::Fdk => {
+            let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak)?;
+            initialisation::bright_voxels(&volume, start.threshold, config.model.points, config.seed)?
+        }
+        Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
+        Start::Dataset => {
+            let points = dataset.initial_points.as_ref().ok_or_else(|| {
+                Error::invalid(
+                    "initialisation.from",
+                    "dataset",
+                    "a dataset with initial points (init_*.npy)",
+                    "use fdk or random",
+                )
+            })?;
+            let point = |row: ndarray::ArrayView1<'_, f64>| Point {
+                position: DVec3::new(row[0], row[1], row[2]),
+                density: row[3],
+            };
+            points.rows().into_iter().map(point).collect()
+        }
+    };
+    initialisation::primitives(&points, kernel, start.density_factor, config.model.nu_initial)
+}
+
+fn kernel(config: &Config) -> Kernel {
+    match config.model.kernel {
+        KernelName::StudentT => Kernel::StudentT,
+        KernelName::Gaussian => Kernel::Gaussian,
+    }
+}
+
+/// The state of a run, and what follows from dataset and configuration.
+struct Trainer<'a, R> {
+    dataset: &'a Dataset,
+    config: &'a Config,
+    activation: Activation,
+    coverage: Coverage,
+    /// Where the pull on ν leads, for each primitive.
+    targets: Vec<f64>,
+    order: ViewOrder,
+    ssim: Ssim<R>,
+    images: Vec<SsimTarget<R>>,
+    state: State,
+    checkpoint: Option<PathBuf>,
+}
+
+impl<'a, R: Kernels> Trainer<'a, R> {
+    fn new(dataset: &'a Dataset, config: &'a Config, checkpoints: Option<Checkpoints>) -> Result<Self> {
+        dataset.scanner.validate()?;
+        let longest = dataset.scanner.grid.size().max_element();
+        let activation = Activation {
+            kernel: kernel(config),
+            scale: Interval { min: config.model.scale_min * longest, max: config.model.scale_max * longest },
+            nu: Interval { min: config.model.nu_min, max: config.model.nu_max },
+        };
+        let (smallest, multiple) = (dataset.scanner.grid.shape.into_iter().min(), 1 << config.wavelet.levels);
+        if config.wavelet.enabled && smallest < Some(multiple) {
+            let expected = format!("2^levels = {multiple} voxels or more a side");
+            let remedy = "set wavelet.enabled=false";
+            return Err(Error::invalid("volume", format!("{:?}", dataset.scanner.grid.shape), expected, remedy));
+        }
+        let ssim = Ssim::<R>::default();
+        let image = |view| dataset.train.image(view).mapv(|value| real::<R>(f64::from(value)));
+        let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();
+        let (checkpoint, from) = checkpoints.map_or((None, None), |c| (Some(c.file), c.from));
+        let resumed = from.is_some();
+        let state = match from {
+            Some(from) => {
+                from.check(dataset, config)?;
+                from.state
+            }
+            None => State::new(activation.inverse(&initial_primitives(dataset, config)?.parameters), config),
+        };
+        let mut trainer = Self {
+            dataset,
+            config,
+            activation,
+            coverage: Coverage::new(config.confidence.settings()),
+            targets: Vec::new(),
+            order: ViewOrder::new(dataset.train.len(), config.seed),
+            ssim,
+            images,
+            state,
+            checkpoint,
+        };
+        if resumed {
+            trainer.find_targets();
+        } else {
+            trainer.refresh_confidence();
+            trainer.start_at_targets();
+        }
+        Ok(trainer)
+    }
+
+    fn run(mut self, observe: &mut Observe<'_>) -> Result<Reconstruction> {
+        let (began, before) = (Instant::now(), self.state.seconds);
+        let iterations = self.config.iterations;
+        while self.state.iteration < iterations {
+            let iteration = self.state.iteration + 1;
+            let losses = self.step(iteration)?;
+            self.state.iteration = iteration;
+            self.state.sums.add(&losses);
+            self.state.summed += 1;
+            self.state.seconds = before + began.elapsed().as_secs_f64();
+            let report = iteration.is_multiple_of(self.config.report_every) || iteration == iterations;
+            if report {
+                let record = self.record();
+                self.state.log.push(record);
+                (self.state.sums, self.state.summed) = (Losses::default(), 0);
+            }
+            let stop = observe(iteration, self.state.log.last().filter(|_| report)).is_break();
+            let save = iteration.is_multiple_of(self.config.checkpoint_every) || iteration == iterations || stop;
+            if save && let Some(file) = &self.checkpoint {
+                Checkpoint::new(self.dataset, self.config, self.state.clone()).write(file)?;
+            }
+            if stop {
+                let remedy = match self.checkpoint {
+                    Some(_) => "its state is saved; the same command with --resume goes on from there",
+                    None => "nothing was written; start it again",
+                };
+                return Err(Error::Interrupted { step: iteration, remedy: remedy.into() });
+            }
+        }
+        let primitives = self.activation.forward(&self.state.raw);
+        let grid = self.dataset.scanner.grid;
+        let values = Field::<R>::new(&primitives, self.config.cutoff).voxels(&grid).mapv(|value| value.to_f64() as f32);
+        Ok(Reconstruction { primitives, volume: Volume::new(grid, values)?, log: self.state.log })
+    }
+
+    /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
+    fn step(&mut self, iteration: usize) -> Result<Losses> {
+        let physical = self.activation.forward(&self.state.raw);
+        let field = Field::<R>::new(&physical, self.config.cutoff);
+        let mut gradient = field.zero_gradient();
+        let mut losses = self.data_loss(&field, iteration, &mut gradient);
+        if self.config.loss.tv > 0.0 {
+            losses.tv = self.total_variation(&field, iteration, &mut gradient);
+        }
+        if self.config.wavelet.enabled && iteration.is_multiple_of(self.config.wavelet.every) {
+            losses.wavelet = self.wavelets(&field, &physical, iteration, &mut gradient)?;
+            losses.blocks = 1;
+        }
+        let mut gradient = field.finish(&gradient);
+        if self.config.confidence.enabled {
+            losses.nu = self.pull_on_nu(&physical, &mut gradient);
+        }
+        losses.total += self.config.loss.tv * losses.tv + losses.wavelet + losses.nu;
+        self.activation.vjp(&physical, &mut gradient);
+        gradient.check_finite("gradient of the raw parameters", iteration)?;
+        let State { raw, ids, optimiser, .. } = &mut self.state;
+        optimiser.step(raw, &gradient, &Step { config: self.config, done: iteration - 1, physical: &physical, ids });
+        let changed = self.control_density(iteration)?;
+        if changed || iteration.is_multiple_of(self.config.confidence.every) {
+            self.refresh_confidence();
+        }
+        Ok(losses)
+    }
+
+    /// L1 and D-SSIM of the iteration's view.
+    fn data_loss(&mut self, field: &Field<R>, iteration: usize, gradient: &mut FieldGradient) -> Losses {
+        let view = self.order.view(iteration - 1);
+        let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
+        let loss = image_loss(&self.ssim, self.config.loss.d_ssim, seen.image().view(), &self.images[view]);
+        seen.pull_back(loss.cotangent.view(), gradient);
+        if self.config.density_control.method == DensityControl::Adc {
+            self.state.pulls.add(gradient.shadows(), seen.seen());
+        }
+        Losses { total: loss.total, l1: loss.l1, d_ssim: loss.d_ssim, ..Losses::default() }
+    }
+
+    /// Total variation of a random block of the volume.
+    fn total_variation(&self, field: &Field<R>, iteration: usize, gradient: &mut FieldGradient) -> f64 {
+        let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
+        let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
+        let (value, mut cotangent) = tv(field.voxels(&block).view());
+        cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
+        field.pull_back_voxels(&block, cotangent.view(), gradient);
+        value
+    }
+
+    /// The wavelet loss of a random block of the volume `[Eq. 11]`–`[Eq. 15]`.
+    fn wavelets(
+        &self,
+        field: &Field<R>,
+        physical: &Primitives,
+        iteration: usize,
+        gradient: &mut FieldGradient,
+    ) -> Result<f64> {
+        let (grid, wavelet) = (&self.dataset.scanner.grid, &self.config.wavelet);
+        let multiple = 1 << wavelet.levels;
+        let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
+        let settings = wavelet.settings();
+        let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
+        let loss = wavelet_loss(field.voxels(&block).view(), &routing, &settings);
+        field.pull_back_voxels(&block, loss.gradient.view(), gradient);
+        Ok(loss.value)
+    }
+
+    /// The pull of ν towards its target `[Eq. 10]`.
+    fn pull_on_nu(&self, physical: &Primitives, gradient: &mut Parameters) -> f64 {
+        let weight = self.config.confidence.weight;
+        let (value, d_nu) = nu_loss(&physical.parameters.nu, &self.targets, &self.state.confidence, weight);
+        gradient.nu.iter_mut().zip(d_nu).for_each(|(gradient, d)| *gradient += d);
+        value
+    }
+
+    /// Adds, moves and removes primitives if that is due, and says whether it was.
+    fn control_density(&mut self, iteration: usize) -> Result<bool> {
+        let control = &self.config.density_control;
+        let part = iteration as f64 / self.config.iterations as f64;
+        let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop;
+        if !due || control.method == DensityControl::None {
+            return Ok(false);
+        }
+        let physical = self.activation.forward(&self.state.raw);
+        let (seed, step) = (self.config.seed, iteration as u64);
+        let successors = match control.method {
+            DensityControl::None => return Ok(false),
+            DensityControl::Adc => {
+                let grid = &self.dataset.scanner.grid;
+                let settings = adc::Settings {
+                    gradient: control.gradient,
+                    split_scale: control.split_scale * grid.size().max_element(),
+                    faint: control.faint,
+                    cap: control.cap,
+                };
+                let normals = |i: usize| {
+                    let mut random = rng::stream(seed, Purpose::Splitting, step, self.state.ids[i]);
+                    std::array::from_fn(|_| random.sample(StandardNormal))
+                };
+                adc::adc(&physical.parameters, &self.state.pulls.means(), &settings, grid, normals)
+            }
+            DensityControl::Ar => {
+                let settings = ar::Settings {
+                    dead: control.dead,
+                    recycled: control.recycled,
+                    growth: control.growth,
+                    cap: control.cap,
+                    relocation: control.relocation,
+                };
+                let mut random = rng::stream(seed, Purpose::Recycling, step, 0);
+                ar::ar(&physical, &settings, || random.random())
+            }
+        };
+        if successors.is_empty() {
+            let expected = "at least one primitive that is neither faint nor outside of the volume";
+            let remedy = "lower density_control.faint or the learning rates";
+            return Err(Error::invalid(format!("density control at step {iteration}"), "none left", expected, remedy));
+        }
+        self.state.succeed(&physical.parameters, &successors, &self.activation);
+        Ok(true)
+    }
+
+    /// Computes c `[Eq. 8]` and what follows from it, if anything asks for it.
+    fn refresh_confidence(&mut self) {
+        if self.config.confidence.enabled || self.config.wavelet.enabled {
+            let physical = self.activation.forward(&self.state.raw);
+            let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
+            self.state.confidence = self.coverage.confidence(&physical, scanner, angles);
+            self.find_targets();
+        }
+    }
+
+    /// ν_target of every primitive `[Eq. 9]`.
+    fn find_targets(&mut self) {
+        let settings = self.config.confidence.settings();
+        let target = |&c: &f64| nu_target(c, &settings, self.activation.nu);
+        self.targets = self.state.confidence.iter().map(target).collect();
+    }
+
+    /// Lets every ν start at its target.
+    fn start_at_targets(&mut self) {
+        if self.config.confidence.enabled {
+            let mut physical = self.activation.forward(&self.state.raw).parameters;
+            physical.nu.copy_from_slice(&self.targets);
+            self.state.raw.nu = self.activation.inverse(&physical).nu;
+        }
+    }
+
+    /// The means since the last record.
+    fn record(&self) -> Record {
+        let State { sums, confidence, .. } = &self.state;
+        let mean = |total: f64| total / self.state.summed as f64;
+        let nu = self.activation.forward(&self.state.raw).parameters.nu;
+        Record {
+            iteration: self.state.iteration,
+            iterations: self.config.iterations,
+            loss: mean(sums.total),
+            l1: mean(sums.l1),
+            d_ssim: mean(sums.d_ssim),
+            tv: mean(sums.tv),
+            nu: mean(sums.nu),
+            wavelet: sums.wavelet / sums.blocks.max(1) as f64,
+            primitives: self.state.raw.len(),
+            confidence: (!confidence.is_empty()).then(|| reduce::sum(confidence) / confidence.len() as f64),
+            spearman: if confidence.is_empty() { None } else { spearman(&nu, confidence) },
+            seconds: self.state.seconds,
+        }
+    }
+}

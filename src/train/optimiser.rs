@@ -1,0 +1,93 @@
+//! One optimiser for each group of parameters, with its learning rate.
+
+use crate::config::{Config, PositionOptimiser};
+use crate::numeric::rng::{self, Purpose};
+use crate::optim::sghmc::{Phase, Stir, gate};
+use crate::optim::{Adam, Exponential, Sghmc};
+use crate::primitives::{Group, Parameters, Primitives};
+use glam::{DMat3, DVec3};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+/// What the optimisers remember.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Optimiser {
+    /// In the order of [`Group::ALL`].
+    adam: Vec<Adam>,
+    /// Momentum of the positions.
+    sghmc: Sghmc,
+}
+
+/// What a step is told beside the gradient.
+pub(super) struct Step<'a> {
+    pub(super) config: &'a Config,
+    /// Steps done before.
+    pub(super) done: usize,
+    /// Physical values before the step.
+    pub(super) physical: &'a Primitives,
+    pub(super) ids: &'a [u64],
+}
+
+impl Optimiser {
+    pub(super) fn new(m: usize, config: &Config) -> Self {
+        let o = &config.optimiser;
+        let adam = Group::ALL.map(|group| Adam::new(m * group.width(), o.beta, o.epsilon));
+        Self { adam: adam.into(), sghmc: Sghmc::new(m) }
+    }
+
+    pub(super) fn step(&mut self, raw: &mut Parameters, gradient: &Parameters, step: &Step<'_>) {
+        let o = &step.config.optimiser;
+        for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
+            let [first, last] = match group {
+                Group::Mean => o.mean,
+                Group::Scale => o.scale,
+                Group::Quaternion => o.quaternion,
+                Group::Density => o.density,
+                Group::Nu => o.nu,
+            };
+            let rate = Exponential { first, last, steps: step.config.iterations }.at(step.done);
+            if group == Group::Mean && o.position != PositionOptimiser::Adam {
+                sample(&mut self.sghmc, adam, raw, gradient, rate.sqrt(), step);
+            } else {
+                adam.step(raw.group_mut(group), gradient.group(group), rate);
+            }
+        }
+    }
+
+    /// Takes over a new population: old rows keep what is remembered of them.
+    pub(super) fn succeed(&mut self, rows: &[Option<usize>]) {
+        for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
+            adam.succeed(group.width(), rows);
+        }
+        self.sghmc.succeed(rows);
+    }
+}
+
+/// One step of the positions by SGHMC.
+fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &Parameters, rate: f64, step: &Step<'_>) {
+    let settings = &step.config.sghmc;
+    let noise = |i: usize| {
+        let mut random = rng::stream(step.config.seed, Purpose::Stirring, step.done as u64, step.ids[i]);
+        let mut normal = || random.sample(StandardNormal);
+        DVec3::new(normal(), normal(), normal())
+    };
+    if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
+        let energy: Vec<_> = gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)).collect();
+        let free = |i| Stir { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
+        return sghmc.step(&mut raw.mean, &energy, rate, Phase::Sampling(settings.friction), free);
+    }
+    let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
+    let phase = if burning { Phase::BurnIn(settings.burn_in_friction) } else { Phase::Sampling(settings.friction) };
+    let parameters = &step.physical.parameters;
+    let stir = |i: usize| match gate(parameters.density[i], settings.density_reference) {
+        0.0 => Stir::SHUT,
+        gate => {
+            let covariance = if burning { parameters.covariance(i) } else { DMat3::ZERO };
+            Stir { gate, noise: noise(i), covariance }
+        }
+    };
+    let direction = adam.direction(gradient.group(Group::Mean));
+    let (direction, _) = direction.as_chunks::<3>();
+    sghmc.step(&mut raw.mean, direction, rate, phase, stir);
+}

@@ -1,0 +1,262 @@
+//! All that a run must remember to go on to the same bits, and the file that holds it.
+
+use super::optimiser::Optimiser;
+use super::record::{Losses, Record};
+use crate::config::Config;
+use crate::density::{Successor, succeed};
+use crate::error::{Error, Result};
+use crate::output::{create_folder, write_atomically};
+use crate::primitives::{Activation, Parameters};
+use crate::provenance::digest_bytes;
+use crate::scene::Dataset;
+use bytemuck::cast_slice;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Changes with the meaning of the file.
+const FORMAT: u32 = 1;
+
+/// The state of a run after an iteration. Random numbers and the order of views need no memory: they are functions of
+/// the seed and the iteration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct State {
+    /// Iterations done.
+    pub(super) iteration: usize,
+    pub(super) raw: Parameters,
+    /// A name for each primitive that no other ever had.
+    pub(super) ids: Vec<u64>,
+    next_id: u64,
+    pub(super) optimiser: Optimiser,
+    /// c of each primitive when it was last computed; empty if nothing asks for it.
+    pub(super) confidence: Vec<f64>,
+    pub(super) pulls: Pulls,
+    pub(super) log: Vec<Record>,
+    /// Sums of the losses since the last record, and their number.
+    pub(super) sums: Losses,
+    pub(super) summed: usize,
+    /// Seconds spent so far.
+    pub(super) seconds: f64,
+}
+
+/// How hard each primitive pulled on its place in the views that saw it, since the last step of density control.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Pulls {
+    sum: Vec<f64>,
+    views: Vec<u32>,
+}
+
+impl Pulls {
+    fn new(m: usize) -> Self {
+        Self { sum: vec![0.0; m], views: vec![0; m] }
+    }
+
+    /// Adds one view: the gradient to each shadow, and whether the view saw it.
+    pub(super) fn add(&mut self, shadows: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
+        let totals = self.sum.iter_mut().zip(&mut self.views);
+        for ((sum, views), ([u, v], _)) in totals.zip(shadows.zip(seen)).filter(|(_, (_, seen))| *seen) {
+            *sum += (u * u + v * v).sqrt();
+            *views += 1;
+        }
+    }
+
+    /// The means; 0 for what no view saw.
+    pub(super) fn means(&self) -> Vec<f64> {
+        self.sum.iter().zip(&self.views).map(|(sum, &views)| sum / f64::from(views.max(1))).collect()
+    }
+}
+
+impl State {
+    pub(super) fn new(raw: Parameters, config: &Config) -> Self {
+        let m = raw.len();
+        Self {
+            iteration: 0,
+            ids: (0..m as u64).collect(),
+            next_id: m as u64,
+            optimiser: Optimiser::new(m, config),
+            confidence: Vec::new(),
+            pulls: Pulls::new(m),
+            raw,
+            log: Vec::new(),
+            sums: Losses::default(),
+            summed: 0,
+            seconds: 0.0,
+        }
+    }
+
+    /// Replaces the population. What a successor did not change keeps its raw value to the bit.
+    pub(super) fn succeed(&mut self, physical: &Parameters, successors: &[Successor], activation: &Activation) {
+        let new = activation.inverse(&succeed(physical, successors));
+        let old = &self.raw;
+        let keep = |same: bool, old: f64, new: f64| if same { old } else { new };
+        self.raw = Parameters {
+            mean: new.mean,
+            scale: (successors.iter().zip(&new.scale))
+                .map(|(s, new)| {
+                    let p = s.parent;
+                    [0, 1, 2].map(|k| keep(s.scale[k] == physical.scale[p][k], old.scale[p][k], new[k]))
+                })
+                .collect(),
+            quaternion: new.quaternion,
+            density: (successors.iter().zip(&new.density))
+                .map(|(s, &new)| keep(s.density == physical.density[s.parent], old.density[s.parent], new))
+                .collect(),
+            nu: successors.iter().map(|s| old.nu[s.parent]).collect(),
+        };
+        let mut id = |s: &Successor| {
+            if s.fresh {
+                self.next_id += 1;
+                self.next_id - 1
+            } else {
+                self.ids[s.parent]
+            }
+        };
+        self.ids = successors.iter().map(&mut id).collect();
+        let rows: Vec<_> = successors.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
+        self.optimiser.succeed(&rows);
+        self.pulls = Pulls::new(successors.len());
+    }
+}
+
+/// The state of a run in a file, with what it belongs to.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Checkpoint {
+    format: u32,
+    /// All keys, TOML.
+    config: String,
+    /// Digest of scanner, angles and training projections.
+    data: String,
+    pub(super) state: State,
+}
+
+/// Where a run keeps its checkpoint, and the one it goes on from.
+#[derive(Debug)]
+pub struct Checkpoints {
+    /// The file; its folder is created.
+    pub file: PathBuf,
+    /// What was read from it.
+    pub from: Option<Checkpoint>,
+}
+
+impl Checkpoint {
+    pub(super) fn new(dataset: &Dataset, config: &Config, state: State) -> Self {
+        Self { format: FORMAT, config: config.to_toml(), data: digest(dataset), state }
+    }
+
+    /// Reads a checkpoint.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Format`] for what is none.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let remedy = "start the run again without --resume";
+        let checkpoint: Self = rmp_serde::from_slice(&bytes)
+            .map_err(|error| Error::format(path, "content", error, "a checkpoint of trgs", remedy))?;
+        if checkpoint.format != FORMAT {
+            return Err(Error::format(path, "format", checkpoint.format, FORMAT.to_string(), remedy));
+        }
+        Ok(checkpoint)
+    }
+
+    /// Writes it as a whole or not at all; the folder is created.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        if let Some(folder) = path.parent() {
+            create_folder(folder)?;
+        }
+        write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> usize {
+        self.state.iteration
+    }
+
+    /// The configuration of its run.
+    ///
+    /// # Errors
+    /// When it is not one of this version.
+    pub fn config(&self) -> Result<Config> {
+        Config::from_toml(&self.config).map_err(|message| {
+            let remedy = "use the version of trgs that wrote it";
+            Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
+        })
+    }
+
+    /// Refuses another configuration and other data.
+    pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
+        let remedy = "go on with the same settings and data, or start again without --resume";
+        if let Some((key, now, then)) = config.difference(&self.config()?) {
+            return Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), remedy));
+        }
+        if self.data != digest(dataset) {
+            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", remedy));
+        }
+        Ok(())
+    }
+}
+
+/// Digest of all that a run takes from its dataset.
+fn digest(dataset: &Dataset) -> String {
+    let projections = dataset.train.images.as_standard_layout();
+    let mut bytes = format!("{:?} {:?}", dataset.scanner, dataset.train.angles).into_bytes();
+    bytes.extend_from_slice(cast_slice(projections.as_slice().expect("standard layout")));
+    digest_bytes(&bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::{Kernel, activation::Interval};
+
+    fn activation() -> Activation {
+        Activation {
+            kernel: Kernel::StudentT,
+            scale: Interval { min: 0.001, max: 1.0 },
+            nu: Interval { min: 2.0, max: 100.0 },
+        }
+    }
+
+    fn raw() -> Parameters {
+        Parameters {
+            mean: vec![[0.1, -0.2, 0.3], [0.5, 0.6, 0.7]],
+            scale: vec![[-2.0, -2.4, -1.7], [-3.0, -3.1, -3.2]],
+            quaternion: vec![[0.3, -0.4, 0.8, 0.1], [1.0, 0.0, 0.2, 0.0]],
+            density: vec![-0.7, -3.0],
+            nu: vec![-1.3, 0.2],
+        }
+    }
+
+    #[test]
+    fn successors_keep_raw_values_to_the_bit_where_nothing_changed() {
+        let mut state = State::new(raw(), &Config::default());
+        let physical = activation().forward(&state.raw).parameters;
+        let same = Successor::same(&physical, 1);
+        let half = Successor { density: physical.density[0] / 2.0, ..Successor::same(&physical, 0) };
+        state.succeed(&physical, &[same, half, Successor { fresh: true, ..half }], &activation());
+        assert_eq!((state.raw.scale[0], state.raw.density[0]), (raw().scale[1], raw().density[1]));
+        assert_eq!((state.raw.scale[1], state.raw.nu[2]), (raw().scale[0], raw().nu[0]));
+        let density = activation().forward(&state.raw).parameters.density;
+        approx::assert_relative_eq!(density[1] + density[2], physical.density[0], max_relative = 1e-15);
+        assert_eq!((state.ids.as_slice(), state.next_id), (&[1, 0, 2][..], 3));
+    }
+
+    #[test]
+    fn pulls_are_means_over_the_views_that_saw_a_primitive() {
+        let mut pulls = Pulls::new(3);
+        pulls.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
+        pulls.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
+        assert_eq!(pulls.means(), [3.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_no_checkpoint_is_refused_with_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        std::fs::write(&path, b"hello").unwrap();
+        let message = Checkpoint::read(&path).unwrap_err().to_string();
+        assert!(message.contains("checkpoint") && !message.contains('\n'), "{message}");
+        assert!(Checkpoint::read(&folder.path().join("none")).is_err());
+    }
+}

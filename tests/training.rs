@@ -1,0 +1,161 @@
+//! Training as a whole: every method, every pair of density control and position optimiser, every variant.
+
+mod common;
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
+use trgs::numeric::threads;
+use trgs::primitives::Group;
+use trgs::scene::noise::Noise;
+use trgs::scene::phantom::Phantom;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Scanner};
+use trgs::train::{Checkpoint, Checkpoints, Reconstruction, train};
+use trgs::{Error, evaluation};
+
+fn scan() -> Dataset {
+    let pitch = 4.0 / 40.0;
+    let scanner = Scanner {
+        beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+        detector: Detector { rows: 40, columns: 40, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 },
+        grid: Grid::cube(20),
+    };
+    let plan = Plan { views: 9, test_views: 2, noise: Noise::LOW, seed: 4 };
+    simulate("torso", Object::Phantom(&Phantom::by_name("torso", 0).unwrap()), &scanner, &plan).unwrap()
+}
+
+/// Every part at work within a few iterations.
+fn busy(method: Method) -> Config {
+    let mut config = Config::of(method);
+    (config.iterations, config.report_every, config.model.points) = (120, 20, 400);
+    (config.loss.tv_block, config.wavelet.block) = (12, 12);
+    (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8, 25);
+    config
+}
+
+fn run(dataset: &Dataset, config: &Config) -> Reconstruction {
+    config.validate().unwrap();
+    train(dataset, config, None, &mut |_, _| ControlFlow::Continue(())).unwrap()
+}
+
+fn bits(result: &Reconstruction) -> Vec<u64> {
+    let parameters = &result.primitives.parameters;
+    Group::ALL.into_iter().flat_map(|group| parameters.group(group)).map(|x| x.to_bits()).collect()
+}
+
+/// The eight settings of the table of optimisers and density control.
+fn pairs() -> impl Iterator<Item = Config> {
+    let settings = [Method::TrGs, Method::R2Gaussian].into_iter().flat_map(|method| {
+        [DensityControl::Adc, DensityControl::Ar].into_iter().flat_map(move |control| {
+            [PositionOptimiser::Adam, PositionOptimiser::Sghmc].map(|position| (method, control, position))
+        })
+    });
+    settings.map(|(method, control, position)| {
+        let mut config = busy(method);
+        config.density_control.method = control;
+        config.optimiser.position = position;
+        config
+    })
+}
+
+#[test]
+fn every_pair_of_density_control_and_optimiser_learns_and_stops_and_goes_on_to_the_same_bits() {
+    let dataset = scan();
+    let folder = tempfile::tempdir().unwrap();
+    let mut results = BTreeSet::new();
+    for (number, config) in pairs().enumerate() {
+        let what = format!("{:?} {:?} {:?}", config.method, config.density_control.method, config.optimiser.position);
+        let whole = threads::install(1, || run(&dataset, &config)).unwrap();
+        let (first, last) = (&whole.log[0], whole.log.last().unwrap());
+        assert!(last.l1 < 0.8 * first.l1, "{what}: from {} to {}", first.l1, last.l1);
+        assert!(last.primitives > 400, "{what}: {} primitives", last.primitives);
+        assert!(results.insert(bits(&whole)), "{what} is the same as another pair");
+
+        let file = folder.path().join(format!("{number}/checkpoint"));
+        let stop = |at: usize| {
+            move |iteration, _: Option<&_>| {
+                if iteration == at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            }
+        };
+        let from = |file: &std::path::Path| file.exists().then(|| Checkpoint::read(file).unwrap());
+        for at in [1, 23, 24, 70] {
+            let checkpoints = Checkpoints { file: file.clone(), from: from(&file) };
+            let stopped = train(&dataset, &config, Some(checkpoints), &mut stop(at));
+            assert!(matches!(stopped, Err(Error::Interrupted { step, .. }) if step == at), "{what}");
+        }
+        let checkpoints = Checkpoints { file: file.clone(), from: from(&file) };
+        let resumed = train(&dataset, &config, Some(checkpoints), &mut stop(0)).unwrap();
+        assert!(bits(&resumed) == bits(&whole), "{what}: other bits after four stops");
+        assert!(resumed.log.iter().map(|r| r.loss.to_bits()).eq(whole.log.iter().map(|r| r.loss.to_bits())), "{what}");
+    }
+}
+
+#[test]
+fn confidence_and_wavelets_each_change_the_result_and_report() {
+    let dataset = scan();
+    let variant = |confidence, wavelet| {
+        let mut config = busy(Method::TrGs);
+        (config.confidence.enabled, config.wavelet.enabled) = (confidence, wavelet);
+        run(&dataset, &config)
+    };
+    let (base, confident, sharpened, full) =
+        (variant(false, false), variant(true, false), variant(false, true), variant(true, true));
+    let distinct: BTreeSet<_> = [&base, &confident, &sharpened, &full].map(bits).into();
+    assert_eq!(distinct.len(), 4);
+    for (result, has_nu, has_wavelet) in
+        [(&base, false, false), (&confident, true, false), (&sharpened, false, true), (&full, true, true)]
+    {
+        let last = result.log.last().unwrap();
+        assert_eq!((last.nu > 0.0, last.wavelet != 0.0), (has_nu, has_wavelet));
+        assert_eq!(last.confidence.is_some(), has_nu || has_wavelet);
+    }
+    // Every ν starts at its target, so its rank is that of c.
+    let first = &full.log[0];
+    assert!(first.spearman.unwrap() > 0.5, "{:?}", first.spearman);
+    assert!(base.log.last().unwrap().spearman.is_none());
+}
+
+#[test]
+fn a_strong_pull_keeps_nu_at_its_targets() {
+    let dataset = scan();
+    let spearman = |weight| {
+        let mut config = busy(Method::TrGs);
+        config.confidence.weight = weight;
+        config.density_control.method = DensityControl::None;
+        run(&dataset, &config).log.last().unwrap().spearman.unwrap()
+    };
+    let (weak, strong) = (spearman(1e-6), spearman(10.0));
+    assert!(strong > 0.9 && strong > weak, "Spearman's ρ: {weak} with a weak pull, {strong} with a strong one");
+}
+
+#[test]
+fn what_the_textbook_sampler_does_is_finite_and_its_own() {
+    let dataset = scan();
+    let mut config = busy(Method::TrGs);
+    config.optimiser.position = PositionOptimiser::SghmcTextbook;
+    let result = run(&dataset, &config);
+    assert!(bits(&result) != bits(&run(&dataset, &busy(Method::TrGs))));
+    assert!(result.volume.values.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn both_methods_come_close_to_the_phantom() {
+    let dataset = scan();
+    let truth = dataset.truth.as_ref().unwrap();
+    for method in [Method::TrGs, Method::R2Gaussian] {
+        let mut config = busy(method);
+        (config.iterations, config.model.points) = (400, 800);
+        let found = evaluation::psnr_3d(truth.values.view(), run(&dataset, &config).volume.values.view()).value;
+        assert!(found > 20.0, "{method:?}: {found} dB");
+    }
+}
+
+#[test]
+fn a_population_that_dies_out_is_an_error_and_no_crash() {
+    let dataset = scan();
+    let mut config = busy(Method::R2Gaussian);
+    config.density_control.faint = 1e6;
+    let message = train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(message.contains("density_control.faint"), "{message}");
+}
