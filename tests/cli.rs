@@ -8,8 +8,8 @@ use std::collections::BTreeSet;
 use trgs::scene::npy;
 use trgs::scene::npz::Npz;
 
-const COMMANDS: [&str; 9] =
-    ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "oracle", "compare", "inspect"];
+const COMMANDS: [&str; 10] =
+    ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "confidence", "oracle", "compare", "inspect"];
 const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
 /// A run that takes no time.
 const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4";

@@ -1,5 +1,6 @@
 """All cases in the order of the manifest, the files they share, and the meaning of the flags."""
 
+import confidence_cases
 import cut_cases
 import population_cases
 import raw_cases
@@ -10,6 +11,7 @@ from files import file_bytes
 
 FLAGS = {
     "above-i0": "a reading above the photons without an object: clipped to 0",
+    "all-covered": "a confidence of 1",
     "anisotropic-voxels": "the three sides of a voxel differ",
     "at-source-plane": "a centre lies exactly in the plane of the source, where its depth is 0",
     "behind-source": "a centre lies behind the source",
@@ -28,6 +30,7 @@ FLAGS = {
     "near-limit": "a centre just nearer to the source than dso/100, where it is left out",
     "negative-values": "values below 0",
     "non-square-pixels": "the two sides of a pixel differ",
+    "nothing-covered": "a confidence of 0",
     "nu-above-training-range": "nu > 100",
     "nu-below-training-range": "nu < 2",
     "odd-even-sides": "one side of the detector is odd, the other even",
@@ -77,6 +80,9 @@ CASES = [
     *small_cases.image_losses("loss-ssim"),
     *small_cases.tv_losses(),
     *small_cases.image_losses("loss-image"),
+    *confidence_cases.confidences(),
+    *confidence_cases.nu_targets(),
+    *confidence_cases.nu_losses(),
     *small_cases.schedules(),
     *small_cases.adams(),
     *population_cases.gates(),

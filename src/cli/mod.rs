@@ -6,6 +6,7 @@
 mod answer;
 mod arguments;
 mod compare;
+mod confidence;
 mod demo;
 mod evaluate;
 mod explain;
@@ -17,6 +18,7 @@ mod reconstruct;
 mod render;
 mod run_folder;
 mod simulate;
+mod views;
 mod voxelize;
 
 use answer::Answer;
@@ -79,6 +81,7 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     Render(render::Render),
     Voxelize(voxelize::Voxelize),
+    Confidence(confidence::Confidence),
     Oracle(oracle::Oracle),
     Compare(compare::Compare),
     Inspect(inspect::Inspect),
@@ -116,6 +119,7 @@ impl Command {
             Self::Evaluate(command) => command.run(),
             Self::Render(command) => command.run(),
             Self::Voxelize(command) => command.run(),
+            Self::Confidence(command) => command.run(),
             Self::Oracle(command) => command.run(),
             Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(),

@@ -1,9 +1,10 @@
 //! `trgs render`: projections of a model, and the gradient of whatever is made of them.
 
-use super::arguments::{cutoff, finite, list};
+use super::arguments::{cutoff, list};
 use super::explain::{self, Written};
+use super::views::ViewArgs;
 use super::{Answer, check_size, interrupt};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -11,9 +12,8 @@ use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Parameters, Primitives, model};
 use trgs::projector::{Field, Kernels, Projection, forward, vjp};
-use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
-use trgs::scene::{Dataset, Scanner, npy};
+use trgs::scene::{Scanner, npy};
 use trgs::{Error, Result};
 
 /// Project a model, and pull a cotangent of the projections back to it
@@ -30,16 +30,8 @@ pub(super) struct Render {
     /// Model to project
     #[arg(value_name = "MODEL.npz")]
     model: PathBuf,
-    /// Dataset, or its description alone
-    #[arg(long, value_name = "DATASET|meta_data.json")]
-    scanner: PathBuf,
-    /// Views, radians
-    #[arg(long, value_name = "RAD,RAD,..", value_delimiter = ',', allow_hyphen_values = true, value_parser = finite,
-        conflicts_with = "split")]
-    angles: Vec<f64>,
-    /// Views of the dataset, unless there are angles
-    #[arg(long, value_enum, default_value_t = Split::Train)]
-    split: Split,
+    #[command(flatten)]
+    views: ViewArgs,
     /// Rays through a primitive: exact, or affine as in the paper
     #[arg(long, value_enum, default_value_t = Projection::Exact)]
     projection: Projection,
@@ -70,12 +62,6 @@ pub(super) struct KernelArgs {
     pub(super) grad_out: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Split {
-    Train,
-    Test,
-}
-
 /// What is explained.
 #[derive(Serialize)]
 struct Pixel {
@@ -96,7 +82,7 @@ impl Render {
 
     fn render<R: Kernels + Element>(&self) -> Result<Answer> {
         let primitives = model::read(&self.model)?;
-        let (scanner, angles) = self.views()?;
+        let (scanner, angles) = self.views.read()?;
         let shape = [angles.len(), scanner.detector.rows, scanner.detector.columns];
         if let Some(pixel) = self.explain {
             explain::check_index(pixel, shape, ["view", "row", "column"])?;
@@ -137,20 +123,6 @@ impl Render {
             truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(primitives, scanner, angles)),
             grad_out: self.kernel.grad_out.as_deref(),
         })
-    }
-
-    fn views(&self) -> Result<(Scanner, Vec<f64>)> {
-        if !self.angles.is_empty() {
-            return Ok((read_scanner(&self.scanner)?, self.angles.clone()));
-        }
-        let dataset = Dataset::read(&self.scanner)?;
-        let views = match self.split {
-            Split::Train => dataset.train,
-            Split::Test => dataset.test.ok_or_else(|| {
-                Error::invalid("--split", "test", "train: the dataset has no test views", "or give --angles")
-            })?,
-        };
-        Ok((dataset.scanner, views.angles))
     }
 
     fn truncation_bound<R: Kernels>(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> f64 {

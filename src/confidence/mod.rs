@@ -28,7 +28,7 @@ mod sphere;
 mod tests;
 
 pub use nu::{nu_loss, nu_target};
-pub use rank::spearman;
+pub use rank::{Spread, spearman};
 
 use crate::error::{Error, Result};
 use crate::numeric::threads;

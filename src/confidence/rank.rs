@@ -1,6 +1,34 @@
-//! Rank correlation: whether ν follows the confidence.
+//! Orders and ranks: how confidences spread, and whether ν follows them.
 
 use crate::numeric::reduce;
+use serde::Serialize;
+
+/// Where values lie.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// The smallest.
+    pub min: f64,
+    /// The one in the middle, or the mean of the two.
+    pub median: f64,
+    /// Their mean.
+    pub mean: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+impl Spread {
+    /// Of some values; `None` of none. A NaN makes itself felt in the mean, and at an end.
+    ///
+    /// Tests: `the_spread_is_that_computed_by_hand`.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let (&min, &max) = (sorted.first()?, sorted.last()?);
+        let n = sorted.len();
+        let median = (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0;
+        Some(Self { min, median, mean: reduce::sum(values) / n as f64, max })
+    }
+}
 
 /// Spearman's rank correlation in [-1, 1]: Pearson's of the ranks, equal values sharing the mean of theirs.
 ///
@@ -41,6 +69,13 @@ fn centred_ranks(values: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_spread_is_that_computed_by_hand() {
+        assert_eq!(Spread::of(&[]), None);
+        assert_eq!(Spread::of(&[3.0, 1.0, 8.0]), Some(Spread { min: 1.0, median: 3.0, mean: 4.0, max: 8.0 }));
+        assert_eq!(Spread::of(&[3.0, 1.0, 8.0, 2.0]), Some(Spread { min: 1.0, median: 2.5, mean: 3.5, max: 8.0 }));
+    }
 
     #[test]
     fn ranks_of_ties_are_those_computed_by_hand() {

@@ -4,6 +4,7 @@ use super::manifest::{Arrays, Case};
 use super::population;
 use super::question::Question;
 use crate::classical::fdk::{self, Sample, Window};
+use crate::confidence::{Coverage, Settings, nu_loss, nu_target};
 use crate::config::Precision;
 use crate::error::{Error, Result};
 use crate::evaluation;
@@ -17,7 +18,7 @@ use crate::projector::{self, Field, Kernels};
 use crate::scene::noise::noisy_line_integral;
 use crate::scene::npy;
 use crate::scene::npz::{self, Entry};
-use ndarray::{Array, Array1, Array2, Array3, Array4, ArrayD, Axis, Dimension, Ix2, Ix3, IxDyn};
+use ndarray::{Array, Array1, Array2, Array3, Array4, ArrayD, Axis, Dimension, Ix1, Ix2, Ix3, IxDyn};
 use rand::Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,7 +27,7 @@ use std::path::Path;
 pub type Outputs = BTreeMap<String, Arrays>;
 
 /// The stages this program computes, in the manifest's order.
-pub const STAGES: [&str; 34] = [
+pub const STAGES: [&str; 37] = [
     "covariance",
     "kernel",
     "integral-factor",
@@ -48,6 +49,9 @@ pub const STAGES: [&str; 34] = [
     "loss-ssim",
     "loss-tv",
     "loss-image",
+    "confidence",
+    "nu-target",
+    "loss-nu",
     "schedule",
     "adam",
     "sghmc-gate",
@@ -123,6 +127,21 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "loss-tv" => {
             let (value, gradient) = tv(q.array::<Ix3>("block")?.mapv(real::<R>).view());
             valued(value, gradient)
+        }
+        "confidence" => {
+            let coverage =
+                Coverage::new(Settings { r_max: q.setting("r_max")?, kappa: q.setting("kappa")?, ..points(q)? });
+            one("confidence", Array1::from(coverage.confidence(&q.primitives()?, &q.scanner()?, &q.angles()?)))
+        }
+        "nu-target" => {
+            let settings = Settings { temperature: q.setting("temperature")?, ..points(q)? };
+            let range = q.interval("nu_range")?;
+            one("nu_target", q.array::<Ix1>("c")?.mapv(|c| nu_target(c, &settings, range)))
+        }
+        "loss-nu" => {
+            let [nu, target, confidence] = [q.numbers("nu")?, q.numbers("target")?, q.numbers("confidence")?];
+            let (value, gradient) = nu_loss(&nu, &target, &confidence, q.setting("weight")?);
+            valued(value, Array1::from(gradient))
         }
         "schedule" => {
             let schedule = Exponential {
@@ -214,6 +233,11 @@ fn gradient(values: &Parameters) -> Outputs {
 fn covariance(primitives: &Primitives) -> Array3<f64> {
     let matrices: Vec<_> = (0..primitives.len()).map(|i| primitives.parameters.covariance(i)).collect();
     Array3::from_shape_fn((primitives.len(), 3, 3), |(i, row, column)| matrices[i].col(column)[row])
+}
+
+/// Settings of the ray confidence, of which the number of points is told.
+fn points(q: &Question) -> Result<Settings> {
+    Ok(Settings { sphere_points: q.integer("sphere_points")? as usize, ..Settings::default() })
 }
 
 fn pixels<R: Real>(q: &Question, role: &str) -> Result<Array2<R>> {

@@ -128,12 +128,15 @@ impl Question {
         }
     }
 
-    pub(super) fn activation(&self) -> Result<Activation> {
-        let interval = |key: &str| match self.list(key)?[..] {
+    pub(super) fn interval(&self, key: &str) -> Result<Interval> {
+        match self.list(key)?[..] {
             [min, max] => Ok(Interval { min, max }),
             _ => Err(self.missing(&format!("setting {key} with two numbers"))),
-        };
+        }
+    }
+
+    pub(super) fn activation(&self) -> Result<Activation> {
         let kernel = if self.word("kernel")? == "gaussian" { Kernel::Gaussian } else { Kernel::StudentT };
-        Ok(Activation { kernel, scale: interval("scale_range")?, nu: interval("nu_range")? })
+        Ok(Activation { kernel, scale: self.interval("scale_range")?, nu: self.interval("nu_range")? })
     }
 }

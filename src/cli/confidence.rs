@@ -1,0 +1,119 @@
+//! `trgs confidence`: how well the rays of some views cover each primitive of a model.
+
+use super::arguments::finite;
+use super::views::ViewArgs;
+use super::{Answer, interrupt};
+use clap::{Args, value_parser};
+use ndarray::{ArrayView, aview0, aview1};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trgs::confidence::{Coverage, Settings, Spread, nu_target, spearman};
+use trgs::primitives::activation::Interval;
+use trgs::primitives::model;
+use trgs::scene::npz::{self, Entry};
+use trgs::{Error, Result};
+
+/// Points of the sphere that fit into memory with room to spare.
+const MOST_POINTS: i64 = 1 << 24;
+
+/// Compute how well rays cover each primitive, and the degrees of freedom that follow
+#[derive(Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:
+  trgs confidence out/torso/model.npz --scanner data/torso --out confidence.npz
+  trgs confidence model.npz --scanner meta_data.json --angles 0,1.5708 --r-max 0.7 --out confidence.npz"
+)]
+pub(super) struct Confidence {
+    /// Model whose primitives are covered
+    #[arg(value_name = "MODEL.npz")]
+    model: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// Arrays c and nu_target, one number per primitive, the settings and the angles to write
+    #[arg(long, value_name = "FILE.npz")]
+    out: PathBuf,
+    /// Points on each primitive's unit sphere
+    #[arg(long, value_name = "N", default_value_t = 512, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
+    sphere_points: u32,
+    /// Largest distance of a point from a ray that covers it
+    #[arg(long, value_name = "RADIUS", default_value_t = 0.5, value_parser = finite)]
+    r_max: f64,
+    /// Mean scale over that along a ray from which on the ray covers up to the largest distance
+    #[arg(long, value_name = "RATIO", default_value_t = 1.0, value_parser = finite)]
+    kappa: f64,
+    /// The smaller, the sharper nu turns from its minimum to its maximum
+    #[arg(long, value_name = "T", default_value_t = 0.25, value_parser = finite)]
+    temperature: f64,
+    /// Degrees of freedom where nothing is covered
+    #[arg(long, value_name = "NU", default_value_t = 2.0, value_parser = finite)]
+    nu_min: f64,
+    /// Degrees of freedom where all is covered
+    #[arg(long, value_name = "NU", default_value_t = 100.0, value_parser = finite)]
+    nu_max: f64,
+}
+
+/// What was found.
+#[derive(Serialize)]
+struct Found<'a> {
+    out: &'a Path,
+    primitives: usize,
+    views: usize,
+    /// Null without primitives.
+    c: Option<Spread>,
+    nu_target: Option<Spread>,
+    /// Rank correlation of c and the model's ν; null where one of them is constant, as ν of Gaussians is.
+    spearman: Option<f64>,
+}
+
+impl Confidence {
+    pub(super) fn run(&self) -> Result<Answer> {
+        let (settings, nu) = (self.settings()?, self.nu()?);
+        let primitives = model::read(&self.model)?;
+        let (scanner, angles) = self.views.read()?;
+        let c = Coverage::new(settings).confidence(&primitives, &scanner, &angles);
+        let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
+        interrupt::shielded(|| self.write(&c, &targets, &angles))?;
+        Ok(Answer::list(&Found {
+            out: &self.out,
+            primitives: primitives.len(),
+            views: angles.len(),
+            c: Spread::of(&c),
+            nu_target: Spread::of(&targets),
+            spearman: spearman(&c, &primitives.parameters.nu),
+        }))
+    }
+
+    fn settings(&self) -> Result<Settings> {
+        let Self { sphere_points, r_max, kappa, temperature, .. } = *self;
+        let settings = Settings { sphere_points: sphere_points as usize, r_max, kappa, temperature };
+        settings.validate().map(|()| settings)
+    }
+
+    fn nu(&self) -> Result<Interval> {
+        let Self { nu_min: min, nu_max: max, .. } = *self;
+        if min > 0.0 && min < max {
+            return Ok(Interval { min, max });
+        }
+        let expected = "positive numbers, the first below the second";
+        Err(Error::invalid("--nu-min and --nu-max", format!("{min} and {max}"), expected, "the defaults are 2 and 100"))
+    }
+
+    fn write(&self, c: &[f64], targets: &[f64], angles: &[f64]) -> Result<()> {
+        fn entry<'a, D: ndarray::Dimension>(array: ArrayView<'a, f64, D>) -> Entry<'a> {
+            Entry::F64(array.into_dyn())
+        }
+        let (points, range) = (f64::from(self.sphere_points), [self.nu_min, self.nu_max]);
+        let arrays = [
+            ("c", entry(aview1(c))),
+            ("nu_target", entry(aview1(targets))),
+            ("sphere_points", entry(aview0(&points))),
+            ("r_max", entry(aview0(&self.r_max))),
+            ("kappa", entry(aview0(&self.kappa))),
+            ("temperature", entry(aview0(&self.temperature))),
+            ("nu_range", entry(aview1(&range))),
+            ("angles", entry(aview1(angles))),
+        ];
+        npz::write(&self.out, &arrays)
+    }
+}
