@@ -47,8 +47,18 @@ fn assert_absent(words: &[&str], folders: &[&str], exempt: &[&str], why: &str) {
     assert!(searched >= 5, "only {searched} files searched");
 }
 
-const NUMERICAL: [&str; 8] =
-    ["numeric", "primitives", "projector", "confidence", "loss", "optim", "classical", "scene"];
+const NUMERICAL: [&str; 10] = [
+    "numeric",
+    "primitives",
+    "projector",
+    "confidence",
+    "loss",
+    "wavelet",
+    "optim",
+    "density",
+    "classical",
+    "scene",
+];
 
 #[test]
 fn numerical_code_uses_nothing_whose_bits_depend_on_the_build() {

@@ -7,6 +7,7 @@ import raw_cases
 import scan_cases
 import scene_cases
 import small_cases
+import wavelet_cases
 from files import file_bytes
 
 FLAGS = {
@@ -21,10 +22,13 @@ FLAGS = {
     "centre-on-pixel": "a centre projects exactly on the centre of a pixel",
     "centre-outside-detector": "centres project beside the detector",
     "constant-images": "all pixels of an image are the same",
+    "equal-distances": "primitives at the same distance from a voxel: the one with the lower index is nearer",
     "equal-neighbours": "neighbours with the same value: the sub-gradient of their difference is 0",
     "equal-pixels": "pixels where prediction and target are the same: the sub-gradient of |p-t| is 0",
     "extreme-gradient": "gradients many orders of magnitude from 1",
     "far-skirt": "values far below the peak",
+    "few-primitives": "fewer primitives than neighbours are asked for",
+    "flat-block": "a block or a part of it without any change",
     "gaussian-limit": "the Gaussian kernel as the limit of nu to infinity, and nu so large that it is nearly reached",
     "ill-conditioned": "scales of one primitive a thousand apart",
     "near-limit": "a centre just nearer to the source than dso/100, where it is left out",
@@ -42,6 +46,7 @@ FLAGS = {
     "one-view": "a single view",
     "parallel": "a parallel beam",
     "range-above-one": "image values above the range of 1 that SSIM's constants are made for",
+    "repeated-points": "several primitives at one place",
     "saturated": "raw numbers far out, where a sigmoid or a softplus loses its slope",
     "side-of-one": "an array with a side of 1",
     "sign-flip": "a gradient that changes its sign",
@@ -50,6 +55,7 @@ FLAGS = {
     "support-not-ellipse": "the plane of the source cuts the support, whose shadow is then no ellipse",
     "tiny-density": "a density of 1e-30",
     "tiny-quaternion": "a quaternion of norm 1e-18 or 1e-100",
+    "two-levels": "a transform of two levels",
     "uneven-views": "views at uneven angles, not in order",
     "unnormalised-quaternion": "quaternions whose norm is not 1",
     "zero-density": "a density of 0",
@@ -83,6 +89,10 @@ CASES = [
     *confidence_cases.confidences(),
     *confidence_cases.nu_targets(),
     *confidence_cases.nu_losses(),
+    *wavelet_cases.transforms(),
+    *wavelet_cases.routings(),
+    *wavelet_cases.wavelet_losses(),
+    *wavelet_cases.field_gradients(),
     *small_cases.schedules(),
     *small_cases.adams(),
     *population_cases.gates(),

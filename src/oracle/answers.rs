@@ -19,6 +19,8 @@ use crate::scene::noise::noisy_line_integral;
 use crate::scene::npy;
 use crate::scene::npz::{self, Entry};
 use ndarray::{Array, Array1, Array2, Array3, Array4, ArrayD, Axis, Dimension, Ix1, Ix2, Ix3, IxDyn};
+use crate::wavelet::haar::Subbands;
+use crate::wavelet::{self, Routing, WaveletLoss};
 use rand::Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -27,7 +29,7 @@ use std::path::Path;
 pub type Outputs = BTreeMap<String, Arrays>;
 
 /// The stages this program computes, in the manifest's order.
-pub const STAGES: [&str; 37] = [
+pub const STAGES: [&str; 41] = [
     "covariance",
     "kernel",
     "integral-factor",
@@ -52,6 +54,10 @@ pub const STAGES: [&str; 37] = [
     "confidence",
     "nu-target",
     "loss-nu",
+    "haar",
+    "wavelet-routing",
+    "wavelet-loss",
+    "gradient-wavelet",
     "schedule",
     "adam",
     "sghmc-gate",
@@ -142,6 +148,29 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
             let [nu, target, confidence] = [q.numbers("nu")?, q.numbers("target")?, q.numbers("confidence")?];
             let (value, gradient) = nu_loss(&nu, &target, &confidence, q.setting("weight")?);
             valued(value, Array1::from(gradient))
+        }
+        "haar" => {
+            let (coefficients, bands) = haar(q.array::<Ix3>("block")?.mapv(real::<R>));
+            two(("coefficients", coefficients), ("bands", bands))
+        }
+        "wavelet-routing" => {
+            let means: Vec<_> = q.array::<Ix2>("means")?.outer_iter().map(|row| [row[0], row[1], row[2]]).collect();
+            let routing = wavelet::route(&q.scanner()?.grid, &means, &q.numbers("confidence")?, &wavelet_settings(q)?)?;
+            one("high", routing.high.mapv(f64::from))
+        }
+        "wavelet-loss" => {
+            let loss = wavelet_loss(q, &q.array::<Ix3>("block")?.mapv(real::<R>))?;
+            let number = |value: f64| Array1::from(vec![value]);
+            let mut all = valued(loss.value, loss.gradient);
+            all.extend(two(("enhancement", number(loss.enhancement)), ("suppression", number(loss.suppression))));
+            all
+        }
+        "gradient-wavelet" => {
+            let (field, grid) = (Field::<R>::new(&q.primitives()?, 0.0), q.scanner()?.grid);
+            let loss = wavelet_loss(q, &field.voxels(&grid))?;
+            let mut sum = field.zero_gradient();
+            field.pull_back_voxels(&grid, loss.gradient.view(), &mut sum);
+            gradient(&field.finish(&sum))
         }
         "schedule" => {
             let schedule = Exponential {
@@ -297,6 +326,43 @@ fn truncation_bound<R: Kernels>(q: &Question) -> Result<Array3<f64>> {
         angles.iter().map(|&angle| field.view(&scanner, angle, projection).truncation_bound()).collect();
     let views: Vec<_> = bounds.iter().map(|image| image.view()).collect();
     Ok(ndarray::stack(Axis(0), &views).expect("images of one detector"))
+}
+
+/// Coefficients `[8, X/2, Y/2, Z/2]`, and the bands 1 to 6 alone `[6, X, Y, Z]`.
+fn haar<R: Real>(block: Array3<R>) -> (Array4<f64>, Array4<f64>) {
+    let mut subbands = wavelet::haar::forward(block.view(), 1);
+    let all = subbands.levels.remove(0);
+    let bands: Vec<Array3<R>> = (1..=6)
+        .map(|band| {
+            let mut alone = Array4::default(all.raw_dim());
+            alone.index_axis_mut(Axis(0), band).assign(&all.index_axis(Axis(0), band));
+            wavelet::haar::inverse(&Subbands { levels: vec![alone] })
+        })
+        .collect();
+    let views: Vec<_> = bands.iter().map(|band| band.view()).collect();
+    let bands = ndarray::stack(Axis(0), &views).expect("bands of one block");
+    (all.mapv(R::to_f64), bands.mapv(R::to_f64))
+}
+
+/// The settings that a question has, and the defaults of the others.
+fn wavelet_settings(q: &Question) -> Result<wavelet::Settings> {
+    let default = wavelet::Settings::default();
+    let or = |key: &str, default: f64| if q.settings.contains_key(key) { q.setting(key) } else { Ok(default) };
+    Ok(wavelet::Settings {
+        neighbours: q.integer("neighbours")? as usize,
+        threshold: or("threshold", default.threshold)?,
+        enhancement: or("enhancement", default.enhancement)?,
+        suppress: or("suppress", default.suppress)?,
+        enhance: or("enhance", default.enhance)?,
+        levels: or("levels", default.levels as f64)? as usize,
+    })
+}
+
+fn wavelet_loss<R: Real>(q: &Question, block: &Array3<R>) -> Result<WaveletLoss<R>> {
+    let settings = wavelet_settings(q)?;
+    let high = q.array::<Ix3>("high")?.mapv(|count| count as u16);
+    let routing = Routing { high, neighbours: settings.neighbours };
+    Ok(wavelet::wavelet_loss(block.view(), &routing, &settings))
 }
 
 fn adam(q: &Question) -> Result<Array2<f64>> {

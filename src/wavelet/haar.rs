@@ -116,22 +116,28 @@ pub(super) fn coefficients<R: Real>(block: &[R], shape: [usize; 3], level: usize
     low
 }
 
-/// The factors ±1/√8 of a band for the even and the odd voxels of a row along z.
-fn factors<R: Real>(band: usize, x: usize, y: usize) -> [R; 2] {
-    let corner = 4 * (x % 2) + 2 * (y % 2);
-    let sign = |odd: usize| if (band & (corner + odd)).count_ones() % 2 == 1 { -1.0 } else { 1.0 };
-    [0, 1].map(|odd| R::from_f64(sign(odd) * 0.5 * FRAC_1_SQRT_2))
+/// What the odd voxels along x, y and z count in a band: -1 where it is high, 1 where it is low.
+fn signs<R: Real>(band: usize) -> [R; 3] {
+    [4, 2, 1].map(|axis| if band & axis == 0 { R::ONE } else { -R::ONE })
 }
 
-/// Coefficients of one band from a block of `shape`, one level.
+/// 1/√8
+fn scale<R: Real>() -> R {
+    R::from_f64(0.5 * FRAC_1_SQRT_2)
+}
+
+/// Coefficients of one band from a block of `shape`, one level. Pairs are added before pairs of pairs: where a block does
+/// not change along an axis, its high bands are exactly 0.
 fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
     let [_, ny, nz] = shape;
-    for (i, row) in block.chunks_exact(nz).enumerate() {
-        let (x, y) = (i / ny, i % ny);
-        let [even, odd] = factors::<R>(band, x, y);
-        let cells = &mut coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
-        for (cell, pair) in cells.iter_mut().zip(row.chunks_exact(2)) {
-            *cell += even * pair[0] + odd * pair[1];
+    let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
+    for (i, cells) in coefficients.chunks_exact_mut(nz / 2).enumerate() {
+        let (x, y) = (2 * (i / (ny / 2)), 2 * (i % (ny / 2)));
+        let row = |odd_x: usize, odd_y: usize| block[((x + odd_x) * ny + y + odd_y) * nz..][..nz].chunks_exact(2);
+        let pairs = row(0, 0).zip(row(0, 1)).zip(row(1, 0).zip(row(1, 1)));
+        for (cell, ((a, b), (c, d))) in cells.iter_mut().zip(pairs) {
+            let pair = |p: &[R]| p[0] + along_z * p[1];
+            *cell = scale * ((pair(a) + along_y * pair(b)) + along_x * (pair(c) + along_y * pair(d)));
         }
     }
 }
@@ -139,9 +145,12 @@ fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &
 /// Adds what one band's coefficients stand for to a block of `shape`, one level. The transpose of [`analyse`].
 fn add_synthesis<R: Real>(coefficients: &[R], shape: [usize; 3], band: usize, block: &mut [R]) {
     let [_, ny, nz] = shape;
+    let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
     for (i, row) in block.chunks_exact_mut(nz).enumerate() {
         let (x, y) = (i / ny, i % ny);
-        let [even, odd] = factors::<R>(band, x, y);
+        let sign = |sign: R, index: usize| if index.is_multiple_of(2) { R::ONE } else { sign };
+        let even = scale * sign(along_x, x) * sign(along_y, y);
+        let odd = even * along_z;
         let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
         for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
             pair[0] += even * *cell;
@@ -233,6 +242,22 @@ mod tests {
         let sign = |n: usize| if n.is_multiple_of(2) { 1.0 } else { -1.0 };
         assert_eq!(excited(&Array3::from_shape_fn(shape, |(x, y, _)| sign(x + y))), [6], "chequers in x and y");
         assert_eq!(excited(&Array3::from_shape_fn(shape, |(x, y, z)| sign(x + y + z))), [7], "chequers");
+    }
+
+    #[test]
+    fn a_block_that_does_not_change_along_an_axis_has_exactly_nothing_in_its_high_bands() {
+        let block = block([6, 4, 8], 11).mapv(|v| v as f32);
+        for (axis, high) in [(0, 4), (1, 2), (2, 1)] {
+            let even = Array3::from_shape_fn(block.dim(), |(x, y, z)| {
+                let mut at = [x, y, z];
+                at[axis] = 0;
+                block[at]
+            });
+            let subbands = forward(even.view(), 1);
+            for band in (0..BANDS).filter(|band| band & high != 0) {
+                assert!(subbands.band(1, band).iter().all(|c| *c == 0.0), "axis {axis}, band {band}");
+            }
+        }
     }
 
     #[test]

@@ -72,7 +72,8 @@ pub(super) fn axes(role: &str) -> &'static [&'static str] {
     match role {
         "kernels" => &["primitive", "view", "v", "u"],
         "image" | "bound" | "filtered" | "noisy" => &["view", "v", "u"],
-        "volume" => &["x", "y", "z"],
+        "volume" | "high" => &["x", "y", "z"],
+        "coefficients" | "bands" => &["band", "x", "y", "z"],
         "trajectory" => &["step", "parameter"],
         _ => &[],
     }
