@@ -261,7 +261,10 @@ fn what_does_not_exist_is_a_usage_error_that_names_what_does() {
     for (arguments, names) in [
         ("table all --out t", &["table", "reconstruct", "inspect"][..]),
         ("reconstruct scan --out run --method sart", &["sart", "tr-gs", "fdk"]),
-        ("reconstruct scan --out run --resume", &["--resume", "without checkpoints"]),
+        (
+            "reconstruct scan --out run --method r2-gaussian --set wavelet.enabled=true",
+            &["wavelet.enabled", "r2-gaussian"],
+        ),
         ("reconstruct scan --out run --views 5", &["--views", "1 to 4"]),
         ("reconstruct scan --out run --set loss.d_sim=1", &["did you mean loss.d_ssim?"]),
         ("reconstruct scan --out run --set model.points=3", &["model.points", "got 3"]),

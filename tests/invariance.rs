@@ -357,17 +357,17 @@ fn the_rule_for_opacities_does_change_them() {
 
 #[test]
 fn cloning_what_pulls_changes_neither_projections_nor_field() {
-    let cloned = |primitives: &Primitives, grid: &Grid| {
+    let cloned = |primitives: &Primitives| {
         let settings = adc::Settings { gradient: 0.5, split_scale: 1.0, faint: 0.0, cap: 1000 };
         let pull: Vec<f64> = (0..primitives.len()).map(|i| (i % 3) as f64).collect();
-        let wide = Grid { min: DVec3::splat(-9.0), spacing: DVec3::splat(18.0), shape: [1; 3], ..*grid };
+        let wide = Grid { min: DVec3::splat(-9.0), spacing: DVec3::splat(18.0), shape: [1; 3] };
         succeeded(primitives, &adc::adc(&primitives.parameters, &pull, &settings, &wide, |_| [0.0; 6]))
     };
     everywhere("clones", |primitives, scanner, projection| {
-        let after = images(&cloned(primitives, &scanner.grid), scanner, &ANGLES, projection);
+        let after = images(&cloned(primitives), scanner, &ANGLES, projection);
         distance(after.view(), images(primitives, scanner, &ANGLES, projection).view())
     });
     in_space("clones", |primitives, grid| {
-        distance(volume(&cloned(primitives, grid), grid).view(), volume(primitives, grid).view())
+        distance(volume(&cloned(primitives), grid).view(), volume(primitives, grid).view())
     });
 }

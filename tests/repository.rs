@@ -47,18 +47,8 @@ fn assert_absent(words: &[&str], folders: &[&str], exempt: &[&str], why: &str) {
     assert!(searched >= 5, "only {searched} files searched");
 }
 
-const NUMERICAL: [&str; 10] = [
-    "numeric",
-    "primitives",
-    "projector",
-    "confidence",
-    "loss",
-    "wavelet",
-    "optim",
-    "density",
-    "classical",
-    "scene",
-];
+const NUMERICAL: [&str; 10] =
+    ["numeric", "primitives", "projector", "confidence", "loss", "wavelet", "optim", "density", "classical", "scene"];
 
 #[test]
 fn numerical_code_uses_nothing_whose_bits_depend_on_the_build() {

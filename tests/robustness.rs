@@ -11,7 +11,7 @@ use proptest::test_runner::{Config as Settings, RngAlgorithm, TestRng, TestRunne
 use std::fmt::Debug;
 use std::path::Path;
 use tempfile::TempDir;
-use trgs::config::Config;
+use trgs::config::{Config, Method};
 use trgs::error::Result;
 use trgs::primitives::{Parameters, model};
 use trgs::scene::dataset::{self, Dataset};
@@ -234,7 +234,7 @@ fn scans_with_any_damaged_file_are_clear_errors() {
 fn damaged_configurations_are_clear_errors() {
     let valid = Config::default().to_toml().into_bytes();
     assert_reader_survives("config.toml", valid, |path| {
-        let config = Config::read(path)?;
+        let config = Config::read(path, Method::TrGs)?;
         config.validate().map_err(|error| error.in_file(path))
     });
 }
