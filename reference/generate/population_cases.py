@@ -57,7 +57,7 @@ def samplers():
         table = Table("trajectory.npy", (STEPS, CHAINS, 3), lambda i, whole=whole: whole()[i[0]][i[1]][i[2]])
         yield Case("sghmc", name, f"Forty steps of the sampler: {title}", [],
                    {key: Given(f"inputs/sghmc-{name}/{key}.npy", array) for key, array in given.items()},
-                   {"trajectory": table}, "core", flags, settings)
+                   {"trajectory": table}, "optional", flags, settings)
 
 
 # ---------------------------------------------------------------------------- density control
@@ -99,7 +99,7 @@ def recyclings():
         yield Case("ar", name, f"Adding and recycling: {title}", [],
                    {"model": Given(f"inputs/ar-{'gaussian' if gaussian else 'crowd'}/model.npz", model_arrays(people)),
                     "uniform": Given(f"inputs/ar-{name}/uniform.npy", uniform)},
-                   next_generation(rows), "core" if relocation == "exact" else "optional", ["zero-density", *flags],
+                   next_generation(rows), "optional", ["zero-density", *flags],
                    {**settings, "relocation": relocation})
 
 
@@ -119,7 +119,7 @@ def controls():
         yield Case("adc", name, f"Adaptive density control: {title}", [],
                    {"model": Given("inputs/ar-crowd/model.npz", model_arrays(people)),
                     "pull": Given("inputs/adc/pull.npy", pull), "normals": Given("inputs/adc/normals.npy", normals)},
-                   next_generation(rows), "core", ["zero-density", *flags], settings)
+                   next_generation(rows), "optional", ["zero-density", *flags], settings)
 
 
 def shadow_gradients():
@@ -137,5 +137,5 @@ def shadow_gradients():
             yield Case("gradient-shadow", f"{name}-{kind}",
                        f"Gradient to the places of shadows, {kind}: {of.title[0].lower()}{of.title[1:]}", [],
                        {"model": model(of), "scanner": scanner(of), "cotangent": cotangent(of, "image")},
-                       {"shadow": Table("shadow.npy", (len(of.primitives), 2), entry)}, "core", of.flags,
+                       {"shadow": Table("shadow.npy", (len(of.primitives), 2), entry)}, "optional", of.flags,
                        {"angles": of.angles, "projection": kind})
