@@ -4,6 +4,7 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use trgs::confidence::{Coverage, Settings};
+use trgs::numeric::elementary::{cos, sin};
 use trgs::numeric::threads::Pool;
 use trgs::primitives::{Parameters, Primitives};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
@@ -15,9 +16,9 @@ fn primitives(m: usize) -> Primitives {
     let mut parameters = Parameters::zeros(m);
     for i in 0..m {
         let t = i as f64;
-        parameters.mean[i] = [0.8 * (0.01 * t).sin(), 0.7 * (0.013 * t).cos(), 0.9 * (0.0007 * t).sin()];
-        parameters.scale[i] = [0.01, 0.02 + 0.01 * (0.3 * t).sin(), 0.02 + 0.02 * (0.7 * t).cos().abs()];
-        parameters.quaternion[i] = [(0.1 * t).cos(), 0.5, (0.2 * t).sin(), 0.3];
+        parameters.mean[i] = [0.8 * sin(0.01 * t), 0.7 * cos(0.013 * t), 0.9 * sin(0.0007 * t)];
+        parameters.scale[i] = [0.01, 0.02 + 0.01 * sin(0.3 * t), 0.02 + 0.02 * cos(0.7 * t).abs()];
+        parameters.quaternion[i] = [cos(0.1 * t), 0.5, sin(0.2 * t), 0.3];
         parameters.density[i] = 1.0;
         parameters.nu[i] = 5.0;
     }

@@ -10,13 +10,23 @@ import losses
 import scene
 from case import Case, Given, Table
 from scene_cases import model, scanner
-from scenes import BY_ID
+from scenes import BY_ID, Scene
 from small_cases import loss_tables
 
 # ---------------------------------------------------------------------------- confidence
 
 SIX = [0.15, 1.2, 2.3, 3.05, 4.4, 5.6]
 EIGHT = [0.3, 0.5, 1.35, 1.9, 2.85, 3.6, 4.75, 5.5]
+
+# In view 0 the detector reaches from -0.95 to 1.55 along u and from -1 to 0.6 along v; a point of the axis's plane has its shadow at
+# 1.4 y, -1.4 z. Two centres are in the outer half of the first and last columns, two in that of the rows, and four are as far outside.
+EDGES = [(1.04, 0.1), (-0.64, -0.1), (0.2, 0.68), (0.3, -0.39), (1.18, 0.05), (-0.75, -0.05), (0.25, 0.75), (0.35, -0.47)]
+EDGE = Scene("detector-edge", "Centres on both sides of each of the detector's edges",
+             scene.Scanner("cone", dso=5.0, dsd=7.0, n_detector=(4, 5), s_detector=(1.6, 2.5), n_voxel=(3, 4, 5), s_voxel=(2.0, 2.0, 2.0),
+                           off_detector=(0.3, -0.2)),
+             [0.0],
+             [scene.primitive((0.0, y, z), (0.1 + 0.02 * k, 0.2, 0.15), (0.83, -0.31, 0.42, 0.19 + 0.1 * k), 0.5, 4.0)
+              for k, (y, z) in enumerate(EDGES)])
 
 # name, title, scene of the model and the scanner, angles, points, r_max, kappa, flags
 SCENES = [
@@ -31,6 +41,8 @@ SCENES = [
     ("quaternion-norm", "quaternions that are not of norm 1", "quaternion-norm", SIX, 256, 0.4, 0.9, ["unnormalised-quaternion"]),
     ("outside-view", "centres that most views see beside the detector", "outside-view", EIGHT, 512, 0.5, 1.0,
      ["centre-outside-detector", "offset-detector"]),
+    ("detector-edge", "centres whose shadows lie within half a pixel of the detector's edges, inside and outside", EDGE, EDGE.angles, 128, 0.5, 1.0,
+     ["centre-outside-detector", "offset-detector", "non-square-pixels", "one-view", "nothing-covered"]),
     ("unseen", "centres that no view sees: 0", "outside-view", EIGHT[:2], 64, 0.5, 1.0,
      ["centre-outside-detector", "nothing-covered"]),
     ("behind-source", "centres behind the source and in its plane", "behind-source-turned", [0.0, 1.3], 512, 0.5, 1.0,
@@ -42,7 +54,7 @@ SCENES = [
 
 def confidences():
     for name, title, of, angles, points, r_max, kappa, flags in SCENES:
-        given = BY_ID[of]
+        given = of if isinstance(of, Scene) else BY_ID[of]
         settings = {"angles": angles, "sphere_points": points, "r_max": r_max, "kappa": kappa}
         views = [scene.view_at(given.scanner, angle) for angle in angles]
         value = lambda i, given=given, views=views, numbers=(points, r_max, kappa): confidence.confidence(

@@ -7,9 +7,6 @@ use glam::DVec3;
 /// Points that are tested together.
 type Row = <f64 as Real>::Lanes;
 
-/// Rows worked on together: two hide the latency of the running minimum.
-const ROWS: usize = 2;
-
 /// A tube round the chord from `-direction` to `+direction`, in the primitive's local frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tube {
@@ -19,21 +16,17 @@ pub(super) struct Tube {
     pub(super) nearest: f64,
 }
 
-/// The points of the sphere as blocks of rows; the last is filled up with NaN, which no tube holds.
+/// The x, y and z of the points, a row at a time; the last is filled up with NaN, which no tube holds.
 pub(super) struct Sphere {
-    blocks: Vec<[[Row; ROWS]; 3]>,
+    rows: Vec<[Row; 3]>,
 }
 
 impl Sphere {
     /// `n` points.
     pub(super) fn new(n: usize) -> Self {
         let point = |k: usize| if k < n { naive::sphere_point(k, n) } else { DVec3::NAN };
-        let block = |first: usize| {
-            [0, 1, 2].map(|axis| {
-                std::array::from_fn(|row| Row::from_fn(|lane| point(first + row * Row::WIDTH + lane)[axis]))
-            })
-        };
-        Self { blocks: (0..n).step_by(ROWS * Row::WIDTH).map(block).collect() }
+        let row = |first: usize| [0, 1, 2].map(|axis| Row::from_fn(|lane| point(first + lane)[axis]));
+        Self { rows: (0..n).step_by(Row::WIDTH).map(row).collect() }
     }
 
     /// Number of points within at least one tube.
@@ -42,19 +35,15 @@ impl Sphere {
     pub(super) fn covered(&self, tubes: &[Tube]) -> f64 {
         let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
         let mut covered = zero;
-        for [x, y, z] in &self.blocks {
-            let mut outside = [Row::splat(f64::INFINITY); ROWS];
+        for [x, y, z] in &self.rows {
+            let mut outside = Row::splat(f64::INFINITY);
             for tube in tubes {
                 let [ux, uy, uz] = tube.direction.to_array().map(Row::splat);
                 let nearest = Row::splat(tube.nearest);
-                for (row, outside) in outside.iter_mut().enumerate() {
-                    let along = x[row] * ux + y[row] * uy + z[row] * uz;
-                    *outside = (nearest - along * along).at_most(*outside);
-                }
+                let along = *x * ux + *y * uy + *z * uz;
+                outside = (nearest - along * along).at_most(outside);
             }
-            for outside in outside {
-                covered += outside.select_le(zero, one, zero);
-            }
+            covered += outside.select_le(zero, one, zero);
         }
         covered.sum()
     }
