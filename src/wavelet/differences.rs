@@ -70,7 +70,8 @@ mod tests {
                 for i in 0..n {
                     let mut row = vec![0.0; n];
                     add_transpose(&unit(i), shape, axis, &mut row);
-                    assert!((0..n).all(|j| row[j] == columns[j][i]), "{shape:?}, axis {axis}, row {i}");
+                    let is_column = row.iter().zip(&columns).all(|(x, column)| *x == column[i]);
+                    assert!(is_column, "{shape:?}, axis {axis}, row {i}");
                 }
             }
         }
