@@ -12,7 +12,7 @@ use trgs::scene::Grid;
 use trgs::wavelet::{Routing, Settings, route, wavelet_loss};
 
 /// Step of a difference, as a fraction of the parameter's size.
-const STEP: f64 = 2e-5;
+const STEP: f64 = 5e-6;
 
 /// A block off the centre, with three different sides of its voxels.
 fn block() -> Grid {

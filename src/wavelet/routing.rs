@@ -103,7 +103,7 @@ impl<'a> Nearest<'a> {
         let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).execute();
         let mut order: Vec<(f64, u32)> =
             within.iter().map(|near| (self.distance(near.item, centre), near.item)).collect();
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        order.select_nth_unstable_by(k - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         order[..k].iter().filter(|(_, i)| confident[*i as usize]).count() as u16
     }
 
