@@ -89,7 +89,7 @@ fn a_run_is_not_gone_on_with_under_other_settings_or_on_other_data() {
         ("--method r2-gaussian", ["method", "r2-gaussian", "--resume"]),
         ("--views 3", ["dataset", "other projections", "--resume"]),
     ] {
-        let message = sandbox.refused(&format!("reconstruct scan --out run --resume {flag}"));
+        let message = sandbox.refused(&format!("reconstruct scan --out run --quiet --resume {flag}"));
         assert!(names.iter().all(|name| message.contains(name)), "{flag}: {message}");
     }
     let message = {

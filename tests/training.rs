@@ -28,7 +28,7 @@ fn scan() -> Dataset {
 /// Every part at work within a few iterations.
 fn busy(method: Method) -> Config {
     let mut config = Config::of(method);
-    (config.iterations, config.report_every, config.model.points) = (120, 20, 400);
+    (config.iterations, config.report_every, config.model.points) = (90, 15, 400);
     (config.loss.tv_block, config.wavelet.block) = (12, 12);
     (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8, 25);
     config
@@ -145,7 +145,7 @@ fn both_methods_come_close_to_the_phantom() {
     let truth = dataset.truth.as_ref().unwrap();
     for method in [Method::TrGs, Method::R2Gaussian] {
         let mut config = busy(method);
-        (config.iterations, config.model.points) = (400, 800);
+        (config.iterations, config.model.points) = (250, 800);
         let found = evaluation::psnr_3d(truth.values.view(), run(&dataset, &config).volume.values.view()).value;
         assert!(found > 20.0, "{method:?}: {found} dB");
     }
