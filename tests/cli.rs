@@ -44,13 +44,25 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
 
     let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5");
     assert_eq!(keys(&run), BTreeSet::from_iter(["run", "method", "seconds", "report"].into_iter().chain(METRICS)));
-    let files =
-        ["config.toml", "log.jsonl", "metrics.json", "model.npz", "provenance.json", "report.html", "volume.npy"];
+    let mut files = vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json"];
+    files.extend(["model.npz", "provenance.json", "report.html", "volume.npy"]);
     assert_eq!(sandbox.names_in("run"), files);
     let log: Vec<Value> =
         sandbox.text("run/log.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(log.iter().map(|record| record["iteration"].as_u64().unwrap()).collect::<Vec<_>>(), [5, 10, 12]);
-    for key in ["iteration", "iterations", "loss", "l1", "d_ssim", "tv", "primitives", "seconds"] {
+    for key in [
+        "iteration",
+        "iterations",
+        "loss",
+        "l1",
+        "d_ssim",
+        "tv",
+        "nu",
+        "wavelet",
+        "primitives",
+        "confidence",
+        "seconds",
+    ] {
         assert!(log.iter().all(|record| record[key].is_number()), "{key}");
     }
 
@@ -331,8 +343,10 @@ fn an_interrupt_leaves_nothing_half_written() {
         Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
         let last = messages.map(Result::unwrap).last().unwrap();
         assert_eq!(child.wait().unwrap().code(), Some(130));
-        assert!(last.starts_with("error: interrupted at iteration"), "{last}");
-        assert_eq!(sandbox.names(), ["scan"]);
+        assert!(last.starts_with("error: interrupted at iteration") && last.contains("--resume"), "{last}");
+        assert_eq!(sandbox.names(), ["run", "scan"]);
+        let left: Vec<_> = sandbox.content().into_keys().filter(|path| path.starts_with(sandbox.path("run"))).collect();
+        assert_eq!(left, [sandbox.path("run/checkpoints/last.msgpack")]);
     }
 }
 

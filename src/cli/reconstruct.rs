@@ -119,6 +119,7 @@ impl Reconstruct {
         config.precision = self.precision.unwrap_or(config.precision);
         config.seed = self.seed.unwrap_or(config.seed);
         self.set.iter().try_for_each(|setting| config.set(setting))?;
+        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.check_config(&config))?;
         config.validate()?;
         Ok(config)
     }

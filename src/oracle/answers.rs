@@ -1,6 +1,7 @@
 //! This program's own answers, in both of its precisions: a stage's name → the functions that compute it.
 
-use super::manifest::{Arrays, Case};
+use super::manifest::Case;
+use super::outputs::{Outputs, gradient, one, parameters, two, valued};
 use super::population;
 use super::question::Question;
 use crate::classical::fdk::{self, Sample, Window};
@@ -13,20 +14,16 @@ use crate::numeric::rng::{self, Purpose};
 use crate::numeric::{Real, real};
 use crate::optim::{Adam, Exponential, sghmc};
 use crate::output::create_folder;
-use crate::primitives::{Group, Parameters, Primitives, student_t};
+use crate::primitives::{Parameters, Primitives, student_t};
 use crate::projector::{self, Field, Kernels};
 use crate::scene::noise::noisy_line_integral;
 use crate::scene::npy;
 use crate::scene::npz::{self, Entry};
 use crate::wavelet::haar::Subbands;
 use crate::wavelet::{self, Routing, WaveletLoss};
-use ndarray::{Array, Array1, Array2, Array3, Array4, ArrayD, Axis, Dimension, Ix1, Ix2, Ix3, IxDyn};
+use ndarray::{Array1, Array2, Array3, Array4, Axis, Ix1, Ix2, Ix3};
 use rand::Rng;
-use std::collections::BTreeMap;
 use std::path::Path;
-
-/// The outputs of a case, by role.
-pub type Outputs = BTreeMap<String, Arrays>;
 
 /// The stages this program computes, in the manifest's order.
 pub const STAGES: [&str; 41] = [
@@ -228,35 +225,8 @@ pub fn write(folder: &Path, case: &Case, outputs: &Outputs) -> Result<()> {
     Ok(())
 }
 
-pub(super) fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
-    [(role.to_owned(), [(String::new(), array.into_dyn())].into())].into()
-}
-
-fn two<A: Dimension, B: Dimension>(a: (&str, Array<f64, A>), b: (&str, Array<f64, B>)) -> Outputs {
-    let mut both = one(a.0, a.1);
-    both.extend(one(b.0, b.1));
-    both
-}
-
-fn valued<R: Real, D: Dimension>(value: f64, gradient: Array<R, D>) -> Outputs {
-    two(("value", Array1::from(vec![value])), ("gradient", gradient.mapv(R::to_f64)))
-}
-
 fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
     values.iter().map(|value| value.to_f64()).collect()
-}
-
-pub(super) fn parameters(role: &str, values: &Parameters) -> Outputs {
-    let m = values.len();
-    let array = |group: Group| {
-        let shape = if group.width() == 1 { IxDyn(&[m]) } else { IxDyn(&[m, group.width()]) };
-        ArrayD::from_shape_vec(shape, values.group(group).to_vec()).expect("a group has M·width numbers")
-    };
-    [(role.to_owned(), Group::ALL.map(|group| (group.key().to_owned(), array(group))).into())].into()
-}
-
-fn gradient(values: &Parameters) -> Outputs {
-    parameters("grad", values)
 }
 
 fn covariance(primitives: &Primitives) -> Array3<f64> {

@@ -1,6 +1,6 @@
 //! This program's answers about the sampler and density control.
 
-use super::answers::{Outputs, one, parameters};
+use super::outputs::{Outputs, one, parameters};
 use super::question::Question;
 use crate::density::{Relocation, Successor, adc, ar, succeed};
 use crate::error::{Error, Result};

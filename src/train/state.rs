@@ -11,10 +11,13 @@ use crate::provenance::digest_bytes;
 use crate::scene::Dataset;
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Changes with the meaning of the file.
 const FORMAT: u32 = 1;
+/// What to do about a checkpoint of something else.
+const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 
 /// The state of a run after an iteration. Random numbers and the order of views need no memory: they are functions of
 /// the seed and the iteration.
@@ -157,15 +160,24 @@ impl Checkpoint {
         Ok(checkpoint)
     }
 
-    /// Writes it as a whole or not at all; the folder is created.
+    /// Writes it as a whole or not at all; missing folders are created, and removed again if it cannot be written.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub fn write(&self, path: &Path) -> Result<()> {
-        if let Some(folder) = path.parent() {
-            create_folder(folder)?;
+        let folders = path.ancestors().skip(1).take_while(|folder| !folder.as_os_str().is_empty());
+        let missing: Vec<&Path> = folders.take_while(|folder| !folder.exists()).collect();
+        let written = path.parent().map_or(Ok(()), create_folder).and_then(|()| {
+            write_atomically(path, |file| {
+                let bytes = rmp_serde::to_vec(self).map_err(std::io::Error::other)?;
+                file.write_all(&bytes)
+            })
+        });
+        if written.is_err() {
+            // Empty ones only: the others are somebody's by now.
+            missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
         }
-        write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
+        written
     }
 
     /// Iterations done.
@@ -184,14 +196,20 @@ impl Checkpoint {
         })
     }
 
+    /// Refuses another configuration.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the first key that differs.
+    pub fn check_config(&self, config: &Config) -> Result<()> {
+        let Some((key, now, then)) = config.difference(&self.config()?) else { return Ok(()) };
+        Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
+    }
+
     /// Refuses another configuration and other data.
     pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
-        let remedy = "go on with the same settings and data, or start again without --resume";
-        if let Some((key, now, then)) = config.difference(&self.config()?) {
-            return Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), remedy));
-        }
+        self.check_config(config)?;
         if self.data != digest(dataset) {
-            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", remedy));
+            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", GO_ON));
         }
         Ok(())
     }
