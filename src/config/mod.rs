@@ -290,7 +290,7 @@ pub struct SghmcConfig {
     #[default = 50.0]
     pub friction: f64,
     /// Density at which a primitive counts as fully there; below a hundredth of it a primitive is stirred.
-    #[default = 1.0]
+    #[default = 0.1]
     pub density_reference: f64,
     /// Of sghmc-textbook: the loss is divided by it to be an energy.
     #[default = 1e-6]
@@ -308,7 +308,7 @@ pub struct DensityControlConfig {
     #[default(1.0 / 60.0)]
     pub start: f64,
     /// Part of the run after which it ends.
-    #[default = 0.5]
+    #[default(25.0 / 30.0)]
     pub stop: f64,
     /// Iterations between two steps.
     #[default = 100]
@@ -366,6 +366,7 @@ impl Config {
             config.wavelet.enabled = false;
             config.optimiser.position = PositionOptimiser::Adam;
             config.density_control.method = DensityControl::Adc;
+            config.density_control.stop = 0.5;
             config.density_control.cap = 500_000;
         }
         config
