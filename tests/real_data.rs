@@ -53,12 +53,12 @@ fn filtered_backprojection_is_as_good_as_that_of_another_program() {
 }
 
 /// R²-Gaussian's own code reached 32.10 dB in 5,000 iterations, with 16,773 primitives. The base model with a fixed
-/// number of primitives reaches 32.4 in as many; here three tenths of them must come within 2.5 dB.
+/// number of primitives reaches 32.4 in as many; here two fifths of them must come within 1.5 dB.
 #[test]
-fn a_real_engine_is_reconstructed_within_2_5_db_of_the_published_code() {
+fn a_real_engine_is_reconstructed_within_1_5_db_of_the_published_code() {
     let Some(path) = scan("engine_18v") else { return };
     let scan = Dataset::read(&path).unwrap();
-    let mut config = Config { iterations: 1500, ..Config::default() };
+    let mut config = Config { iterations: 2000, ..Config::default() };
     (config.model.points, config.loss.tv_block) = (16_000, 16);
     config.density_control.method = DensityControl::None;
     config.optimiser.position = PositionOptimiser::Adam;
@@ -66,5 +66,5 @@ fn a_real_engine_is_reconstructed_within_2_5_db_of_the_published_code() {
     let result = train(&scan, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
     let psnr = psnr_3d(scan.truth.unwrap().values.view(), result.volume.values.view()).value;
     eprintln!("{psnr:.3} dB");
-    assert!(psnr > 32.10 - 2.5, "{psnr} dB");
+    assert!(psnr > 32.10 - 1.5, "{psnr} dB");
 }

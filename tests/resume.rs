@@ -29,36 +29,38 @@ fn spawn(sandbox: &Sandbox, arguments: &str) -> Child {
 }
 
 /// A scan, and the time and the results of a run on it that nobody disturbs.
-fn undisturbed() -> (Sandbox, Duration, Vec<Vec<u8>>) {
+fn undisturbed(method: &str) -> (Sandbox, Duration, Vec<Vec<u8>>) {
     let sandbox = Sandbox::with_scan();
     let began = Instant::now();
-    sandbox.done(&format!("{RUN} calm"));
+    sandbox.done(&format!("{RUN} calm --method {method}"));
     let results = results(&sandbox, "calm");
     (sandbox, began.elapsed(), results)
 }
 
 #[test]
 fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
-    let (sandbox, duration, expected) = undisturbed();
-    let storm = format!("{RUN} storm --resume");
-    let mut killed = 0;
-    // Moments spread over the run without a pattern; each process gets as far as it gets.
-    for k in 0..10_u32 {
-        let mut child = spawn(&sandbox, &storm);
-        sleep(duration.mul_f64(0.08 + 0.61803 * f64::from(k) % 0.35));
-        // SIGKILL: no handler runs.
-        child.kill().unwrap();
-        killed += u32::from(!child.wait().unwrap().success());
+    for method in ["tr-gs", "r2-gaussian"] {
+        let (sandbox, duration, expected) = undisturbed(method);
+        let storm = format!("{RUN} storm --method {method} --resume");
+        let mut killed = 0;
+        // Moments spread over the run without a pattern; each process gets as far as it gets.
+        for k in 0..10_u32 {
+            let mut child = spawn(&sandbox, &storm);
+            sleep(duration.mul_f64(0.08 + 0.61803 * f64::from(k) % 0.35));
+            // SIGKILL: no handler runs.
+            child.kill().unwrap();
+            killed += u32::from(!child.wait().unwrap().success());
+        }
+        assert!(killed >= 5, "{method}: only {killed} of 10 processes were still running when they were killed");
+        sandbox.done(&storm);
+        assert!(results(&sandbox, "storm") == expected, "{method}: other results after {killed} kills");
     }
-    assert!(killed >= 5, "only {killed} of 10 processes were still running when they were killed");
-    sandbox.done(&storm);
-    assert!(results(&sandbox, "storm") == expected, "other results after {killed} kills");
 }
 
 #[cfg(unix)]
 #[test]
 fn an_interrupt_saves_the_state_and_says_how_to_go_on() {
-    let (sandbox, duration, expected) = undisturbed();
+    let (sandbox, duration, expected) = undisturbed("tr-gs");
     let child = spawn(&sandbox, &format!("{RUN} calm2"));
     sleep(duration / 2);
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());

@@ -34,16 +34,16 @@ pub(super) struct Confidence {
     #[arg(long, value_name = "FILE.npz")]
     out: PathBuf,
     /// Points on each primitive's unit sphere
-    #[arg(long, value_name = "N", default_value_t = 512, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
+    #[arg(long, value_name = "N", default_value_t = Settings::default().sphere_points as u32, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
     sphere_points: u32,
     /// Largest distance of a point from a ray that covers it
-    #[arg(long, value_name = "RADIUS", default_value_t = 0.5, value_parser = finite)]
+    #[arg(long, value_name = "RADIUS", default_value_t = Settings::default().r_max, value_parser = finite)]
     r_max: f64,
     /// Mean scale over that along a ray from which on the ray covers up to the largest distance
-    #[arg(long, value_name = "RATIO", default_value_t = 1.0, value_parser = finite)]
+    #[arg(long, value_name = "RATIO", default_value_t = Settings::default().kappa, value_parser = finite)]
     kappa: f64,
     /// The smaller, the sharper nu turns from its minimum to its maximum
-    #[arg(long, value_name = "T", default_value_t = 0.25, value_parser = finite)]
+    #[arg(long, value_name = "T", default_value_t = Settings::default().temperature, value_parser = finite)]
     temperature: f64,
     /// Degrees of freedom where nothing is covered
     #[arg(long, value_name = "NU", default_value_t = 2.0, value_parser = finite)]

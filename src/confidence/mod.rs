@@ -31,6 +31,7 @@ pub use nu::{nu_loss, nu_target};
 pub use rank::{Spread, spearman};
 
 use crate::error::{Error, Result};
+use crate::numeric::elementary::power_of_two_below;
 use crate::numeric::threads;
 use crate::primitives::{Primitives, rotation};
 use crate::scene::{Beam, Scanner, View};
@@ -39,8 +40,6 @@ use sphere::{Sphere, Tube};
 
 /// Primitives worked on together.
 const CHUNK: usize = 128;
-/// The bits of an `f64` that hold its exponent: of a normal number they leave the power of two below it.
-const EXPONENT: u64 = f64::INFINITY.to_bits();
 
 /// What the paper leaves open about `[Eq. 6]` to `[Eq. 9]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,7 +142,7 @@ impl Coverage {
 /// Scales in units of the power of two below the largest: squares and products stay in range, and e, in which the unit
 /// cancels, keeps its bits.
 fn in_own_unit(scale: DVec3) -> DVec3 {
-    let power = f64::from_bits(scale.max_element().to_bits() & EXPONENT);
+    let power = power_of_two_below(scale.max_element());
     scale / if power > 0.0 { power } else { f64::MIN_POSITIVE }
 }
 

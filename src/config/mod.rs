@@ -197,16 +197,16 @@ pub struct ConfidenceConfig {
     #[default = 1e-3]
     pub weight: f64,
     /// T: the lower, the steeper degrees of freedom rise with c.
-    #[default = 0.25]
+    #[default(confidence::Settings::default().temperature)]
     pub temperature: f64,
     /// Points on the unit sphere.
-    #[default = 512]
+    #[default(confidence::Settings::default().sphere_points)]
     pub sphere_points: usize,
     /// Radius that a ray covers at most, in units of the sphere's.
-    #[default = 0.5]
+    #[default(confidence::Settings::default().r_max)]
     pub r_max: f64,
     /// Ratio of size to extent along the ray at which that radius is reached.
-    #[default = 1.0]
+    #[default(confidence::Settings::default().kappa)]
     pub kappa: f64,
     /// Iterations between two computations of c, beside those after density control.
     #[default = 500]
@@ -227,22 +227,22 @@ pub struct WaveletConfig {
     #[default = 32]
     pub block: usize,
     /// Levels of the Haar transform.
-    #[default = 1]
+    #[default(wavelet::Settings::default().levels)]
     pub levels: usize,
     /// K: nearest primitives that are asked for their confidence.
-    #[default = 8]
+    #[default(wavelet::Settings::default().neighbours)]
     pub neighbours: usize,
     /// τ: confidence from which a primitive counts as confident.
-    #[default = 0.35]
+    #[default(wavelet::Settings::default().threshold)]
     pub threshold: f64,
     /// η: factor on the details near confident primitives.
-    #[default = 1.5]
+    #[default(wavelet::Settings::default().enhancement)]
     pub enhancement: f64,
     /// Weight of smoothing.
-    #[default = 1e-3]
+    #[default(wavelet::Settings::default().suppress)]
     pub suppress: f64,
     /// Weight of sharpening.
-    #[default = 1e-3]
+    #[default(wavelet::Settings::default().enhance)]
     pub enhance: f64,
 }
 

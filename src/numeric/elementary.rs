@@ -4,6 +4,11 @@
 
 pub use libm::{cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin};
 
+/// The power of two at or below a positive number, 0 for a subnormal one: a unit that costs no bits.
+pub fn power_of_two_below(x: f64) -> f64 {
+    f64::from_bits(x.to_bits() & f64::INFINITY.to_bits())
+}
+
 /// Logistic function `1/(1+e^-x)`, without overflow.
 pub fn sigmoid(x: f64) -> f64 {
     if x >= 0.0 {
@@ -32,6 +37,13 @@ pub fn softplus_inverse(y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn powers_of_two_lie_at_or_below() {
+        for (x, power) in [(1.0, 1.0), (1.9, 1.0), (6.0, 4.0), (0.3, 0.25), (f64::MIN_POSITIVE / 2.0, 0.0)] {
+            assert_eq!(power_of_two_below(x), power);
+        }
+    }
 
     #[test]
     fn inverses_invert() {

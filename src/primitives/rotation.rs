@@ -1,12 +1,10 @@
 //! Rotations from quaternions (w,x,y,z) of any length.
 
+use crate::numeric::elementary::power_of_two_below;
 use glam::DQuat;
 
 /// Smallest largest entry of a usable quaternion: a gradient, which grows like 1/length, can still be squared.
 pub(crate) const SMALLEST: f64 = 1e-150;
-
-/// The bits of an `f64` that hold its exponent: of a normal number they leave the power of two below it.
-const EXPONENT: u64 = f64::INFINITY.to_bits();
 
 /// Whether a quaternion has a direction: finite entries, the largest at least [`SMALLEST`] in size.
 pub(crate) fn is_usable(q: [f64; 4]) -> bool {
@@ -18,7 +16,7 @@ pub(crate) fn is_usable(q: [f64; 4]) -> bool {
 /// The length is found in units of the power of two below the largest entry. Its square neither overflows nor
 /// vanishes, and no bit of the result differs from the plain formula's where that one works.
 pub(crate) fn unit(q: [f64; 4]) -> (DQuat, f64) {
-    let scale = f64::from_bits(largest(q).to_bits() & EXPONENT);
+    let scale = power_of_two_below(largest(q));
     let [w, x, y, z] = q.map(|entry| entry / scale);
     let norm = (w * w + x * x + y * y + z * z).sqrt();
     (DQuat::from_xyzw(x / norm, y / norm, z / norm, w / norm), norm * scale)

@@ -37,7 +37,7 @@ use optimiser::Step;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use record::Losses;
-use state::State;
+use state::{State, digest};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -126,7 +126,8 @@ struct Trainer<'a, R> {
     ssim: Ssim<R>,
     images: Vec<SsimTarget<R>>,
     state: State,
-    checkpoint: Option<PathBuf>,
+    /// Where the state is kept, and the digest of the data that it belongs to.
+    checkpoint: Option<(PathBuf, String)>,
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
@@ -147,14 +148,14 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let ssim = Ssim::<R>::default();
         let image = |view| dataset.train.image(view).mapv(|value| real::<R>(f64::from(value)));
         let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();
-        let (checkpoint, from) = checkpoints.map_or((None, None), |c| (Some(c.file), c.from));
+        let (checkpoint, from) = checkpoints.map_or((None, None), |c| (Some((c.file, digest(dataset))), c.from));
         let resumed = from.is_some();
-        let state = match from {
-            Some(from) => {
-                from.check(dataset, config)?;
+        let state = match (from, &checkpoint) {
+            (Some(from), Some((_, data))) => {
+                from.check(data, config)?;
                 from.state
             }
-            None => State::new(activation.inverse(&initial_primitives(dataset, config)?.parameters), config),
+            _ => State::new(activation.inverse(&initial_primitives(dataset, config)?.parameters), config),
         };
         let mut trainer = Self {
             dataset,
@@ -195,8 +196,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             }
             let stop = observe(iteration, self.state.log.last().filter(|_| report)).is_break();
             let save = iteration.is_multiple_of(self.config.checkpoint_every) || iteration == iterations || stop;
-            if save && let Some(file) = &self.checkpoint {
-                Checkpoint::new(self.dataset, self.config, self.state.clone()).write(file)?;
+            if save && let Some((file, data)) = &self.checkpoint {
+                Checkpoint::new(self.config, data.clone(), self.state.clone()).write(file)?;
             }
             if stop {
                 let remedy = match self.checkpoint {
@@ -294,7 +295,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let control = &self.config.density_control;
         let part = iteration as f64 / self.config.iterations as f64;
         let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop;
-        if !due || control.method == DensityControl::None {
+        if !due {
             return Ok(false);
         }
         let physical = self.activation.forward(&self.state.raw);

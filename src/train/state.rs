@@ -141,8 +141,9 @@ pub struct Checkpoints {
 }
 
 impl Checkpoint {
-    pub(super) fn new(dataset: &Dataset, config: &Config, state: State) -> Self {
-        Self { format: FORMAT, config: config.to_toml(), data: digest(dataset), state }
+    /// `data` is the [`digest`] of the run's dataset.
+    pub(super) fn new(config: &Config, data: String, state: State) -> Self {
+        Self { format: FORMAT, config: config.to_toml(), data, state }
     }
 
     /// Reads a checkpoint.
@@ -206,9 +207,9 @@ impl Checkpoint {
     }
 
     /// Refuses another configuration and other data.
-    pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
+    pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
-        if self.data != digest(dataset) {
+        if self.data != data {
             return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", GO_ON));
         }
         Ok(())
@@ -216,7 +217,7 @@ impl Checkpoint {
 }
 
 /// Digest of all that a run takes from its dataset.
-fn digest(dataset: &Dataset) -> String {
+pub(super) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
     let mut bytes = format!("{:?} {:?}", dataset.scanner, dataset.train.angles).into_bytes();
     bytes.extend_from_slice(cast_slice(projections.as_slice().expect("standard layout")));
