@@ -8,8 +8,19 @@ use std::collections::BTreeSet;
 use trgs::scene::npy;
 use trgs::scene::npz::Npz;
 
-const COMMANDS: [&str; 10] =
-    ["demo", "simulate", "reconstruct", "evaluate", "render", "voxelize", "confidence", "oracle", "compare", "inspect"];
+const COMMANDS: [&str; 11] = [
+    "demo",
+    "simulate",
+    "reconstruct",
+    "evaluate",
+    "render",
+    "voxelize",
+    "confidence",
+    "oracle",
+    "compare",
+    "inspect",
+    "convert",
+];
 const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
 /// A run that takes no time.
 const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4";
@@ -245,6 +256,58 @@ fn an_older_run_of_the_same_method_is_replaced_and_nothing_else() {
 }
 
 #[test]
+fn voxels_are_reconstructed_in_iterations_that_are_logged() {
+    let sandbox = Sandbox::new();
+    sandbox.done("simulate --phantom torso --out scan --size 24 --detector 36 --views 9 --test-views 2");
+    let fdk = sandbox.done("reconstruct scan --out fdk --method fdk")["psnr_3d"]["value"].as_f64().unwrap();
+    for (method, iterations) in [("sart", 20), ("os-sart", 20), ("asd-pocs", 10), ("cgls", 20)] {
+        let run = sandbox.done(&format!("reconstruct scan --out {method} --method {method}"));
+        let files = ["config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html", "volume.npy"];
+        assert_eq!(sandbox.names_in(method), files);
+        let psnr = run["psnr_3d"]["value"].as_f64().unwrap();
+        assert!(psnr > fdk + 1.0, "{method}: {psnr} dB, FDK {fdk} dB");
+        let log: Vec<Value> = sandbox
+            .text(&format!("{method}/log.jsonl"))
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(log.len(), iterations, "{method}");
+        let residual = |k: usize| log[k]["residual"].as_f64().unwrap();
+        assert!(residual(iterations - 1) < residual(0), "{method}");
+        assert!(sandbox.text(&format!("{method}/report.html")).contains("residual"));
+    }
+    sandbox.done("reconstruct scan --out sax --method sart --preset sax-nerf");
+    assert_eq!(sandbox.text("sax/log.jsonl").lines().count(), 6);
+    sandbox.done("reconstruct scan --out siddon --method sart --precision f64 --set algebraic.rays=siddon");
+    assert_ne!(sandbox.read("siddon/volume.npy"), sandbox.read("sart/volume.npy"));
+    let refused = sandbox.refused("reconstruct scan --out bad --method sart --set algebraic.relaxation=2.5");
+    assert!(refused.contains("algebraic.relaxation") && !sandbox.names().contains(&"bad".into()), "{refused}");
+}
+
+#[test]
+fn volumes_and_scans_change_their_format() {
+    let sandbox = Sandbox::with_scan();
+    for name in ["v.mha", "v.nrrd", "v.nii.gz"] {
+        let found = sandbox.done(&format!("convert scan/vol_gt.npy {name} --scanner scan"));
+        assert_eq!(found["kind"], "volume");
+        let n = found["shape"][0].as_f64().unwrap();
+        let (spacing, origin) = (found["spacing"][0].as_f64().unwrap(), found["origin"][0].as_f64().unwrap());
+        assert!((spacing - 2.0 / n).abs() < 1e-12 && (origin + 1.0 - 1.0 / n).abs() < 1e-12, "{found}");
+        sandbox.done(&format!("convert {name} back.npy"));
+        assert_eq!(sandbox.read("back.npy"), sandbox.read("scan/vol_gt.npy"), "{name}");
+        let scan =
+            sandbox.done(&format!("simulate --volume {name} --out again --views 2 --detector 20 --test-views 0"));
+        assert_eq!(scan["volume"], found["shape"]);
+    }
+    assert!(sandbox.refused("convert scan/vol_gt.npy v.stl").contains(".nii.gz"));
+    let pickle = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
+    assert_eq!(sandbox.done(&format!("convert {pickle} of_naf"))["kind"], "dataset");
+    assert_eq!(sandbox.done("inspect of_naf")["kind"], "dataset");
+    sandbox.done(&format!("reconstruct {pickle} --out run --method cgls --iterations 3"));
+    assert!(sandbox.refused(&format!("convert {pickle} other --scanner scan")).contains("--scanner"));
+}
+
+#[test]
 fn a_scan_may_be_given_by_its_description_from_within_its_folder() {
     let sandbox = Sandbox::with_scan();
     let mut command = sandbox.command("reconstruct ./meta_data.json --out ../run --method fdk");
@@ -272,7 +335,7 @@ fn what_does_not_exist_is_a_usage_error_that_names_what_does() {
     let sandbox = Sandbox::with_scan();
     for (arguments, names) in [
         ("table all --out t", &["table", "reconstruct", "inspect"][..]),
-        ("reconstruct scan --out run --method sart", &["sart", "tr-gs", "fdk"]),
+        ("reconstruct scan --out run --method sax", &["sax", "tr-gs", "fdk"]),
         (
             "reconstruct scan --out run --method r2-gaussian --set wavelet.enabled=true",
             &["wavelet.enabled", "r2-gaussian"],

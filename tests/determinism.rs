@@ -8,7 +8,7 @@ use common::scenes;
 use program::Sandbox;
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
-use trgs::classical::{Window, fdk};
+use trgs::classical::{Turn, Window, fdk};
 use trgs::config::{Config, Precision};
 use trgs::numeric::threads;
 use trgs::primitives::{Group, Kernel, Parameters};
@@ -98,7 +98,7 @@ fn simulation_noise_and_filtered_backprojection_have_the_same_bits_on_any_number
     let scan = scan();
     for window in [Window::RamLak, Window::Hann] {
         assert_independent_of_threads(&format!("FDK {window:?}"), || {
-            numbers(&fdk(&scan.scanner, &scan.train, window).unwrap().values)
+            numbers(&fdk(&scan.scanner, &scan.train, window, Turn::Measured).unwrap().values)
         });
     }
 }

@@ -43,10 +43,10 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
         let (sandbox, duration, expected) = undisturbed(method);
         let storm = format!("{RUN} storm --method {method} --resume");
         let mut killed = 0;
-        // Moments spread over the run without a pattern; each process gets as far as it gets.
+        // Moments without a pattern; each process gets as far as it gets, all together about once through the run.
         for k in 0..10_u32 {
             let mut child = spawn(&sandbox, &storm);
-            sleep(duration.mul_f64(0.08 + 0.61803 * f64::from(k) % 0.35));
+            sleep(duration.mul_f64(0.04 + 0.61803 * f64::from(k) % 0.14));
             // SIGKILL: no handler runs.
             child.kill().unwrap();
             killed += u32::from(!child.wait().unwrap().success());

@@ -30,6 +30,8 @@ fn busy(method: Method) -> Config {
     let mut config = Config::of(method);
     (config.iterations, config.report_every, config.model.points) = (60, 10, 300);
     (config.loss.tv_block, config.wavelet.block) = (12, 12);
+    // Where the targets lie: a short run gets there and leaves tails to learn.
+    config.model.nu_initial = 30.0;
     (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8, 25);
     config
 }
@@ -110,14 +112,12 @@ fn confidence_and_wavelets_each_change_the_result_and_report() {
         assert_eq!((last.nu > 0.0, last.wavelet != 0.0), (has_nu, has_wavelet));
         assert_eq!(last.confidence.is_some(), has_nu || has_wavelet);
     }
-    // Every ν starts at its target, so its rank is that of c.
-    let first = &full.log[0];
-    assert!(first.spearman.unwrap() > 0.5, "{:?}", first.spearman);
+    assert!(full.log.last().unwrap().spearman.is_some());
     assert!(base.log.last().unwrap().spearman.is_none());
 }
 
 #[test]
-fn a_strong_pull_keeps_nu_at_its_targets() {
+fn a_strong_pull_leads_nu_to_its_targets() {
     let dataset = scan();
     let spearman = |weight| {
         let mut config = busy(Method::TrGs);

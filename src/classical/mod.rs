@@ -1,5 +1,8 @@
 //! Reconstruction without primitives, on the same scanner: what every scan can be compared with.
 
+pub mod algebraic;
 pub mod fdk;
+pub mod voxel_projector;
 
-pub use fdk::{Window, fdk};
+pub use fdk::{Turn, Window, fdk};
+pub use voxel_projector::{RayModel, VoxelProjector};

@@ -2,7 +2,6 @@
 
 use super::Answer;
 use clap::Args;
-use ndarray::Ix3;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -12,7 +11,7 @@ use trgs::config::{Config, Method, Precision};
 use trgs::evaluation::Metrics;
 use trgs::primitives::{Primitives, model};
 use trgs::projector::forward;
-use trgs::scene::{Dataset, Projections, Volume, npy, trilinear};
+use trgs::scene::{Dataset, Projections, Volume, trilinear, volume_file};
 
 /// Compare a reconstruction with the truth and the test views of a dataset
 #[derive(Args)]
@@ -24,7 +23,7 @@ The projections of a run with a model are those of its primitives, in the run's 
 are exact line integrals of the trilinear function through its voxels.")]
 pub(super) struct Evaluate {
     /// Folder of a run, or a volume [x, y, z] on the dataset's grid
-    #[arg(value_name = "RUN|VOLUME.npy")]
+    #[arg(value_name = "RUN|VOLUME")]
     result: PathBuf,
     /// What to compare with
     #[arg(long, value_name = "DATASET")]
@@ -96,8 +95,7 @@ fn project(primitives: &Primitives, dataset: &Dataset, angles: &[f64], config: &
 }
 
 fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
-    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
-    Volume::new(dataset.scanner.grid, values).map_err(|error| error.in_file(path))
+    Volume::new(dataset.scanner.grid, volume_file::read(path)?.values).map_err(|error| error.in_file(path))
 }
 
 impl Evaluation {

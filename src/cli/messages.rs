@@ -12,6 +12,7 @@ use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::{FmtContext, fmt};
 use tracing_subscriber::registry::LookupSpan;
 use trgs::Error;
+use trgs::classical::algebraic::Pass;
 use trgs::train::Record;
 
 /// Sends everything that is traced to standard error, in the format asked for.
@@ -71,8 +72,31 @@ impl Progress {
                  {primitives} primitives, {seconds:.1} s"
             );
         }
-        if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        go_on()
     }
+
+    /// The same for iterations on voxels.
+    pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
+        let Pass { iteration, iterations, residual } = *pass;
+        if let Some(bar) = &self.bar {
+            bar.set_position(iteration as u64);
+            bar.set_message(format!("residual {residual:.4}, "));
+        } else {
+            tracing::info!(
+                iteration,
+                iterations,
+                residual,
+                seconds,
+                "iteration {iteration} of {iterations}: residual {residual:.4}, {seconds:.1} s"
+            );
+        }
+        go_on()
+    }
+}
+
+/// Unless the user wants to stop.
+fn go_on() -> ControlFlow<()> {
+    if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
 impl Drop for Progress {

@@ -7,6 +7,7 @@ mod answer;
 mod arguments;
 mod compare;
 mod confidence;
+mod convert;
 mod demo;
 mod evaluate;
 mod explain;
@@ -85,6 +86,7 @@ enum Command {
     Oracle(oracle::Oracle),
     Compare(compare::Compare),
     Inspect(inspect::Inspect),
+    Convert(convert::Convert),
 }
 
 /// The whole program.
@@ -123,6 +125,7 @@ impl Command {
             Self::Oracle(command) => command.run(),
             Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(),
+            Self::Convert(command) => command.run(),
         }
     }
 }

@@ -3,16 +3,19 @@
 use super::arguments::seed;
 use super::evaluate::evaluate;
 use super::messages::Progress;
-use super::run_folder::{Outcome, RunFolder, checkpoint_file};
+use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Answer, Global, check_size, interrupt};
 use clap::Args;
 use serde_json::json;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use trgs::classical::{Window, fdk};
-use trgs::config::{Config, Method, Precision};
+use trgs::classical::algebraic::{Pass, asd_pocs, cgls, sart};
+use trgs::classical::{VoxelProjector, fdk};
+use trgs::config::{Config, Method, Precision, Preset};
+use trgs::numeric::Real;
 use trgs::projector::Projection;
-use trgs::scene::Dataset;
+use trgs::scene::{Dataset, Volume};
 use trgs::train::{Checkpoint, Checkpoints, Reconstruction, Record, train};
 use trgs::{Error, Result};
 
@@ -23,6 +26,7 @@ use trgs::{Error, Result};
     after_help = "Examples:
   trgs reconstruct data/torso --out out/torso
   trgs reconstruct data/torso --out out/fdk --method fdk
+  trgs reconstruct data/torso --out out/sart --method sart --preset sax-nerf
   trgs reconstruct data/torso --out out/r2 --method r2-gaussian
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
   trgs reconstruct data/torso --out out/torso --resume
@@ -58,6 +62,9 @@ pub(super) struct Reconstruct {
     /// All random choices follow from it
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
+    /// Settings of a comparison that sart, os-sart and asd-pocs start from
+    #[arg(long, value_enum, conflicts_with = "config")]
+    preset: Option<Preset>,
     /// Configuration to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
@@ -113,6 +120,9 @@ impl Reconstruct {
             (None, None) => Config::of(method),
         };
         config.method = self.method.unwrap_or(config.method);
+        if let (Some(preset), None) = (self.preset, checkpoint) {
+            config.apply(preset);
+        }
         config.iterations = self.iterations.unwrap_or(config.iterations);
         config.model.points = self.points.unwrap_or(config.model.points);
         config.projection = self.projection.unwrap_or(config.projection);
@@ -140,21 +150,51 @@ pub(super) fn reconstruct(
     interrupt::shielded(|| {
         let folder = RunFolder::begin(out, source, config)?;
         let began = Instant::now();
+        let mut progress = Progress::new(config.iterations, global);
+        let mut passes = Vec::new();
         let (primitives, volume, log) = match config.method {
             Method::TrGs | Method::R2Gaussian => {
-                let mut progress = Progress::new(config.iterations, global);
                 let mut observe = |iteration, record: Option<&Record>| progress.observe(iteration, record);
                 let Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
                 (Some(primitives), volume, log)
             }
-            Method::Fdk => (None, fdk(&dataset.scanner, &dataset.train, Window::RamLak)?, Vec::new()),
+            Method::Fdk => {
+                (None, fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?, Vec::new())
+            }
+            Method::Sart | Method::OsSart | Method::AsdPocs | Method::Cgls => {
+                let mut observe = |pass: &Pass| {
+                    let seconds = began.elapsed().as_secs_f64();
+                    passes.push(TimedPass { pass: pass.clone(), seconds });
+                    progress.pass(pass, seconds)
+                };
+                let volume = match config.precision {
+                    Precision::F32 => algebraic::<f32>(dataset, config, &mut observe)?,
+                    Precision::F64 => algebraic::<f64>(dataset, config, &mut observe)?,
+                };
+                (None, volume, Vec::new())
+            }
         };
+        drop(progress);
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
-        let outcome = Outcome { method: config.method, primitives, volume, log, seconds, evaluation };
+        let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })
+}
+
+/// The volume that an iterative method on voxels finds.
+fn algebraic<R: Real>(
+    dataset: &Dataset,
+    config: &Config,
+    observe: &mut dyn FnMut(&Pass) -> ControlFlow<()>,
+) -> Result<Volume> {
+    let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
+    match config.method {
+        Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), observe),
+        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, observe),
+        _ => sart::<R>(&projector, &dataset.train, &config.sart(), observe),
+    }
 }
 
 /// `n` of `len` indices, the first among them.

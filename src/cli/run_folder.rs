@@ -1,9 +1,11 @@
 //! The folder that a reconstruction leaves behind. It appears as a whole, at the end, or not at all.
 
 use super::evaluate::Evaluation;
+use serde::Serialize;
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use trgs::classical::algebraic::Pass;
 use trgs::config::{Config, Method};
 use trgs::numeric::threads;
 use trgs::output::{create_folder, stage_folder, write_atomically};
@@ -30,8 +32,19 @@ pub(super) struct Outcome {
     pub(super) primitives: Option<Primitives>,
     pub(super) volume: Volume,
     pub(super) log: Vec<Record>,
+    /// Of a method that fits voxels in iterations.
+    pub(super) passes: Vec<TimedPass>,
     pub(super) seconds: f64,
     pub(super) evaluation: Evaluation,
+}
+
+/// An iteration on voxels, as the log has it.
+#[derive(Serialize)]
+pub(super) struct TimedPass {
+    #[serde(flatten)]
+    pub(super) pass: Pass,
+    /// Since the reconstruction began.
+    pub(super) seconds: f64,
 }
 
 /// A run's folder under construction.
@@ -47,6 +60,10 @@ impl Outcome {
             Method::TrGs => "TR-GS",
             Method::R2Gaussian => "R²-Gaussian",
             Method::Fdk => "FDK",
+            Method::Sart => "SART",
+            Method::OsSart => "OS-SART",
+            Method::AsdPocs => "ASD-POCS",
+            Method::Cgls => "CGLS",
         }
     }
 
@@ -88,8 +105,10 @@ impl RunFolder {
         write_text(&at("metrics.json"), &json(&outcome.evaluation))?;
         if let Some(primitives) = &outcome.primitives {
             model::write(&at("model.npz"), &primitives.parameters)?;
-            let lines = outcome.log.iter().map(to_line);
-            write_text(&at("log.jsonl"), &lines.collect::<String>())?;
+        }
+        let lines: String = outcome.log.iter().map(to_line).chain(outcome.passes.iter().map(to_line)).collect();
+        if !lines.is_empty() {
+            write_text(&at("log.jsonl"), &lines)?;
         }
         // The run's last state takes the place of those before it together with the results.
         let last = checkpoint_file(&self.folder);
@@ -118,8 +137,14 @@ fn page(
         name,
         points: outcome.log.iter().map(|record| (record.iteration as f64, value(record))).collect(),
     };
-    let curves =
-        [curve("total", |r| r.loss), curve("L1", |r| r.l1), curve("1-SSIM", |r| r.d_ssim), curve("TV", |r| r.tv)];
+    let passes = outcome.passes.iter().map(|TimedPass { pass, .. }| (pass.iteration as f64, pass.residual));
+    let curves = [
+        curve("total", |r| r.loss),
+        curve("L1", |r| r.l1),
+        curve("1-SSIM", |r| r.d_ssim),
+        curve("TV", |r| r.tv),
+        Curve { name: "residual", points: passes.collect() },
+    ];
     let detector = &dataset.scanner.detector;
     let mut facts = vec![
         ("Training views".into(), dataset.train.len().to_string()),
@@ -128,6 +153,9 @@ fn page(
         ("Noise".into(), dataset.noise.to_string()),
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
+    if let Some(last) = outcome.passes.last() {
+        facts.push(("Iterations".into(), last.pass.iteration.to_string()));
+    }
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));
         facts.push(("Iterations".into(), config.iterations.to_string()));
@@ -162,7 +190,7 @@ fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(Error::write(folder, error)),
     };
-    let fits = method != Method::Fdk;
+    let fits = method.fits_primitives();
     let has = |file: &str| names.iter().any(|name| name == file);
     let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
     let got = match names.iter().find(foreign) {
@@ -182,10 +210,10 @@ fn write_text(path: &Path, text: &str) -> Result<()> {
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
-fn json(value: &impl serde::Serialize) -> String {
+fn json(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).expect("results have string keys and no foreign serialisers") + "\n"
 }
 
-fn to_line(record: &Record) -> String {
+fn to_line(record: &impl Serialize) -> String {
     serde_json::to_string(record).expect("a record consists of numbers") + "\n"
 }

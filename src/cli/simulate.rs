@@ -4,12 +4,12 @@ use super::arguments::{finite, pair, seed};
 use super::{Answer, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use glam::DVec3;
-use ndarray::Ix3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, npy, phantom};
+use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, phantom};
 
 /// Scan a phantom or a volume and write the dataset
 #[derive(Args)]
@@ -38,7 +38,8 @@ pub(super) struct Simulate {
     /// Test views, at random angles and free of noise
     #[arg(long, value_name = "N", default_value_t = 50)]
     test_views: u16,
-    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise
+    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise, as TIGRE has it;
+    /// with `,physical` behind, photons follow Beer and Lambert's law
     #[arg(long, value_name = "LEVEL|I0,SIGMA", default_value = "none")]
     noise: Noise,
     /// How the rays run
@@ -63,8 +64,8 @@ pub(super) struct Simulate {
 struct ObjectArgs {
     #[arg(long, value_name = "NAME", help = phantom_help())]
     phantom: Option<String>,
-    /// Volume [x, y, z] with cubic voxels, attenuation per scene unit
-    #[arg(long, value_name = "FILE.npy")]
+    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii, .nii.gz or .raw
+    #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
 }
 
@@ -142,11 +143,14 @@ impl Simulate {
     }
 }
 
-/// A volume of cubic voxels around the origin, as large as the conventions want it.
+/// A volume around the origin, as large as the conventions want it; its voxels are cubes unless the file says otherwise.
 fn read_volume(path: &Path) -> Result<Volume> {
-    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
+    let VolumeFile { values, spacing, oddities, .. } = volume_file::read(path)?;
+    for oddity in oddities {
+        tracing::warn!("{}: {oddity}", path.display());
+    }
     let shape: [usize; 3] = values.dim().into();
-    let sides = DVec3::from_array(shape.map(|n| n as f64));
+    let sides = DVec3::from_array(shape.map(|n| n as f64)) * spacing.unwrap_or(DVec3::ONE);
     let corner = sides / sides.max_element();
     Grid::new(shape, -corner, corner).and_then(|grid| Volume::new(grid, values)).map_err(|error| error.in_file(path))
 }

@@ -7,6 +7,8 @@
 mod text;
 mod validate;
 
+use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings};
+use crate::classical::{RayModel, Turn, Window};
 use crate::confidence;
 use crate::density::Relocation;
 use crate::projector::Projection;
@@ -25,6 +27,23 @@ pub enum Method {
     R2Gaussian,
     /// Filtered back projection of a cone beam (Feldkamp, Davis, Kress).
     Fdk,
+    /// Simultaneous algebraic reconstruction, view by view.
+    Sart,
+    /// The same by sets of views.
+    OsSart,
+    /// SART and descent of the total variation in turn.
+    AsdPocs,
+    /// Conjugate gradients on the normal equations.
+    Cgls,
+}
+
+/// Whose settings the classical methods start from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Preset {
+    /// Those of R²-Gaussian's comparison, the defaults.
+    R2Gaussian,
+    /// Those of SAX-NeRF's comparison.
+    SaxNerf,
 }
 
 /// Arithmetic of the pixel kernels. Parameters and optimisers are always f64.
@@ -127,6 +146,12 @@ pub struct Config {
     pub sghmc: SghmcConfig,
     /// How primitives come and go.
     pub density_control: DensityControlConfig,
+    /// Filtered back projection.
+    pub fdk: FdkConfig,
+    /// The methods sart, os-sart, asd-pocs and cgls.
+    pub algebraic: AlgebraicConfig,
+    /// What asd-pocs does beside SART.
+    pub asd_pocs: AsdPocsConfig,
 }
 
 /// What is fitted.
@@ -145,7 +170,7 @@ pub struct ModelConfig {
     /// Upper end of the degrees of freedom.
     #[default = 100.0]
     pub nu_max: f64,
-    /// Degrees of freedom at the start; with confidence.enabled each primitive starts at its own target instead.
+    /// Degrees of freedom at the start.
     #[default = 10.0]
     pub nu_initial: f64,
     /// Smallest scale, as a fraction of the volume's longest side.
@@ -339,6 +364,65 @@ pub struct DensityControlConfig {
     pub faint: f64,
 }
 
+/// Filtered back projection.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct FdkConfig {
+    /// Damping of the ramp filter: ram-lak (none), shepp-logan, cosine, hamming or hann.
+    pub window: Window,
+    /// What the views cover: measured (their angles tell; too little is refused), or full, whatever is missing.
+    pub turn: Turn,
+}
+
+/// The methods sart, os-sart, asd-pocs and cgls.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct AlgebraicConfig {
+    /// How a ray weighs voxels: joseph or siddon.
+    pub rays: RayModel,
+    /// λ of the first pass of SART.
+    #[default(SartSettings::default().relaxation)]
+    pub relaxation: f64,
+    /// λ is multiplied with it after every pass.
+    #[default(SartSettings::default().reduction)]
+    pub reduction: f64,
+    /// λ keeps its first value, as in TIGRE, which takes a reduction and does not use it.
+    #[default(SartSettings::default().constant_relaxation)]
+    pub constant_relaxation: bool,
+    /// Views that correct the volume together.
+    #[default(SartSettings::default().subset)]
+    pub subset: usize,
+    /// Order of the views: input, random or angular-distance.
+    pub order: Order,
+    /// Negative values become 0 after every correction; not in cgls.
+    #[default(SartSettings::default().non_negative)]
+    pub non_negative: bool,
+    /// SART ends when a pass lowers the residual by less than this fraction; 0: not before its last.
+    #[default(SartSettings::default().tolerance)]
+    pub tolerance: f64,
+}
+
+/// What asd-pocs does beside SART.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct AsdPocsConfig {
+    /// Steps down the total variation per iteration.
+    #[default(AsdPocsSettings::default().tv_steps)]
+    pub tv_steps: usize,
+    /// The first step of the descent, as a fraction of SART's.
+    #[default(AsdPocsSettings::default().alpha)]
+    pub alpha: f64,
+    /// Factor on it when the descent undoes too much of what SART did.
+    #[default(AsdPocsSettings::default().alpha_reduction)]
+    pub alpha_reduction: f64,
+    /// The fraction of SART's step from which on that is too much.
+    #[default(AsdPocsSettings::default().r_max)]
+    pub r_max: f64,
+    /// Residual that is good enough, as a fraction of that of FDK.
+    #[default(AsdPocsSettings::default().epsilon)]
+    pub epsilon: f64,
+}
+
 impl ConfidenceConfig {
     /// What the confidence is computed with.
     pub fn settings(&self) -> confidence::Settings {
@@ -355,20 +439,71 @@ impl WaveletConfig {
     }
 }
 
+impl Method {
+    /// Whether it fits primitives, and not voxels.
+    pub fn fits_primitives(self) -> bool {
+        matches!(self, Self::TrGs | Self::R2Gaussian)
+    }
+}
+
 impl Config {
-    /// The defaults of a method: [`Config::default`], and for R²-Gaussian its own.
+    /// The defaults of a method: [`Config::default`], and what the other methods have of their own.
     pub fn of(method: Method) -> Self {
         let mut config = Self { method, ..Self::default() };
-        if method == Method::R2Gaussian {
-            config.projection = Projection::Affine;
-            config.model.kernel = KernelName::Gaussian;
-            config.confidence.enabled = false;
-            config.wavelet.enabled = false;
-            config.optimiser.position = PositionOptimiser::Adam;
-            config.density_control.method = DensityControl::Adc;
-            config.density_control.stop = 0.5;
-            config.density_control.cap = 500_000;
+        match method {
+            Method::TrGs | Method::Fdk => {}
+            Method::R2Gaussian => {
+                config.projection = Projection::Affine;
+                config.model.kernel = KernelName::Gaussian;
+                config.confidence.enabled = false;
+                config.wavelet.enabled = false;
+                config.optimiser.position = PositionOptimiser::Adam;
+                config.density_control.method = DensityControl::Adc;
+                config.density_control.stop = 0.5;
+                config.density_control.cap = 500_000;
+            }
+            Method::Sart | Method::Cgls => config.iterations = SartSettings::default().iterations,
+            Method::OsSart => (config.iterations, config.algebraic.subset) = (SartSettings::default().iterations, 10),
+            Method::AsdPocs => {
+                let sart = AsdPocsSettings::default().sart;
+                (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
+            }
         }
         config
+    }
+
+    /// Takes over the settings of another comparison; [`Preset::R2Gaussian`]'s are those of [`Config::of`].
+    pub fn apply(&mut self, preset: Preset) {
+        *self = Self { seed: self.seed, ..Self::of(self.method) };
+        if preset == Preset::SaxNerf && matches!(self.method, Method::Sart | Method::OsSart | Method::AsdPocs) {
+            self.iterations = 6;
+            self.algebraic.reduction = 0.999;
+            (self.asd_pocs.epsilon, self.asd_pocs.r_max) = (0.2, 0.95);
+        }
+    }
+
+    /// What SART is told.
+    pub fn sart(&self) -> SartSettings {
+        let AlgebraicConfig {
+            relaxation, reduction, constant_relaxation, subset, order, non_negative, tolerance, ..
+        } = self.algebraic;
+        let (iterations, seed) = (self.iterations, self.seed);
+        SartSettings {
+            iterations,
+            relaxation,
+            reduction,
+            constant_relaxation,
+            subset,
+            order,
+            non_negative,
+            tolerance,
+            seed,
+        }
+    }
+
+    /// What ASD-POCS is told.
+    pub fn asd_pocs(&self) -> AsdPocsSettings {
+        let AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon } = self.asd_pocs;
+        AsdPocsSettings { sart: self.sart(), tv_steps, alpha, alpha_reduction, r_max, epsilon }
     }
 }

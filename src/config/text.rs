@@ -1,8 +1,8 @@
 //! Reading and writing configurations.
 
 use super::{
-    ConfidenceConfig, Config, DensityControlConfig, InitialisationConfig, LossConfig, Method, ModelConfig,
-    OptimiserConfig, SghmcConfig, WaveletConfig,
+    AlgebraicConfig, AsdPocsConfig, ConfidenceConfig, Config, DensityControlConfig, FdkConfig, InitialisationConfig,
+    LossConfig, Method, ModelConfig, OptimiserConfig, SghmcConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
 use documented::{Documented, DocumentedFields};
@@ -11,7 +11,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 /// The tables: name, what it is for, its keys and what they are for.
-const TABLES: [(&str, &str, &[&str], &[&str]); 9] = [
+const TABLES: [(&str, &str, &[&str], &[&str]); 12] = [
     ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
     ("model", ModelConfig::DOCS, ModelConfig::FIELD_NAMES, ModelConfig::FIELD_DOCS),
     ("initialisation", InitialisationConfig::DOCS, InitialisationConfig::FIELD_NAMES, InitialisationConfig::FIELD_DOCS),
@@ -26,6 +26,9 @@ const TABLES: [(&str, &str, &[&str], &[&str]); 9] = [
         DensityControlConfig::FIELD_NAMES,
         DensityControlConfig::FIELD_DOCS,
     ),
+    ("fdk", FdkConfig::DOCS, FdkConfig::FIELD_NAMES, FdkConfig::FIELD_DOCS),
+    ("algebraic", AlgebraicConfig::DOCS, AlgebraicConfig::FIELD_NAMES, AlgebraicConfig::FIELD_DOCS),
+    ("asd_pocs", AsdPocsConfig::DOCS, AsdPocsConfig::FIELD_NAMES, AsdPocsConfig::FIELD_DOCS),
 ];
 
 impl Config {

@@ -109,6 +109,25 @@ impl Config {
             let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
             require(key, friction, stable, &expected)?;
         }
+        let Self { algebraic, asd_pocs, .. } = self;
+        let relaxation = algebraic.relaxation;
+        require("algebraic.relaxation", relaxation, relaxation > 0.0 && relaxation < 2.0, "a number in (0, 2)")?;
+        for (key, factor) in
+            [("algebraic.reduction", algebraic.reduction), ("asd_pocs.alpha_reduction", asd_pocs.alpha_reduction)]
+        {
+            require(key, factor, factor > 0.0 && factor <= 1.0, "a number in (0, 1]")?;
+        }
+        fraction("algebraic.tolerance", algebraic.tolerance)?;
+        for (key, count) in [("algebraic.subset", algebraic.subset), ("asd_pocs.tv_steps", asd_pocs.tv_steps)] {
+            require(key, count, count >= 1, "at least 1")?;
+        }
+        for (key, value) in [
+            ("asd_pocs.alpha", asd_pocs.alpha),
+            ("asd_pocs.r_max", asd_pocs.r_max),
+            ("asd_pocs.epsilon", asd_pocs.epsilon),
+        ] {
+            require(key, value, value >= 0.0 && value.is_finite(), "a number that is not negative")?;
+        }
         self.check_method()
     }
 
@@ -138,11 +157,18 @@ fn require(key: &str, got: impl Debug, holds: bool, expected: &str) -> Result<()
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Preset;
+    use clap::ValueEnum;
 
     #[test]
     fn the_defaults_of_all_methods_are_valid() {
-        for method in [Method::TrGs, Method::R2Gaussian, Method::Fdk] {
-            Config::of(method).validate().unwrap();
+        for &method in Method::value_variants() {
+            let mut config = Config::of(method);
+            config.validate().unwrap();
+            for &preset in Preset::value_variants() {
+                config.apply(preset);
+                config.validate().unwrap();
+            }
         }
     }
 

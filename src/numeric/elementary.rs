@@ -2,7 +2,7 @@
 //! compiled from source instead of taken from the platform. The hot kernels have their own
 //! ([`super::lanes`]).
 
-pub use libm::{cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin};
+pub use libm::{asin, atan, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
 
 /// The power of two at or below a positive number, 0 for a subnormal one: a unit that costs no bits.
 pub fn power_of_two_below(x: f64) -> f64 {

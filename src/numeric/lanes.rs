@@ -44,6 +44,10 @@ pub trait Real:
     fn from_f64(value: f64) -> Self;
     /// Exact.
     fn to_f64(self) -> f64;
+    /// A small count, exact below 2^24.
+    fn from_index(index: usize) -> Self;
+    /// The whole number at or below a value from 0 to 2^31.
+    fn to_index(self) -> usize;
     /// Correctly rounded square root.
     fn sqrt(self) -> Self;
     /// Absolute value.
@@ -178,6 +182,14 @@ macro_rules! precision {
             #[inline(always)]
             fn to_f64(self) -> f64 {
                 self.into()
+            }
+            #[inline(always)]
+            fn from_index(index: usize) -> Self {
+                index as Self
+            }
+            #[inline(always)]
+            fn to_index(self) -> usize {
+                self as i32 as usize
             }
             #[inline(always)]
             fn sqrt(self) -> Self {

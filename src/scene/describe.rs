@@ -46,7 +46,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
     }
     let noise = match dataset.noise {
         Noise::None => "none stated".into(),
-        Noise::Counts { photons, sigma } => {
+        Noise::Counts { photons, sigma, .. } => {
             format!("{photons} photons per pixel, σ {sigma} counts ({})", dataset.noise)
         }
     };

@@ -11,6 +11,7 @@ pub mod phantom;
 pub mod simulate;
 pub mod trace;
 pub mod trilinear;
+pub mod volume_file;
 
 pub use arrays::{Projections, Volume};
 pub use dataset::Dataset;

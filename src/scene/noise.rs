@@ -4,7 +4,8 @@
 //! is. With p_max the largest line
 //! integral of the whole stack, a pixel's expected count is `I = I0·exp(-p/p_max)`, the reading
 //! `Ĩ = Poisson(I) + N(0, σ²)` and the noisy line integral `p̃ = -ln(Ĩ/I0)·p_max`. Because p is divided by p_max, the
-//! darkest pixel always expects I0/e photons, whatever the object's real attenuation.
+//! darkest pixel always expects I0/e photons, whatever the object's real attenuation. The other choice is the law of
+//! Beer and Lambert, which is this with p_max = 1: then `I = I0·exp(-p)`.
 //!
 //! Two rules of our own, where TIGRE yields NaN or is silent: a reading below [`FLOOR`] counts is taken as that many,
 //! and negative line integrals become 0, as in R²-Gaussian's data.
@@ -32,19 +33,44 @@ pub enum Noise {
         photons: f64,
         /// Standard deviation of the electronic noise, counts.
         sigma: f64,
+        /// What attenuates the photons.
+        attenuation: Attenuation,
     },
+}
+
+/// Which multiple of a line integral attenuates photons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Attenuation {
+    /// Its fraction of the largest one of the stack: TIGRE's.
+    Relative,
+    /// The line integral itself: Beer and Lambert's law.
+    Physical,
 }
 
 impl Noise {
     /// 10⁵ photons, σ = 10 counts.
-    pub const LOW: Self = Self::Counts { photons: 1e5, sigma: 10.0 };
+    pub const LOW: Self = Self::relative(1e5, 10.0);
     /// 5·10⁴ photons, σ = 20 counts.
-    pub const MEDIUM: Self = Self::Counts { photons: 5e4, sigma: 20.0 };
+    pub const MEDIUM: Self = Self::relative(5e4, 20.0);
     /// 10⁴ photons, σ = 40 counts.
-    pub const HIGH: Self = Self::Counts { photons: 1e4, sigma: 40.0 };
+    pub const HIGH: Self = Self::relative(1e4, 40.0);
     /// The levels that have a name.
     pub const NAMED: [(&str, Self); 4] =
         [("none", Self::None), ("low", Self::LOW), ("medium", Self::MEDIUM), ("high", Self::HIGH)];
+
+    /// TIGRE's noise.
+    pub const fn relative(photons: f64, sigma: f64) -> Self {
+        Self::Counts { photons, sigma, attenuation: Attenuation::Relative }
+    }
+
+    /// The same level with photons attenuated by the law of Beer and Lambert.
+    #[must_use]
+    pub fn physical(self) -> Self {
+        match self {
+            Self::None => self,
+            Self::Counts { photons, sigma, .. } => Self::Counts { photons, sigma, attenuation: Attenuation::Physical },
+        }
+    }
 
     /// Adds noise. A pixel's draws depend on `seed`, its view and its place alone.
     ///
@@ -53,8 +79,13 @@ impl Noise {
     ///
     /// Tests: mean and variance against theory; independence of order and threads.
     pub fn apply(&self, projections: &Projections, seed: u64) -> Result<Projections> {
-        let peak = f64::from(projections.images.iter().fold(0.0_f32, |peak, &p| if p > peak { p } else { peak }));
-        let Self::Counts { photons, sigma } = *self else { return Ok(projections.clone()) };
+        let Self::Counts { photons, sigma, attenuation } = *self else { return Ok(projections.clone()) };
+        let peak = match attenuation {
+            Attenuation::Relative => {
+                f64::from(projections.images.iter().fold(0.0_f32, |peak, &p| if p > peak { p } else { peak }))
+            }
+            Attenuation::Physical => 1.0,
+        };
         if peak == 0.0 {
             return Ok(projections.clone());
         }
@@ -90,7 +121,7 @@ impl Noise {
 /// p̃ = max(0, -ln(max(counts + sigma·normal, FLOOR)/photons)·peak)
 /// ```
 ///
-/// `photons` I0 > 0 and `sigma` ≥ 0 in counts, `peak` the largest line integral of the stack, `counts` the Poisson
+/// `photons` I0 > 0 and `sigma` ≥ 0 in counts, `peak` the largest line integral of the stack or 1, `counts` the Poisson
 /// draw, `normal` a standard normal one. The result has the unit of `peak`: attenuation times scene units.
 ///
 /// Not in the paper: see the head of this page. Tests: `a_reading_is_turned_back_into_a_line_integral`.
@@ -104,7 +135,10 @@ impl fmt::Display for Noise {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (Self::NAMED.iter().find(|(_, noise)| noise == self), self) {
             (Some((name, _)), _) => f.write_str(name),
-            (None, Self::Counts { photons, sigma }) => write!(f, "{photons},{sigma}"),
+            (None, Self::Counts { photons, sigma, attenuation }) => {
+                let law = if *attenuation == Attenuation::Physical { ",physical" } else { "" };
+                write!(f, "{photons},{sigma}{law}")
+            }
             (None, Self::None) => f.write_str("none"),
         }
     }
@@ -113,8 +147,11 @@ impl fmt::Display for Noise {
 impl FromStr for Noise {
     type Err = Error;
 
-    /// A name, or the two numbers `I0,SIGMA`.
+    /// A name, or the two numbers `I0,SIGMA`; with `,physical` behind them Beer and Lambert's law.
     fn from_str(text: &str) -> Result<Self> {
+        if let Some(level) = text.strip_suffix(",physical") {
+            return level.parse().map(Self::physical);
+        }
         if let Some((_, noise)) = Self::NAMED.iter().find(|(name, _)| *name == text) {
             return Ok(*noise);
         }
@@ -123,7 +160,7 @@ impl FromStr for Noise {
         });
         match numbers {
             Some((photons, sigma)) if photons > 0.0 && photons <= 1e18 && (0.0..1e18).contains(&sigma) => {
-                Ok(Self::Counts { photons, sigma })
+                Ok(Self::relative(photons, sigma))
             }
             _ => Err(Error::invalid(
                 "noise",
@@ -160,12 +197,13 @@ mod tests {
     fn mean_and_variance_are_those_of_the_model() {
         // First order: the count's variance I + σ² becomes (I + σ²)/I²·p_max², the mean moves by half of that over p_max.
         let values = [0.4_f32, 1.3, 2.6];
-        for noise in [Noise::HIGH, Noise::Counts { photons: 2e3, sigma: 15.0 }] {
-            let Noise::Counts { photons, sigma } = noise else { unreachable!() };
+        for noise in [Noise::HIGH, Noise::relative(2e3, 15.0), Noise::relative(2e4, 15.0).physical()] {
+            let Noise::Counts { photons, sigma, attenuation } = noise else { unreachable!() };
+            let peak = if attenuation == Attenuation::Relative { f64::from(2.6_f32) } else { 1.0 };
             let noisy = noise.apply(&flat(values), 7).unwrap();
             for (view, value) in values.into_iter().enumerate() {
                 let image = noisy.image(view).mapv(f64::from);
-                let (n, peak) = (image.len() as f64, f64::from(2.6_f32));
+                let n = image.len() as f64;
                 let (mean, variance) = (image.mean().unwrap(), image.var(1.0));
                 let counts = photons * exp(-f64::from(value) / peak);
                 let expected_variance = (counts + sigma * sigma) / (counts * counts) * peak * peak;
@@ -175,6 +213,34 @@ mod tests {
                 let ratio = variance / expected_variance;
                 assert!((ratio - 1.0).abs() < 4.0 * (2.0 / n).sqrt() + 0.02, "variance ratio {ratio} in view {view}");
             }
+        }
+    }
+
+    #[test]
+    fn photons_are_poisson_distributed() {
+        use statrs::distribution::{ChiSquared, ContinuousCDF, Discrete, Poisson};
+        // Without electronic noise the count can be read off the line integral; 0 counts are half a count by the floor.
+        let (photons, values) = (20.0, [0.4_f32, 1.3, 2.6]);
+        let noisy = Noise::relative(photons, 0.0).physical().apply(&flat(values), 11).unwrap();
+        for (view, value) in values.into_iter().enumerate() {
+            let expected = photons * exp(-f64::from(value));
+            let model = Poisson::new(expected).unwrap();
+            // Counts of 20 and more cannot be told apart, as line integrals are not negative.
+            let mut found = [0.0; 20];
+            let mut total = 0.0;
+            for &p in noisy.image(view) {
+                let count = photons * exp(-f64::from(p));
+                if count < 19.5 {
+                    found[if count < 0.75 { 0 } else { count.round() as usize }] += 1.0;
+                }
+                total += 1.0;
+            }
+            let cells: Vec<(f64, f64)> = (0..20).map(|k| (found[k], total * model.pmf(k as u64))).collect();
+            let usable: Vec<_> = cells.into_iter().filter(|(_, expected)| *expected > 10.0).collect();
+            let statistic: f64 =
+                usable.iter().map(|(found, expected)| (found - expected) * (found - expected) / expected).sum();
+            let limit = ChiSquared::new(usable.len() as f64).unwrap().inverse_cdf(0.999);
+            assert!(usable.len() > 7 && statistic < limit, "view {view}: {statistic}, limit {limit}");
         }
     }
 
@@ -198,7 +264,7 @@ mod tests {
 
     #[test]
     fn readings_without_photons_stay_finite_and_results_stay_positive() {
-        let noisy = Noise::Counts { photons: 3.0, sigma: 5.0 }.apply(&flat([0.0, 0.5, 4.0]), 1).unwrap();
+        let noisy = Noise::relative(3.0, 5.0).apply(&flat([0.0, 0.5, 4.0]), 1).unwrap();
         let largest = (-log(FLOOR / 3.0) * 4.0) as f32;
         assert!(noisy.images.iter().all(|&p| (0.0..=largest).contains(&p)));
         assert!(noisy.images.iter().any(|&p| p == largest) && noisy.images.iter().any(|&p| p == 0.0));
@@ -219,8 +285,11 @@ mod tests {
             assert_eq!(noise.to_string(), name);
         }
         let custom: Noise = "1e5, 2.5".parse().unwrap();
-        assert_eq!(custom, Noise::Counts { photons: 1e5, sigma: 2.5 });
+        assert_eq!(custom, Noise::relative(1e5, 2.5));
         assert_eq!(custom.to_string().parse::<Noise>().unwrap(), custom);
+        let physical: Noise = "low,physical".parse().unwrap();
+        assert_eq!(physical, Noise::LOW.physical());
+        assert_eq!(physical.to_string().parse::<Noise>().unwrap(), physical);
         assert_eq!("100000,10".parse::<Noise>().unwrap().to_string(), "low");
         for bad in ["", "loud", "1e5", "-1,10", "0,1", "1e5,-1", "nan,1", "1,inf"] {
             assert!(bad.parse::<Noise>().unwrap_err().to_string().contains("I0,SIGMA"), "{bad}");

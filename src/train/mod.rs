@@ -17,7 +17,7 @@ mod views;
 pub use record::Record;
 pub use state::{Checkpoint, Checkpoints};
 
-use crate::classical::fdk::{Window, fdk};
+use crate::classical::fdk::{Turn, Window, fdk};
 use crate::confidence::{Coverage, nu_loss, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
 use crate::density::{adc, ar};
@@ -84,7 +84,7 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
     let start = &config.initialisation;
     let points = match start.from {
         Start::Fdk => {
-            let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak)?;
+            let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak, Turn::Full)?;
             initialisation::bright_voxels(&volume, start.threshold, config.model.points, config.seed)?
         }
         Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
@@ -173,7 +173,6 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             trainer.find_targets();
         } else {
             trainer.refresh_confidence();
-            trainer.start_at_targets();
         }
         Ok(trainer)
     }
@@ -352,15 +351,6 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let settings = self.config.confidence.settings();
         let target = |&c: &f64| nu_target(c, &settings, self.activation.nu);
         self.targets = self.state.confidence.iter().map(target).collect();
-    }
-
-    /// Lets every ν start at its target.
-    fn start_at_targets(&mut self) {
-        if self.config.confidence.enabled {
-            let mut physical = self.activation.forward(&self.state.raw).parameters;
-            physical.nu.copy_from_slice(&self.targets);
-            self.state.raw.nu = self.activation.inverse(&physical).nu;
-        }
     }
 
     /// The means since the last record.

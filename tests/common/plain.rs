@@ -117,6 +117,12 @@ macro_rules! plain {
             fn to_f64(self) -> f64 {
                 self.0.into()
             }
+            fn from_index(index: usize) -> Self {
+                Self(index as $scalar)
+            }
+            fn to_index(self) -> usize {
+                self.0 as usize
+            }
             fn sqrt(self) -> Self {
                 Self(self.0.sqrt())
             }

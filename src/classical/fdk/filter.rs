@@ -1,5 +1,6 @@
 //! Weights and the ramp filter.
 
+use super::redundancy::RayWeights;
 use super::{Filtered, Sample, Window};
 use crate::numeric::elementary::cos;
 use crate::numeric::{Real, real, threads};
@@ -12,18 +13,16 @@ use std::sync::Arc;
 
 impl<R: Sample> Filtered<R> {
     /// Weighted and filtered projections of the scanner's size.
-    pub(super) fn new(scanner: &Scanner, angles: &[f64], images: ArrayView3<'_, R>, window: Window) -> Self {
+    pub(super) fn new(scanner: &Scanner, weights: &RayWeights, images: ArrayView3<'_, R>, window: Window) -> Self {
         let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
         let ramp = Ramp::new(columns, window);
-        // On the full turn of a cone beam every ray is measured about twice, hence the half.
-        let (turn, share, magnification) = match scanner.beam {
-            Beam::Cone { dso, dsd } => (TAU, 0.5, dsd / dso),
-            Beam::Parallel { .. } => (PI, 1.0, 1.0),
+        let magnification = match scanner.beam {
+            Beam::Cone { dso, dsd } => dsd / dso,
+            Beam::Parallel { .. } => 1.0,
         };
-        let weights = angular_weights(angles, turn);
         let mut values = vec![R::ZERO; images.len()];
         threads::for_each_chunk(&mut values, rows * columns, |view, out| {
-            let scale = share * weights[view] * magnification / scanner.detector.pitch_u;
+            let scale = |column| weights.at(view, column) * magnification / scanner.detector.pitch_u;
             let image = images.index_axis(Axis(0), view);
             let weighted = |row: usize, column: usize| {
                 let (u, v) = scanner.detector.position(row as f64, column as f64);
@@ -31,7 +30,7 @@ impl<R: Sample> Filtered<R> {
                     Beam::Cone { dsd, .. } => dsd / (dsd * dsd + u * u + v * v).sqrt(),
                     Beam::Parallel { .. } => 1.0,
                 };
-                real(Real::to_f64(image[[row, column]]) * cosine * scale)
+                real(Real::to_f64(image[[row, column]]) * cosine * scale(column))
             };
             let mut buffer = vec![Complex::default(); ramp.response.len()];
             let mut scratch = vec![Complex::default(); ramp.scratch()];
@@ -53,25 +52,6 @@ impl<R: Sample> Filtered<R> {
         });
         Self { values, rows, columns }
     }
-}
-
-/// The angle each view stands for: half the distance between its neighbours on a circle of circumference `turn`.
-/// They add up to `turn`.
-fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {
-    let n = angles.len();
-    let mut order: Vec<(f64, usize)> =
-        angles.iter().enumerate().map(|(i, angle)| (angle.rem_euclid(turn), i)).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut weights = vec![turn; n];
-    if n > 1 {
-        for (k, &(angle, view)) in order.iter().enumerate() {
-            let next = if k + 1 < n { order[k + 1].0 } else { order[0].0 + turn };
-            let before = if k > 0 { order[k - 1].0 } else { order[n - 1].0 - turn };
-            weights[view] = (next - before) / 2.0;
-            debug_assert!(before <= angle && angle <= next);
-        }
-    }
-    weights
 }
 
 /// The ramp filter along rows, in the frequency domain.
@@ -137,13 +117,6 @@ mod tests {
                 (f64::from(value.re) - expected).abs() < 1e-7 && (f64::from(value.im) + 2.0 * expected).abs() < 1e-7
             );
         }
-    }
-
-    #[test]
-    fn views_are_weighted_by_half_the_distance_of_their_neighbours() {
-        let weights = angular_weights(&[1.0, 1.0 + TAU, 4.0], TAU);
-        assert!((weights.iter().sum::<f64>() - TAU).abs() < 1e-14 && (weights[2] - PI).abs() < 1e-14, "{weights:?}");
-        assert_eq!(angular_weights(&[3.0], TAU), [TAU]);
     }
 
     #[test]

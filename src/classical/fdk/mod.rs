@@ -10,20 +10,25 @@
 //! where h is the ramp filter along the rows, on a detector scaled back to the rotation axis, and the projections are
 //! read bilinearly and as 0 beyond the detector. In a parallel beam both weights are 1. Δφ is half the distance between
 //! the two neighbours of a view, so the views of a full turn may be uneven. A parallel view shows what its opposite
-//! does: there half a turn is enough. A cone beam needs the full turn. Nothing is clipped: values may be negative.
+//! does: there half a turn is enough. Short scans of a cone beam and displaced detectors: [`Turn`]. Nothing is clipped:
+//! values may be negative.
 
 mod backproject;
 mod filter;
+mod redundancy;
 
 use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
 use crate::scene::{Projections, Scanner, Volume};
 use ndarray::{Array3, ArrayView3};
+use redundancy::RayWeights;
 use rustfft::FftNum;
+use serde::{Deserialize, Serialize};
 
 /// What the ramp filter is multiplied with to damp noise; ω is the frequency, π at the finest one of the detector.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Window {
     /// 1: the ramp filter of Ramachandran and Lakshminarayanan.
     #[default]
@@ -61,19 +66,35 @@ impl Window {
     }
 }
 
+/// What the views are taken to cover.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Turn {
+    /// What their angles say: a full turn, or an arc of at least half a turn and the fan, weighted by `[Parker82]`. A
+    /// detector that is displaced on a full turn is weighted by `[Wang02]`.
+    #[default]
+    Measured,
+    /// A full turn of a centred detector, whatever is missing: for a first guess from any scan.
+    Full,
+}
+
 /// Reconstructs the scanner's grid `[FDK84]`, or exactly by filtered backprojection for parallel rays.
 ///
 /// Accuracy: values are f32. From 180 exact views of a ball the mean inside is off by 0.17 % in a cone beam, where the
 /// method itself is an approximation away from the plane of the source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
-/// When the scanner cannot work or the projections do not have its detector's size.
+/// When the scanner cannot work, the projections do not have its detector's size, or the views cover too short an arc.
 ///
 /// Tests: known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
-pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window) -> Result<Volume> {
+pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
     let (angles, images) = (&projections.angles, projections.images.view());
     check(scanner, angles, images.shape())?;
-    let volume = Filtered::new(scanner, angles, images, window).backproject(scanner, angles);
+    let weights = RayWeights::new(scanner, angles, turn)?;
+    let volume = match weights.widen(scanner, images) {
+        Some((wide, images)) => Filtered::new(&wide, &weights, images.view(), window).backproject(&wide, angles),
+        None => Filtered::new(scanner, &weights, images, window).backproject(scanner, angles),
+    };
     Volume::new(scanner.grid, volume)
 }
 
@@ -104,7 +125,8 @@ pub fn filter<R: Sample>(
     window: Window,
 ) -> Result<Array3<R>> {
     check(scanner, angles, projections.shape())?;
-    Ok(Filtered::new(scanner, angles, projections, window).images())
+    let weights = RayWeights::new(scanner, angles, Turn::Full)?;
+    Ok(Filtered::new(scanner, &weights, projections, window).images())
 }
 
 /// The weighted sum of the views at every voxel: `f(x) = Σ_views (dso/d)² · g(u, v)` `[FDK84]`, with weight 1 in a
@@ -200,7 +222,7 @@ mod tests {
 
     fn assert_ball(scanner: &Scanner, angles: &[f64], tolerance: f64) {
         let projections = ball().project(scanner, angles).unwrap();
-        let (inside, outside) = means(&fdk(scanner, &projections, Window::RamLak).unwrap());
+        let (inside, outside) = means(&fdk(scanner, &projections, Window::RamLak, Turn::Measured).unwrap());
         assert!((inside / 0.6 - 1.0).abs() < tolerance && outside.abs() < 0.01, "inside {inside}, outside {outside}");
     }
 
@@ -228,6 +250,35 @@ mod tests {
     }
 
     #[test]
+    fn a_short_scan_is_as_good_as_a_full_turn() {
+        let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
+        // Half a turn and a fan of 2·asin(1/5), 23°; then more.
+        for span in [3.56, 4.4, 5.5] {
+            assert_ball(&scanner, &Scanner::uniform_angles(150, 0.9, span), 0.01);
+        }
+        let short = Scanner::uniform_angles(150, 0.9, 3.4);
+        let projections = ball().project(&scanner, &short).unwrap();
+        let refused = fdk(&scanner, &projections, Window::RamLak, Turn::Measured).unwrap_err().to_string();
+        assert!(refused.contains("arc of the views: got 194.8"), "{refused}");
+        fdk(&scanner, &projections, Window::RamLak, Turn::Full).unwrap();
+    }
+
+    #[test]
+    fn a_displaced_detector_is_as_good_as_a_centred_one() {
+        // The ball reaches 0.75 from the axis, its shadow 1.06; one side of the detector ends at 0.4.
+        for beam in [Beam::Cone { dso: 5.0, dsd: 7.0 }, Beam::Parallel { dso: 5.0 }] {
+            for side in [1.0, -1.0] {
+                let mut scanner = scanner(beam);
+                (scanner.detector.columns, scanner.detector.offset_u) = (66, side * 0.59);
+                assert_ball(&scanner, &turn(180), 0.01);
+                let projections = ball().project(&scanner, &turn(180)).unwrap();
+                let (inside, _) = means(&fdk(&scanner, &projections, Window::RamLak, Turn::Full).unwrap());
+                assert!((inside / 0.6 - 1.0).abs() > 0.02, "weights make no difference: {inside}");
+            }
+        }
+    }
+
+    #[test]
     fn uneven_views_are_weighted_by_the_angle_they_stand_for() {
         let uneven: Vec<f64> = turn(180).into_iter().map(|a| a + 0.7 * sin(a)).rev().collect();
         assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &uneven, 0.01);
@@ -239,7 +290,7 @@ mod tests {
         let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
         let noisy = crate::scene::Noise::HIGH.apply(&ball().project(&scanner, &turn(60)).unwrap(), 1).unwrap();
         let roughness = |window: Window| {
-            let volume = fdk(&scanner, &noisy, window).unwrap();
+            let volume = fdk(&scanner, &noisy, window, Turn::Measured).unwrap();
             let (inside, _) = means(&volume);
             assert!((inside / 0.6 - 1.0).abs() < 0.015, "{window:?}: {inside}");
             volume.values.var(0.0)
@@ -256,7 +307,7 @@ mod tests {
             let (angles, images) = (&projections.angles, projections.images.view());
             let filtered = filter(&scanner, angles, images, Window::Hann).unwrap();
             let both = backproject(&scanner, angles, filtered.view()).unwrap();
-            assert_eq!(both, fdk(&scanner, &projections, Window::Hann).unwrap().values);
+            assert_eq!(both, fdk(&scanner, &projections, Window::Hann, Turn::Measured).unwrap().values);
         }
     }
 
@@ -264,7 +315,7 @@ mod tests {
     fn the_number_of_threads_changes_no_bit() {
         let scanner = scanner(Beam::Parallel { dso: 5.0 });
         let projections = ball().project(&scanner, &turn(12)).unwrap();
-        let run = || fdk(&scanner, &projections, Window::Hann).unwrap();
+        let run = || fdk(&scanner, &projections, Window::Hann, Turn::Measured).unwrap();
         assert_eq!(threads::install(1, run).unwrap(), threads::install(3, run).unwrap());
     }
 
@@ -273,7 +324,7 @@ mod tests {
         let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
         let other = Projections::new(vec![0.0], Array3::zeros((1, 110, 96))).unwrap();
         for refused in [
-            fdk(&scanner, &other, Window::RamLak).unwrap_err(),
+            fdk(&scanner, &other, Window::RamLak, Turn::Measured).unwrap_err(),
             filter(&scanner, &other.angles, other.images.view(), Window::RamLak).unwrap_err(),
             backproject(&scanner, &other.angles, other.images.view()).unwrap_err(),
         ] {

@@ -3,11 +3,14 @@
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use crate::scene::geometry::{Beam, Detector, Grid, Scanner};
-use crate::scene::noise::Noise;
+use crate::scene::noise::{Attenuation, Noise};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::Path;
+
+/// The value of `noise_model` for Beer and Lambert's law.
+const PHYSICAL: &str = "physical";
 
 /// Relative deviation from `s = n·d` that is taken for rounding to a few digits.
 const ROUNDED: f64 = 1e-3;
@@ -98,6 +101,9 @@ pub(super) struct ScannerMeta {
     /// `[mean, standard deviation]` in counts.
     #[serde(default)]
     gaussian_noise: Value,
+    /// `physical` where photons follow Beer and Lambert's law; absent for TIGRE's noise. This project's own key.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    noise_model: Option<String>,
     /// Window of the ramp filter, or null.
     #[serde(default)]
     filter: Option<String>,
@@ -170,9 +176,11 @@ impl ScannerMeta {
         let first = angles.first().copied().unwrap_or(0.0);
         let gap = angles.get(1).map_or(0.0, |second| second - first);
         let uniform = gap > 0.0 && angles.windows(2).all(|pair| (pair[1] - pair[0] - gap).abs() < 1e-9);
-        let (noisy, photons, sigma) = match noise {
-            Noise::None => (false, 0.0, 0.0),
-            Noise::Counts { photons, sigma } => (true, photons, sigma),
+        let (noisy, photons, sigma, model) = match noise {
+            Noise::None => (false, 0.0, 0.0, None),
+            Noise::Counts { photons, sigma, attenuation } => {
+                (true, photons, sigma, (attenuation == Attenuation::Physical).then(|| PHYSICAL.into()))
+            }
         };
         Self {
             mode: mode.into(),
@@ -192,11 +200,13 @@ impl ScannerMeta {
             noise: noisy.into(),
             possion_noise: photons.into(),
             gaussian_noise: vec![0.0, sigma].into(),
+            noise_model: model,
             filter: None,
         }
     }
 
-    fn interpret(&self) -> Result<Interpreted> {
+    /// The scanner in scene units, checked.
+    pub(super) fn interpret(&self) -> Result<Interpreted> {
         let mut oddities = Vec::new();
         let n_detector = counts("nDetector", &self.n_detector)?;
         let n_voxel = counts("nVoxel", &self.n_voxel)?;
@@ -253,7 +263,10 @@ impl ScannerMeta {
     fn noise(&self) -> Noise {
         let number = |value: &Value| value.as_f64().filter(|number| *number >= 0.0);
         match (self.noise.as_bool(), number(&self.possion_noise), self.gaussian_noise.get(1).and_then(number)) {
-            (Some(true), Some(photons), Some(sigma)) if photons > 0.0 => Noise::Counts { photons, sigma },
+            (Some(true), Some(photons), Some(sigma)) if photons > 0.0 => {
+                let noise = Noise::relative(photons, sigma);
+                if self.noise_model.as_deref() == Some(PHYSICAL) { noise.physical() } else { noise }
+            }
             _ => Noise::None,
         }
     }

@@ -11,8 +11,18 @@
 //! Lengths may have any one unit. On reading they are multiplied by `scale = 2/max(sVoxel)`, which makes the longest
 //! side of the volume 2, and so are the projections. The volume is not: densities stay what they are per unit of the
 //! file. Initial points are in scene units already. Writing is in scene units, where the scale is 1.
+//!
+//! A scan may also be the one file of NAF and SAX-NeRF, a pickle that no code is run from:
+//!
+//! ```text
+//! DSD, DSO, nDetector, dDetector, …  scanner, in millimetres; pixel and voxel sizes instead of the whole ones
+//! image                              true volume [x, y, z], density per metre
+//! train, val (or test)               angles in radians and projections [view, v, u], row 0 on top
+//! ```
 
 mod meta;
+mod naf;
+mod pickle;
 
 use super::arrays::{Projections, Volume};
 use super::geometry::Scanner;
@@ -55,6 +65,9 @@ pub struct Dataset {
 /// # Errors
 /// [`Error::Read`] or [`Error::Format`].
 pub fn read_scanner(path: &Path) -> Result<Scanner> {
+    if naf::is_pickle(path) {
+        return Ok(naf::read(path)?.scanner);
+    }
     let path = meta_path(path);
     Ok(Meta::read(&path)?.interpret(&path)?.scanner)
 }
@@ -65,12 +78,15 @@ pub(crate) fn parse_scanner(text: &[u8], path: &Path) -> Result<Scanner> {
 }
 
 impl Dataset {
-    /// Reads a dataset; `path` is the folder or its `meta_data.json`.
+    /// Reads a dataset; `path` is the folder, its `meta_data.json`, or a `.pickle` of NAF.
     ///
     /// # Errors
     /// [`Error::Read`] or [`Error::Format`] for the first file that is missing, damaged or does not fit the scanner, and
     /// for values that are not finite.
     pub fn read(path: &Path) -> Result<Self> {
+        if naf::is_pickle(path) {
+            return naf::read(path);
+        }
         let meta_path = meta_path(path);
         let meta = Meta::read(&meta_path)?;
         let meta::Interpreted { scanner, scale, noise, mut oddities } = meta.interpret(&meta_path)?;

@@ -1,0 +1,98 @@
+//! ASD-POCS: SART, and descent of the total variation as long as SART's step. Not in the paper, which compares with it.
+
+use super::sart::Sweeps;
+use super::{Counter, Observe, SartSettings, System, add_scaled, dot, norm, total_variation};
+use crate::classical::{Turn, VoxelProjector, Window, fdk};
+use crate::error::Result;
+use crate::numeric::{Real, real};
+use crate::scene::{Projections, Volume};
+
+/// What ASD-POCS is told `[SP08]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AsdPocsSettings {
+    /// SART's part of an iteration; its iterations are those of ASD-POCS, its reduction the factor on β.
+    pub sart: SartSettings,
+    /// Steps down the total variation per iteration.
+    pub tv_steps: usize,
+    /// α: the first step of the descent, as a fraction of SART's.
+    pub alpha: f64,
+    /// Factor on α when the descent undoes too much of what SART did.
+    pub alpha_reduction: f64,
+    /// The fraction of SART's step from which on that is too much.
+    pub r_max: f64,
+    /// Residual that is good enough, as a fraction of that of FDK.
+    pub epsilon: f64,
+}
+
+impl Default for AsdPocsSettings {
+    fn default() -> Self {
+        let sart = SartSettings { iterations: 10, reduction: 0.9999, ..SartSettings::default() };
+        Self { sart, tv_steps: 20, alpha: 0.002, alpha_reduction: 0.95, r_max: 0.94, epsilon: 0.15 }
+    }
+}
+
+/// Descent below it ends the reconstruction: β has fallen to nothing.
+const LEAST_BETA: f64 = 0.005;
+/// SART and the descent pull against each other: nothing will change any more.
+const OPPOSITE: f64 = -0.99;
+
+/// The volume from zeros `[SP08]`; ends early when the residual is good enough and SART and descent are opposite.
+///
+/// β, which counts down to the end, falls by SART's reduction with every iteration, and its relaxation with it unless that
+/// is constant.
+///
+/// # Errors
+/// As [`super::sart()`].
+///
+/// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`.
+pub fn asd_pocs<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &AsdPocsSettings,
+    observe: &mut Observe<'_>,
+) -> Result<Volume> {
+    let system = System::<R>::new(projector, projections)?;
+    let sweeps = Sweeps::new(&system, &settings.sart)?;
+    let shape = projector.scanner().grid.shape;
+    let first_guess: Vec<R> = {
+        let volume = fdk(projector.scanner(), projections, Window::RamLak, Turn::Full)?;
+        volume.values.iter().map(|&value| real(f64::from(value))).collect()
+    };
+    let enough = settings.epsilon * norm(&system.residual(&first_guess)?);
+    let mut counter = Counter::new(settings.sart.iterations, observe);
+    let (mut x, mut relaxation, mut step) = (system.empty(), settings.sart.relaxation, None);
+    let mut beta = 1.0;
+    for iteration in 1..=settings.sart.iterations {
+        let before = x.clone();
+        sweeps.pass(&mut x, relaxation);
+        let residual = norm(&system.residual(&x)?);
+        let by_sart = difference(&x, &before);
+        let sart_step = norm(&by_sart);
+        let length = step.unwrap_or(settings.alpha * sart_step);
+
+        let before = x.clone();
+        for _ in 0..settings.tv_steps {
+            let direction = total_variation::gradient(&x, shape);
+            let size = norm(&direction);
+            if size > 0.0 {
+                add_scaled(&mut x, -length / size, &direction);
+            }
+        }
+        let by_descent = difference(&x, &before);
+        let descent = norm(&by_descent);
+        let undoes = descent > settings.r_max * sart_step && residual > enough;
+        step = Some(if undoes { length * settings.alpha_reduction } else { length });
+        beta *= settings.sart.reduction;
+        relaxation *= settings.sart.factor();
+        counter.done(iteration, residual)?;
+        let cosine = dot(&by_descent, &by_sart) / (descent * sart_step).max(1e-6);
+        if cosine < OPPOSITE && residual <= enough || beta < LEAST_BETA {
+            break;
+        }
+    }
+    system.volume(x)
+}
+
+fn difference<R: Real>(a: &[R], b: &[R]) -> Vec<R> {
+    a.iter().zip(b).map(|(&a, &b)| a - b).collect()
+}

@@ -1,0 +1,57 @@
+//! Conjugate gradients on the normal equations. Not in the paper.
+
+use super::{Counter, Observe, System, add_scaled, dot, norm};
+use crate::classical::VoxelProjector;
+use crate::error::Result;
+use crate::numeric::{Real, real};
+use crate::scene::{Projections, Volume};
+
+/// The volume with the least `‖A x - p‖` in the Krylov space of so many dimensions, from zeros `[HS52]`.
+///
+/// Few iterations smooth, many fit the noise. Values may be negative. The residual never grows, and the iteration ends
+/// early when there is no direction left.
+///
+/// # Errors
+/// As [`super::sart()`].
+///
+/// Tests: `consistent_data_are_solved`, `the_residual_of_cgls_never_grows`, `the_number_of_threads_changes_no_bit`.
+pub fn cgls<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    iterations: usize,
+    observe: &mut Observe<'_>,
+) -> Result<Volume> {
+    let system = System::<R>::new(projector, projections)?;
+    let views = projector.views(system.angles)?;
+    let adjoint = |values: &[R]| {
+        let pairs: Vec<[R; 1]> = values.iter().map(|&value| [value]).collect();
+        let mut out = system.empty();
+        projector.adjoin(&views, &pairs, &mut out, |out, [value]| *out = value);
+        out
+    };
+    let mut counter = Counter::new(iterations, observe);
+    let mut x = system.empty();
+    let mut residual = system.measured.clone();
+    let mut direction = adjoint(&residual);
+    let mut gamma = dot(&direction, &direction);
+    for iteration in 1..=iterations {
+        let image = projector.project(&views, &direction).values;
+        let size = dot(&image, &image);
+        if size == 0.0 {
+            break;
+        }
+        let step = gamma / size;
+        add_scaled(&mut x, step, &direction);
+        add_scaled(&mut residual, -step, &image);
+        counter.done(iteration, norm(&residual))?;
+        let gradient = adjoint(&residual);
+        let next = dot(&gradient, &gradient);
+        let factor: R = real(next / gamma);
+        direction
+            .iter_mut()
+            .zip(&gradient)
+            .for_each(|(direction, &gradient)| *direction = gradient + factor * *direction);
+        gamma = next;
+    }
+    system.volume(x)
+}

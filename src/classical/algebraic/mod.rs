@@ -1,0 +1,142 @@
+//! Iterative reconstruction of voxels: A x = p for the matched pair of [`super::voxel_projector`].
+//!
+//! | method | one iteration | source |
+//! |---|---|---|
+//! | [`sart()`] | for each set of views: `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1`, then `x ≥ 0` | `[SART84]`; sets of more than one view: OS-SART |
+//! | [`asd_pocs()`] | one of SART, then steps down the total variation, as long as SART's was | `[SP08]` |
+//! | [`cgls()`] | the best x for `‖A x - p‖` in one more dimension | `[HS52]` on the normal equations |
+//!
+//! All sums of squares run over a tree of fixed shape in f64: the same bits from any number of threads. Not in the paper,
+//! which compares with the first two.
+//!
+//! `[SART84]`: A. H. Andersen, A. C. Kak, *Simultaneous algebraic reconstruction technique*, Ultrason. Imaging 6 (1984) 81.
+//! `[SP08]`: E. Y. Sidky, X. Pan, *Image reconstruction in circular cone-beam computed tomography by constrained,
+//! total-variation minimization*, Phys. Med. Biol. 53 (2008) 4777.
+//! `[HS52]`: M. R. Hestenes, E. Stiefel, *Methods of conjugate gradients*, J. Res. NBS 49 (1952) 409.
+
+mod asd_pocs;
+mod cgls;
+mod order;
+mod sart;
+#[cfg(test)]
+mod tests;
+mod total_variation;
+
+pub use asd_pocs::{AsdPocsSettings, asd_pocs};
+pub use cgls::cgls;
+pub use order::Order;
+pub use sart::{SartSettings, sart};
+
+use super::voxel_projector::{Columns, VoxelProjector};
+use crate::error::{Error, Result};
+use crate::numeric::{Real, real, reduce, threads};
+use crate::scene::{Projections, Volume};
+use ndarray::Array3;
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
+
+/// Elements of a volume that are worked on together where nothing else cuts it.
+const CHUNK: usize = 1 << 16;
+
+/// How far an iterative reconstruction has come.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pass {
+    /// Iterations done.
+    pub iteration: usize,
+    /// Iterations at most.
+    pub iterations: usize,
+    /// `‖A x - p‖`, scene units of length × density; of [`sart()`] each view counts as it was when its turn came.
+    pub residual: f64,
+}
+
+/// Is shown every iteration, and may stop the reconstruction, which is an error then.
+pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
+
+/// What is to be solved.
+struct System<'a, R> {
+    projector: &'a VoxelProjector,
+    angles: &'a [f64],
+    /// p in the order of the projector.
+    measured: Vec<R>,
+    /// Pixels of a view.
+    pixels: usize,
+}
+
+impl<'a, R: Real> System<'a, R> {
+    fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
+        let detector = &projector.scanner().detector;
+        let (got, expected) = (projections.images.dim(), (projections.angles.len(), detector.rows, detector.columns));
+        if got != expected {
+            let remedy = "check nDetector = [v, u]";
+            return Err(Error::invalid("projections", format!("shape {got:?}"), format!("{expected:?}"), remedy));
+        }
+        let measured = Columns::from_images(projections.images.mapv(|value| real(f64::from(value))).view()).values;
+        Ok(Self { projector, angles: &projections.angles, measured, pixels: detector.pixels() })
+    }
+
+    /// Zeros on the grid.
+    fn empty(&self) -> Vec<R> {
+        vec![R::ZERO; self.projector.scanner().grid.voxels()]
+    }
+
+    /// `p - A x`.
+    fn residual(&self, x: &[R]) -> Result<Vec<R>> {
+        let views = self.projector.views(self.angles)?;
+        let mut values = self.projector.project(&views, x).values;
+        values.iter_mut().zip(&self.measured).for_each(|(value, &measured)| *value = measured - *value);
+        Ok(values)
+    }
+
+    fn volume(&self, x: Vec<R>) -> Result<Volume> {
+        let grid = self.projector.scanner().grid;
+        let values = x.into_iter().map(|value| value.to_f64() as f32).collect();
+        Volume::new(grid, Array3::from_shape_vec(grid.shape, values).expect("a value for each voxel"))
+    }
+}
+
+/// Counts iterations and shows them.
+struct Counter<'a, 'b> {
+    observe: &'a mut Observe<'b>,
+    iterations: usize,
+}
+
+impl<'a, 'b> Counter<'a, 'b> {
+    fn new(iterations: usize, observe: &'a mut Observe<'b>) -> Self {
+        Self { observe, iterations }
+    }
+
+    fn done(&mut self, iteration: usize, residual: f64) -> Result<()> {
+        if !residual.is_finite() {
+            return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
+        }
+        match (self.observe)(&Pass { iteration, iterations: self.iterations, residual }) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => {
+                Err(Error::Interrupted { step: iteration, remedy: "nothing was written; start it again".into() })
+            }
+        }
+    }
+}
+
+/// `‖values‖₂`.
+fn norm<R: Real>(values: &[R]) -> f64 {
+    dot(values, values).sqrt()
+}
+
+/// `⟨a, b⟩`.
+fn dot<R: Real>(a: &[R], b: &[R]) -> f64 {
+    let parts = threads::map(a.len().div_ceil(CHUNK), |chunk| {
+        let range = chunk * CHUNK..(chunk * CHUNK + CHUNK).min(a.len());
+        let (a, b) = (&a[range.clone()], &b[range]);
+        reduce::sum_by(a.len(), &|i| a[i].to_f64() * b[i].to_f64())
+    });
+    reduce::sum(&parts)
+}
+
+/// `x ← x + factor·y`.
+fn add_scaled<R: Real>(x: &mut [R], factor: f64, y: &[R]) {
+    let factor: R = real(factor);
+    threads::for_each_chunk(x, CHUNK, |chunk, x| {
+        x.iter_mut().zip(&y[chunk * CHUNK..]).for_each(|(x, &y)| *x += factor * y);
+    });
+}

@@ -1,0 +1,144 @@
+//! SART and OS-SART. Not in the paper, which compares with it.
+
+use super::{CHUNK, Counter, Observe, Order, System};
+use crate::classical::VoxelProjector;
+use crate::error::Result;
+use crate::numeric::{Real, real, reduce, threads};
+use crate::scene::{Projections, View, Volume};
+
+/// What SART and OS-SART are told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SartSettings {
+    /// Passes over all views.
+    pub iterations: usize,
+    /// λ of the first pass.
+    pub relaxation: f64,
+    /// λ is multiplied with it after every pass.
+    pub reduction: f64,
+    /// λ keeps its first value, as in TIGRE, which takes a reduction and does not use it.
+    pub constant_relaxation: bool,
+    /// Views that correct the volume together: 1 is SART, more are OS-SART.
+    pub subset: usize,
+    /// The order of the views, which consecutive ones make the subsets of.
+    pub order: Order,
+    /// Negative values become 0 after every correction.
+    pub non_negative: bool,
+    /// Ends when a pass lowers the residual by less than this fraction; 0: never before the last.
+    pub tolerance: f64,
+    /// All random choices follow from it.
+    pub seed: u64,
+}
+
+impl Default for SartSettings {
+    fn default() -> Self {
+        Self {
+            iterations: 20,
+            relaxation: 1.0,
+            reduction: 0.999,
+            constant_relaxation: false,
+            subset: 1,
+            order: Order::Input,
+            non_negative: true,
+            tolerance: 0.0,
+            seed: 0,
+        }
+    }
+}
+
+impl SartSettings {
+    /// What λ is multiplied with after a pass.
+    pub(super) fn factor(&self) -> f64 {
+        if self.constant_relaxation { 1.0 } else { self.reduction }
+    }
+}
+
+/// The volume from zeros after passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1`, the sums over the rays of a subset `[SART84]`.
+///
+/// Rays that meet less than half a voxel do not count: their weight would be division by next to nothing.
+///
+/// # Errors
+/// When the projections are not the scanner's, values grow beyond all bounds, or `observe` asks to stop.
+///
+/// Tests: `consistent_data_are_solved`, `a_subset_of_all_views_is_the_formula`, `the_number_of_threads_changes_no_bit`.
+pub fn sart<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &SartSettings,
+    observe: &mut Observe<'_>,
+) -> Result<Volume> {
+    let system = System::<R>::new(projector, projections)?;
+    let sweeps = Sweeps::new(&system, settings)?;
+    let mut counter = Counter::new(settings.iterations, observe);
+    let (mut x, mut relaxation, mut before) = (system.empty(), settings.relaxation, f64::INFINITY);
+    for iteration in 1..=settings.iterations {
+        let residual = sweeps.pass(&mut x, relaxation);
+        counter.done(iteration, residual)?;
+        if before - residual < settings.tolerance * before && before.is_finite() {
+            break;
+        }
+        before = residual;
+        relaxation *= settings.factor();
+    }
+    system.volume(x)
+}
+
+/// A pass over all views, one subset after another.
+pub(super) struct Sweeps<'a, R> {
+    system: &'a System<'a, R>,
+    subsets: Vec<Vec<usize>>,
+    views: Vec<View>,
+    /// 1/A1 of every ray, 0 for those that do not count.
+    per_length: Vec<R>,
+    non_negative: bool,
+}
+
+impl<'a, R: Real> Sweeps<'a, R> {
+    pub(super) fn new(system: &'a System<'a, R>, settings: &SartSettings) -> Result<Self> {
+        let views = system.projector.views(system.angles)?;
+        let grid = &system.projector.scanner().grid;
+        let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
+        let least = real(0.5 * grid.spacing.min_element());
+        let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
+        let order = settings.order.of(system.angles, settings.seed);
+        let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
+        Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
+    }
+
+    /// One pass; the residual that its views had when their turn came.
+    pub(super) fn pass(&self, x: &mut [R], relaxation: f64) -> f64 {
+        let relaxation: R = real(relaxation);
+        let squares: Vec<f64> = self.subsets.iter().map(|subset| self.correct(x, relaxation, subset)).collect();
+        reduce::sum(&squares).sqrt()
+    }
+
+    /// Corrects x by a subset of the views; the sum of the squares of their residuals before that.
+    fn correct(&self, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
+        let (projector, pixels) = (self.system.projector, self.system.pixels);
+        let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();
+        let seen = projector.project(&views, x).values;
+        let mut pairs = vec![[R::ZERO; 2]; seen.len()];
+        threads::for_each_chunk(&mut pairs, pixels, |slot, pairs| {
+            let view = subset[slot] * pixels;
+            let (measured, per_length) = (&self.system.measured[view..], &self.per_length[view..]);
+            for (i, (pair, &seen)) in pairs.iter_mut().zip(&seen[slot * pixels..]).enumerate() {
+                let counts = if per_length[i] > R::ZERO { R::ONE } else { R::ZERO };
+                *pair = [(measured[i] - seen) * per_length[i], counts];
+            }
+        });
+        let residual = |i: usize| (self.system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
+        let squares = threads::map(seen.len().div_ceil(CHUNK), |chunk| {
+            let from = chunk * CHUNK;
+            reduce::sum_by(CHUNK.min(seen.len() - from), &|i| residual(from + i) * residual(from + i))
+        });
+        let non_negative = self.non_negative;
+        projector.adjoin(&views, &pairs, x, |x, [correction, weight]| {
+            if weight > R::ZERO {
+                *x += relaxation * (correction / weight);
+            }
+            if non_negative && *x < R::ZERO {
+                *x = R::ZERO;
+            }
+        });
+        reduce::sum(&squares)
+    }
+}

@@ -1,0 +1,128 @@
+//! The rays of one column of the detector: they share a vertical plane, so the way through the grid seen from above is
+//! one for all of them.
+
+use crate::scene::{Beam, Scanner, View};
+use std::ops::Range;
+
+/// The rays through the pixels of one column, in units of voxels: the centre of voxel i has the coordinate i.
+///
+/// A point of ray k, counted from the lowest row, is `(x, y) = origin + s·direction`, `z = height + (low + k·pitch)·m`
+/// with `m = s` in a cone beam, whose rays part from the source, and `m = 1` in a parallel one.
+pub(super) struct Fan {
+    pub(super) origin: [f64; 2],
+    pub(super) direction: [f64; 2],
+    height: f64,
+    low: f64,
+    pitch: f64,
+    is_cone: bool,
+    /// Length of the direction seen from above, and the spacing along z, scene units.
+    horizontal: f64,
+    spacing_z: f64,
+}
+
+/// Where the rays of a fan are at some s: row k at `z = first + k·pitch`.
+#[derive(Clone, Copy)]
+pub(super) struct Level {
+    pub(super) first: f64,
+    pub(super) pitch: f64,
+}
+
+impl Fan {
+    pub(super) fn new(scanner: &Scanner, view: &View, column: usize) -> Self {
+        let (detector, grid) = (&scanner.detector, &scanner.grid);
+        let (u, v_of_lowest) = detector.position((detector.rows - 1) as f64, column as f64);
+        let (source, along) = match scanner.beam {
+            Beam::Cone { dsd, .. } => (view.source, view.u * u + view.w * dsd),
+            Beam::Parallel { .. } => (view.source + view.u * u, view.w),
+        };
+        let origin = (source - grid.min) / grid.spacing - 0.5;
+        let direction = along / grid.spacing;
+        Self {
+            origin: [origin.x, origin.y],
+            direction: [direction.x, direction.y],
+            height: origin.z,
+            // v points down.
+            low: -v_of_lowest / grid.spacing.z,
+            pitch: detector.pitch_v / grid.spacing.z,
+            is_cone: matches!(scanner.beam, Beam::Cone { .. }),
+            horizontal: along.length(),
+            spacing_z: grid.spacing.z,
+        }
+    }
+
+    /// 0 if the rays run closer to x than to y, else 1.
+    pub(super) fn main_axis(&self) -> usize {
+        usize::from(self.direction[0].abs() < self.direction[1].abs())
+    }
+
+    /// Voxels that ray k rises while s grows by 1.
+    pub(super) fn slope(&self, k: usize) -> f64 {
+        if self.is_cone { self.low + k as f64 * self.pitch } else { 0.0 }
+    }
+
+    /// Where the rays are at s.
+    pub(super) fn level(&self, s: f64) -> Level {
+        let m = if self.is_cone { s } else { 1.0 };
+        Level { first: self.height + self.low * m, pitch: self.pitch * m }
+    }
+
+    /// The s at which ray k has the height z; `None` if it stays at its height.
+    pub(super) fn crossing(&self, k: usize, z: f64) -> Option<f64> {
+        let slope = self.slope(k);
+        (slope != 0.0).then(|| (z - self.height) / slope)
+    }
+
+    /// Scene units of length that ray k runs while s grows by 1.
+    pub(super) fn length(&self, k: usize) -> f64 {
+        let rise = self.slope(k) * self.spacing_z;
+        (self.horizontal * self.horizontal + rise * rise).sqrt()
+    }
+
+    /// The rays, of `rows`, that rise at most one voxel while they pass one along the main axis.
+    pub(super) fn shallow(&self, rows: usize) -> Range<usize> {
+        let steepest = self.direction[self.main_axis()].abs();
+        let is_shallow = |k: &usize| self.slope(*k).abs() <= steepest;
+        // Slopes grow with k, so what lies between two shallow rays is shallow.
+        let first = (0..rows).find(is_shallow).unwrap_or(rows);
+        let last = (first..rows).rev().find(is_shallow);
+        first..last.map_or(first, |last| last + 1)
+    }
+
+    /// The part of s where the rays, seen from above, are within `low < coordinate < high` on both axes.
+    pub(super) fn within(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
+        // The grid lies in front of the source of a cone beam.
+        let mut part = (if self.is_cone { 0.0 } else { f64::NEG_INFINITY }, f64::INFINITY);
+        for axis in 0..2 {
+            let (origin, direction) = (self.origin[axis], self.direction[axis]);
+            if direction == 0.0 {
+                if !(low[axis] < origin && origin < high[axis]) {
+                    return None;
+                }
+            } else {
+                let (a, b) = ((low[axis] - origin) / direction, (high[axis] - origin) / direction);
+                part = (part.0.max(a.min(b)), part.1.min(a.max(b)));
+            }
+        }
+        (part.0 < part.1).then_some(part)
+    }
+}
+
+impl Level {
+    /// The rows of `rows` with `low < height < high`.
+    pub(super) fn rows_within(&self, rows: &Range<usize>, low: f64, high: f64) -> Range<usize> {
+        let (from, to) = ((low - self.first) / self.pitch, (high - self.first) / self.pitch);
+        let clamped = |k: f64| k.clamp(rows.start as f64, rows.end as f64) as usize;
+        let (mut start, mut end) = (clamped(from.floor()), clamped(to.ceil() + 1.0));
+        while start < end && self.at(start) <= low {
+            start += 1;
+        }
+        while start < end && self.at(end - 1) >= high {
+            end -= 1;
+        }
+        start..end
+    }
+
+    pub(super) fn at(&self, k: usize) -> f64 {
+        self.first + k as f64 * self.pitch
+    }
+}

@@ -1,0 +1,216 @@
+//! Projections of a volume of voxels and their adjoint: `A x`, and `Aᵀ y` with the same weights.
+//!
+//! ```text
+//! (A x)_i = Σ_j a_ij x_j        a_ij: what ray i, through the centre of a pixel, weighs voxel j with, scene units of length
+//! (Aᵀ y)_j = Σ_i a_ij y_i
+//! ```
+//!
+//! | model | a_ij |
+//! |---|---|
+//! | [`RayModel::Siddon`] `[Siddon85]` | length of the ray in the voxel: exact for a density that is constant in each voxel |
+//! | [`RayModel::Joseph`] `[Joseph82]` | planes of voxel centres perpendicular to the axis that the ray is closest to (in voxels), bilinear in them, zero around the volume |
+//!
+//! Rays are the scanner's, cone or parallel, with all offsets, for voxels and pixels of any shape and views at any angles.
+//! Each voxel adds what it gets in the order of views, columns and rows, whoever computes it: no atomics, and the number
+//! of threads changes no bit. Not in the paper, which compares with methods that rest on such a projector.
+//!
+//! `[Siddon85]`: R. L. Siddon, *Fast calculation of the exact radiological path*, Med. Phys. 12 (1985) 252.
+//! `[Joseph82]`: P. M. Joseph, *An improved algorithm for reprojecting rays through pixel images*, IEEE TMI 1 (1982) 192.
+
+mod fan;
+mod joseph;
+pub mod naive;
+mod siddon;
+#[cfg(test)]
+mod tests;
+
+use crate::error::{Error, Result};
+use crate::numeric::{Real, real, threads};
+use crate::scene::{Scanner, View};
+use fan::Fan;
+use joseph::{Scratch, Slab};
+use ndarray::{Array3, ArrayView3, Axis};
+use serde::{Deserialize, Serialize};
+
+/// Columns that are projected by one piece of work: neighbours meet the same voxels.
+const COLUMNS: usize = 8;
+/// Slices in x that get what they get from one piece of work.
+const SLICES: usize = 8;
+
+/// How a ray weighs the voxels on its way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RayModel {
+    /// Bilinear interpolation in planes of voxel centres: smooth, and the faster of both.
+    #[default]
+    Joseph,
+    /// The length of the ray in each voxel.
+    Siddon,
+}
+
+/// The linear map from the voxels of a scanner's grid to the pixels of its detector.
+#[derive(Clone, Copy, Debug)]
+pub struct VoxelProjector {
+    scanner: Scanner,
+    model: RayModel,
+}
+
+/// Images of some views in the order of the work: `[view][column][row from below]`.
+pub(super) struct Columns<T> {
+    pub(super) values: Vec<T>,
+    rows: usize,
+    columns: usize,
+}
+
+impl<T: Copy> Columns<T> {
+    /// From `[view, v, u]`.
+    pub(super) fn from_images(images: ArrayView3<'_, T>) -> Self {
+        let (_, rows, columns) = images.dim();
+        let mut upwards = images.permuted_axes([0, 2, 1]);
+        upwards.invert_axis(Axis(2));
+        Self { values: upwards.iter().copied().collect(), rows, columns }
+    }
+
+    /// To `[view, v, u]`.
+    pub(super) fn images(&self) -> Array3<T> {
+        let (rows, columns) = (self.rows, self.columns);
+        Array3::from_shape_fn((self.values.len() / (rows * columns), rows, columns), |(view, row, column)| {
+            self.values[(view * columns + column) * rows + rows - 1 - row]
+        })
+    }
+}
+
+impl VoxelProjector {
+    /// The projector of a scanner.
+    ///
+    /// # Errors
+    /// When the scanner cannot work.
+    pub fn new(scanner: &Scanner, model: RayModel) -> Result<Self> {
+        scanner.validate()?;
+        Ok(Self { scanner: *scanner, model })
+    }
+
+    /// `A x`: line integrals `[view, v, u]`, scene units of length × density, of a `volume` `[x, y, z]` at `angles`
+    /// (radians).
+    ///
+    /// Accuracy: f64 1e-13 of the largest value against [`naive`]; f32 1e-6.
+    ///
+    /// # Errors
+    /// When the volume does not have the grid's shape, or there is no angle.
+    ///
+    /// Tests: `fast_rays_are_the_naive_ones`, `the_adjoint_is_the_transpose`.
+    pub fn forward<R: Real>(&self, angles: &[f64], volume: ArrayView3<'_, R>) -> Result<Array3<R>> {
+        check("volume", volume.shape(), &self.scanner.grid.shape, "check nVoxel and the order of the axes")?;
+        let views = self.views(angles)?;
+        let volume = volume.as_standard_layout();
+        Ok(self.project(&views, volume.as_slice().expect("standard layout")).images())
+    }
+
+    /// `Aᵀ y`: a volume `[x, y, z]` from `projections` `[view, v, u]` at `angles` (radians).
+    ///
+    /// # Errors
+    /// When the projections do not have the detector's shape and a view for each angle, or there is no angle.
+    ///
+    /// Tests: as [`Self::forward`].
+    pub fn adjoint<R: Real>(&self, angles: &[f64], projections: ArrayView3<'_, R>) -> Result<Array3<R>> {
+        let views = self.views(angles)?;
+        let detector = &self.scanner.detector;
+        let expected = [angles.len(), detector.rows, detector.columns];
+        check("projections", projections.shape(), &expected, "check nDetector = [v, u] and the angles")?;
+        let columns = Columns::from_images(projections.mapv(|value| [value]).view());
+        let mut volume = Array3::from_elem(self.scanner.grid.shape, R::ZERO);
+        let values = volume.as_slice_mut().expect("a new array is in C order");
+        self.adjoin(&views, &columns.values, values, |out, [value]| *out = value);
+        Ok(volume)
+    }
+
+    /// What it projects for.
+    pub(super) fn scanner(&self) -> &Scanner {
+        &self.scanner
+    }
+
+    /// The views at `angles`.
+    pub(super) fn views(&self, angles: &[f64]) -> Result<Vec<View>> {
+        if angles.is_empty() || angles.iter().any(|angle| !angle.is_finite()) {
+            return Err(Error::invalid("angles", format!("{angles:?}"), "finite radians, at least one", "check them"));
+        }
+        Ok(angles.iter().map(|&angle| self.scanner.view(angle)).collect())
+    }
+
+    /// `A x` of a volume in the order of its array.
+    pub(super) fn project<R: Real>(&self, views: &[View], volume: &[R]) -> Columns<R> {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let grid = &self.scanner.grid;
+        let slab = Slab { shape: grid.shape, x: 0..grid.shape[0] };
+        let mut values = vec![R::ZERO; views.len() * columns * rows];
+        threads::for_each_chunk(&mut values, COLUMNS * rows, |chunk, values| {
+            let mut profile = Vec::new();
+            for (i, out) in values.chunks_exact_mut(rows).enumerate() {
+                let number = chunk * COLUMNS + i;
+                let fan = Fan::new(&self.scanner, &views[number / columns], number % columns);
+                match self.model {
+                    RayModel::Joseph => {
+                        fan.joseph_forward(volume, &slab, out, &mut profile);
+                        let shallow = fan.shallow(rows);
+                        for k in (0..shallow.start).chain(shallow.end..rows) {
+                            fan.visit_steep(k, &slab, |line, z, weight| {
+                                out[k] += volume[line * grid.shape[2] + z] * real(weight);
+                            });
+                        }
+                    }
+                    RayModel::Siddon => fan.visit_siddon(0..rows, &slab, |line, z, k, length| {
+                        out[k] += volume[line * grid.shape[2] + z] * real(length);
+                    }),
+                }
+            }
+        });
+        Columns { values, rows, columns }
+    }
+
+    /// Gives every voxel of `volume`, in the order of its array, what `Aᵀ y` of N images `[view][column][row from below]`
+    /// says about it.
+    pub(super) fn adjoin<R: Real, const N: usize>(
+        &self,
+        views: &[View],
+        images: &[[R; N]],
+        volume: &mut [R],
+        take: impl Fn(&mut R, [R; N]) + Sync + Send,
+    ) {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let [nx, ny, nz] = self.scanner.grid.shape;
+        threads::for_each_chunk(volume, SLICES * ny * nz, |chunk, volume| {
+            let slab = Slab { shape: [nx, ny, nz], x: chunk * SLICES..(chunk * SLICES + volume.len() / (ny * nz)) };
+            let mut sums = vec![[R::ZERO; N]; volume.len()];
+            let out = &mut sums[..];
+            let mut scratch = Scratch::default();
+            let add = |out: &mut [[R; N]], at: usize, value: [R; N], weight: f64| {
+                let weight: R = real(weight);
+                (0..N).for_each(|n| out[at][n] += value[n] * weight);
+            };
+            for (number, image) in images.chunks_exact(rows).enumerate() {
+                let fan = Fan::new(&self.scanner, &views[number / columns], number % columns);
+                match self.model {
+                    RayModel::Joseph => {
+                        fan.joseph_adjoint(image, &slab, out, &mut scratch);
+                        let shallow = fan.shallow(rows);
+                        for k in (0..shallow.start).chain(shallow.end..rows) {
+                            fan.visit_steep(k, &slab, |line, z, weight| add(out, line * nz + z, image[k], weight));
+                        }
+                    }
+                    RayModel::Siddon => fan.visit_siddon(0..rows, &slab, |line, z, k, length| {
+                        add(out, line * nz + z, image[k], length);
+                    }),
+                }
+            }
+            volume.iter_mut().zip(sums).for_each(|(voxel, sum)| take(voxel, sum));
+        });
+    }
+}
+
+/// Refuses another shape.
+fn check(what: &str, got: &[usize], expected: &[usize], remedy: &str) -> Result<()> {
+    if got == expected {
+        return Ok(());
+    }
+    Err(Error::invalid(what, format!("shape {got:?}"), format!("{expected:?}"), remedy))
+}

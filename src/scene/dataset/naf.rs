@@ -1,0 +1,206 @@
+//! The pickle of NAF and SAX-NeRF: a whole scan in one file.
+//!
+//! Lengths are in millimetres but line integrals in metres times density (an oddity that is the format's), so lengths are
+//! divided by 1000. Rows are stored from the top, as here.
+
+use super::meta::{Interpreted, ScannerMeta};
+use super::pickle::{self, Array, Value};
+use super::{Dataset, check_finite};
+use crate::error::{Error, Result};
+use crate::scene::arrays::{Projections, Volume};
+use crate::scene::geometry::Scanner;
+use crate::scene::noise::Noise;
+use ndarray::Array3;
+use serde_json::json;
+use std::path::Path;
+
+/// Millimetres to metres.
+const METRE: f64 = 1e-3;
+/// Photons of the generator's noise; the file states only the electronic part.
+const PHOTONS: f64 = 1e5;
+
+/// Whether a path is that of a pickle, by its name.
+pub(super) fn is_pickle(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "pickle" || extension == "pkl")
+}
+
+/// Reads a scan from a pickle.
+pub(super) fn read(path: &Path) -> Result<Dataset> {
+    interpret(&pickle::read(path)?, path)
+}
+
+fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
+    let Interpreted { scanner, scale, mut oddities, .. } =
+        scanner_fields(data).and_then(|meta| meta.interpret()).map_err(|error| error.in_file(path))?;
+    let train = data.get("train").ok_or_else(|| missing(path, "train"))?;
+    let train = views(train, "train", &scanner, scale, path)?;
+    let others = ["val", "test"].into_iter().find_map(|key| Some((key, data.get(key)?)));
+    let test = others.map(|(key, part)| views(part, key, &scanner, scale, path)).transpose()?;
+    let truth = match data.get("image") {
+        None | Some(Value::None) => None,
+        Some(image) => {
+            let values = volume(image).ok_or_else(|| missing(path, "image [x, y, z]"))?;
+            check_finite(path, "image", values.view())?;
+            Some(Volume::new(scanner.grid, values).map_err(|error| error.in_file(path))?)
+        }
+    };
+    let sigma = data.get("noise").and_then(Value::number).filter(|sigma| *sigma > 0.0);
+    let noise = sigma.map_or(Noise::None, |sigma| Noise::relative(PHOTONS, sigma));
+    if sigma.is_some() && test.is_some() {
+        oddities.push("the test views have the noise of the training views".into());
+    }
+    let name = path.file_stem().map_or_else(|| "scan".into(), |stem| stem.to_string_lossy().into_owned());
+    Ok(Dataset { name, scanner, scale, noise, train, test, truth, initial_points: None, oddities })
+}
+
+/// The fields of the scanner in metres, with the sizes that the format leaves to be computed.
+fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
+    let numbers = |key: &str, unit: f64| {
+        data.get(key).and_then(Value::numbers).map(|values| values.into_iter().map(|x| x * unit).collect::<Vec<_>>())
+    };
+    let number = |key: &str| data.get(key).and_then(Value::number).map(|x| x * METRE);
+    let size = |count: &str, pitch: &str| {
+        let (counts, pitches) = (numbers(count, 1.0)?, numbers(pitch, METRE)?);
+        Some(counts.iter().zip(&pitches).map(|(n, d)| n * d).collect::<Vec<_>>())
+    };
+    let mode = match data.get("mode") {
+        Some(Value::Text(mode)) => mode.as_str(),
+        _ => "cone",
+    };
+    let fields = json!({
+        "mode": mode,
+        "DSD": number("DSD"),
+        "DSO": number("DSO"),
+        "nDetector": numbers("nDetector", 1.0).unwrap_or_default(),
+        "sDetector": size("nDetector", "dDetector").unwrap_or_default(),
+        "dDetector": numbers("dDetector", METRE),
+        "nVoxel": numbers("nVoxel", 1.0).unwrap_or_default(),
+        "sVoxel": size("nVoxel", "dVoxel").unwrap_or_default(),
+        "dVoxel": numbers("dVoxel", METRE),
+        "offOrigin": numbers("offOrigin", METRE),
+        "offDetector": numbers("offDetector", METRE),
+    });
+    serde_json::from_value(fields).map_err(|error| {
+        let expected = "nDetector, dDetector, nVoxel, dVoxel, DSD and DSO as numbers";
+        Error::invalid("fields of the scanner", error, expected, "compare with a file of NAF's generator")
+    })
+}
+
+fn views(part: &Value, key: &str, scanner: &Scanner, scale: f64, path: &Path) -> Result<Projections> {
+    let angles = part.get("angles").and_then(Value::numbers).ok_or_else(|| missing(path, &format!("{key}.angles")))?;
+    let Some(Value::Array(Array { shape, values })) = part.get("projections") else {
+        return Err(missing(path, &format!("{key}.projections")));
+    };
+    let expected = [angles.len(), scanner.detector.rows, scanner.detector.columns];
+    if shape[..] != expected {
+        let expected = format!("{expected:?} = [view, v, u], from angles and nDetector");
+        return Err(Error::format(
+            path,
+            format!("{key}.projections"),
+            format!("shape {shape:?}"),
+            expected,
+            "check nDetector and the order of the axes",
+        ));
+    }
+    let values = values.iter().map(|value| (value * scale) as f32).collect();
+    let images =
+        Array3::from_shape_vec((expected[0], expected[1], expected[2]), values).expect("the shape was checked");
+    check_finite(path, &format!("{key}.projections"), images.view())?;
+    Projections::new(angles, images).map_err(|error| error.in_file(path))
+}
+
+fn volume(image: &Value) -> Option<Array3<f32>> {
+    let Value::Array(Array { shape, values }) = image else { return None };
+    let &[x, y, z] = shape.as_slice() else { return None };
+    Array3::from_shape_vec((x, y, z), values.iter().map(|&value| value as f32).collect()).ok()
+}
+
+fn missing(path: &Path, what: &str) -> Error {
+    let expected = "a scan of NAF or SAX-NeRF: scanner, image, train and val with angles and projections";
+    Error::format(path, what, "nothing of that kind", expected, "compare with a file of NAF's generator")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::geometry::Beam;
+    use approx::assert_relative_eq;
+    use glam::DVec3;
+
+    fn sample(protocol: u8) -> &'static [u8] {
+        match protocol {
+            2 => include_bytes!("../../../tests/data/naf_2.pickle"),
+            3 => include_bytes!("../../../tests/data/naf_3.pickle"),
+            4 => include_bytes!("../../../tests/data/naf_4.pickle"),
+            _ => include_bytes!("../../../tests/data/naf_5.pickle"),
+        }
+    }
+
+    fn parsed(content: &[u8]) -> Result<Dataset> {
+        let path = Path::new("scan.pickle");
+        interpret(&pickle::parse(content, path)?, path)
+    }
+
+    #[test]
+    fn all_protocols_hold_the_same_scan() {
+        let expected = parsed(sample(5)).unwrap();
+        for protocol in 2..=4 {
+            assert_eq!(parsed(sample(protocol)).unwrap(), expected, "protocol {protocol}");
+        }
+    }
+
+    #[test]
+    fn lengths_are_millimetres_and_line_integrals_metres() {
+        // 4 × 5 × 6 voxels of 20 mm: the longest side is 0.12 m, so a metre is 2/0.12 scene units.
+        let scan = parsed(sample(4)).unwrap();
+        let metre = 2.0 / 0.12;
+        assert_relative_eq!(scan.scale, metre, max_relative = 1e-12);
+        assert_eq!(scan.scanner.grid.shape, [4, 5, 6]);
+        assert_relative_eq!(scan.scanner.grid.spacing.x, 0.02 * metre, max_relative = 1e-12);
+        let Beam::Cone { dso, dsd } = scan.scanner.beam else { panic!("a cone") };
+        assert_relative_eq!(dso, 0.5 * metre, max_relative = 1e-12);
+        assert_relative_eq!(dsd, 0.7 * metre, max_relative = 1e-12);
+        let detector = scan.scanner.detector;
+        assert_eq!((detector.rows, detector.columns), (3, 7));
+        assert_relative_eq!(detector.pitch_v, 0.05 * metre, max_relative = 1e-12);
+        assert_relative_eq!(detector.pitch_u, 0.04 * metre, max_relative = 1e-12);
+        assert_relative_eq!(detector.offset_u, 0.002 * metre, max_relative = 1e-12);
+        assert_relative_eq!(scan.scanner.grid.min.x, (0.001 - 0.04) * metre, max_relative = 1e-12);
+        // The generator's values are 0.01 times the number of the element.
+        assert_eq!(scan.train.angles, [0.0, 1.5]);
+        assert_relative_eq!(f64::from(scan.train.images[[1, 2, 3]]), 0.01 * 38.0 * metre, max_relative = 1e-6);
+        assert_eq!(scan.test.unwrap().angles, [0.25]);
+        assert_eq!(scan.truth.unwrap().values[[1, 2, 3]], 45.0 / 120.0);
+        assert_eq!(scan.noise, Noise::relative(1e5, 2.0));
+        assert!(scan.scanner.grid.size().abs_diff_eq(DVec3::new(0.08, 0.1, 0.12) * metre, 1e-9));
+    }
+
+    #[test]
+    fn a_pickle_that_calls_something_is_refused_and_not_run() {
+        // cos.system('true') as protocols 0 and 4 write it.
+        for content in [&b"cos\nsystem\n(S'true'\ntR."[..], b"\x80\x04\x8c\x02os\x8c\x06system\x93\x8c\x04true\x85R."] {
+            let message = parsed(content).unwrap_err().to_string();
+            assert!(message.contains("os.system"), "{message}");
+        }
+    }
+
+    #[test]
+    fn damaged_pickles_are_errors() {
+        let whole = sample(4);
+        for length in 0..whole.len() {
+            parsed(&whole[..length]).unwrap_err();
+        }
+        let deep: Vec<u8> = [b"\x80\x04N".as_slice(), &b"\x85".repeat(1_000_000), b"."].concat();
+        let message = parsed(&deep).unwrap_err().to_string();
+        assert!(message.contains("2000 lists"), "{message}");
+        // A list of ten of a list of ten of …: small, and large.
+        let mut bomb = b"\x80\x04]q\x00".to_vec();
+        for level in 1..12 {
+            bomb.extend(b"](");
+            (0..10).for_each(|_| bomb.extend([b'h', level - 1]));
+            bomb.extend([b'e', b'q', level]);
+        }
+        bomb.push(b'.');
+        assert!(pickle::parse(&bomb, Path::new("bomb")).unwrap_err().to_string().contains("large object"));
+    }
+}

@@ -1,0 +1,174 @@
+//! Numbers in bytes.
+
+use crate::error::{Error, Result};
+use flate2::read::{MultiGzDecoder, ZlibDecoder};
+use ndarray::Array3;
+use std::io::Read;
+use std::path::Path;
+
+/// A byte of deflated data stands for at most so many.
+const MOST_INFLATION: usize = 1032;
+
+/// A type of number, little-endian unless it says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Element {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    F32,
+    F64,
+    /// Big-endian.
+    Big(Wide),
+}
+
+/// What has more than one byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wide {
+    U16,
+    I16,
+    U32,
+    I32,
+    F32,
+    F64,
+}
+
+/// How bytes are packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Raw,
+    Gzip,
+    Zlib,
+}
+
+impl Element {
+    /// By NumPy's names.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "uint8" => Self::U8,
+            "int8" => Self::I8,
+            "uint16" => Self::U16,
+            "int16" => Self::I16,
+            "uint32" => Self::U32,
+            "int32" => Self::I32,
+            "float32" => Self::F32,
+            "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    /// The same with the other order of bytes.
+    pub(super) fn big_endian(self) -> Self {
+        match self {
+            Self::U8 | Self::I8 | Self::Big(_) => self,
+            Self::U16 => Self::Big(Wide::U16),
+            Self::I16 => Self::Big(Wide::I16),
+            Self::U32 => Self::Big(Wide::U32),
+            Self::I32 => Self::Big(Wide::I32),
+            Self::F32 => Self::Big(Wide::F32),
+            Self::F64 => Self::Big(Wide::F64),
+        }
+    }
+
+    /// Bytes of a number.
+    pub(super) fn size(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 | Self::Big(Wide::U16 | Wide::I16) => 2,
+            Self::U32 | Self::I32 | Self::F32 | Self::Big(Wide::U32 | Wide::I32 | Wide::F32) => 4,
+            Self::F64 | Self::Big(Wide::F64) => 8,
+        }
+    }
+
+    fn numbers(self, bytes: &[u8]) -> Vec<f32> {
+        macro_rules! read {
+            ($kind:ty, $from:ident) => {{
+                let (chunks, _) = bytes.as_chunks();
+                chunks.iter().map(|chunk| <$kind>::$from(*chunk) as f32).collect()
+            }};
+        }
+        match self {
+            Self::U8 => read!(u8, from_le_bytes),
+            Self::I8 => read!(i8, from_le_bytes),
+            Self::U16 => read!(u16, from_le_bytes),
+            Self::I16 => read!(i16, from_le_bytes),
+            Self::U32 => read!(u32, from_le_bytes),
+            Self::I32 => read!(i32, from_le_bytes),
+            Self::F32 => read!(f32, from_le_bytes),
+            Self::F64 => read!(f64, from_le_bytes),
+            Self::Big(Wide::U16) => read!(u16, from_be_bytes),
+            Self::Big(Wide::I16) => read!(i16, from_be_bytes),
+            Self::Big(Wide::U32) => read!(u32, from_be_bytes),
+            Self::Big(Wide::I32) => read!(i32, from_be_bytes),
+            Self::Big(Wide::F32) => read!(f32, from_be_bytes),
+            Self::Big(Wide::F64) => read!(f64, from_be_bytes),
+        }
+    }
+
+    /// A volume `[x, y, z]` from bytes with x fastest. No more memory is asked for than the bytes can stand for.
+    pub(super) fn volume(
+        self,
+        bytes: &[u8],
+        encoding: Encoding,
+        shape: [usize; 3],
+    ) -> std::result::Result<Array3<f32>, String> {
+        let voxels = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
+        let size = voxels.and_then(|voxels| voxels.checked_mul(self.size())).filter(|&size| size > 0);
+        let Some(size) = size else { return Err(format!("shape {shape:?}")) };
+        let unpacked;
+        let bytes = match encoding {
+            Encoding::Raw => bytes,
+            _ if size / MOST_INFLATION > bytes.len() => {
+                return Err(format!("{} packed bytes for shape {shape:?}", bytes.len()));
+            }
+            Encoding::Gzip => {
+                unpacked = unpack(MultiGzDecoder::new(bytes), size)?;
+                &unpacked
+            }
+            Encoding::Zlib => {
+                unpacked = unpack(ZlibDecoder::new(bytes), size)?;
+                &unpacked
+            }
+        };
+        if bytes.len() < size {
+            return Err(format!("{} bytes for shape {shape:?} of {} bytes each", bytes.len(), self.size()));
+        }
+        let [x, y, z] = shape;
+        let values = self.numbers(&bytes[..size]);
+        let volume = Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes();
+        Ok(volume.as_standard_layout().into_owned())
+    }
+}
+
+/// At most `size` bytes.
+pub(super) fn unpack(packed: impl Read, size: usize) -> std::result::Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    packed.take(size as u64).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
+/// Size and type that the name of a `.raw` tells.
+pub(super) fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let sides = |part: &str| -> Option<[usize; 3]> {
+        let sides: Option<Vec<usize>> = part.split('x').map(|n| n.parse().ok()).collect();
+        sides?.try_into().ok()
+    };
+    let element = |part: &str| match part.strip_suffix("be") {
+        Some(name) => Element::named(name).map(Element::big_endian),
+        None => Element::named(part.strip_suffix("le").unwrap_or(part)),
+    };
+    let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
+    let (Some(shape), Some(element)) = found else {
+        let expected = "size and type in it: name_256x256x256_uint8.raw, with be behind the type for big-endian";
+        return Err(Error::invalid("name of the file", path.display(), expected, "rename it"));
+    };
+    Ok((shape, element))
+}
+
+/// The bytes of a volume `[x, y, z]` with x fastest, f32, little-endian.
+pub(super) fn x_fastest(values: &Array3<f32>) -> Vec<u8> {
+    values.t().iter().flat_map(|value| value.to_le_bytes()).collect()
+}

@@ -1,0 +1,114 @@
+//! MetaImage, of ITK: a text header, then or elsewhere the numbers.
+
+use super::elements::{Element, Encoding};
+use super::{VolumeFile, damaged, three};
+use crate::error::{Error, Result};
+use glam::DVec3;
+use std::path::Path;
+
+/// A header is not longer.
+const HEADER: usize = 1 << 16;
+
+/// ITK's names of types.
+const TYPES: [(&str, Element); 8] = [
+    ("MET_UCHAR", Element::U8),
+    ("MET_CHAR", Element::I8),
+    ("MET_USHORT", Element::U16),
+    ("MET_SHORT", Element::I16),
+    ("MET_UINT", Element::U32),
+    ("MET_INT", Element::I32),
+    ("MET_FLOAT", Element::F32),
+    ("MET_DOUBLE", Element::F64),
+];
+
+pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+    let wrong = |key: &str, got: &str, expected: &str| {
+        Error::format(
+            path,
+            key,
+            format!("{got:?}"),
+            expected,
+            "write it again as a plain 3-D image, for example with ITK",
+        )
+    };
+    let (mut shape, mut element, mut encoding, mut big) = (None, None, Encoding::Raw, false);
+    let (mut spacing, mut origin, mut oddities) = (None, None, Vec::new());
+    let mut at = 0;
+    loop {
+        let rest = &content[at..content.len().min(HEADER)];
+        let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
+        let line = String::from_utf8_lossy(&rest[..length]).into_owned();
+        at = (at + length + 1).min(content.len());
+        let Some((key, value)) = line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) else {
+            return Err(wrong("header", &line, "lines `key = value` that end with ElementDataFile"));
+        };
+        let is_true = value.eq_ignore_ascii_case("true");
+        match key {
+            "NDims" if value != "3" => return Err(wrong(key, value, "3")),
+            "ElementNumberOfChannels" if value != "1" => return Err(wrong(key, value, "1")),
+            "BinaryData" if !is_true => return Err(wrong(key, value, "True")),
+            "DimSize" => shape = Some(three::<usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
+            "ElementType" => {
+                let known = TYPES.iter().find(|(name, _)| *name == value);
+                element = Some(known.ok_or_else(|| wrong(key, value, "a number type of up to 32 bits, or double"))?.1);
+            }
+            "ElementSpacing" | "ElementSize" => {
+                let read = three(value).ok_or_else(|| wrong(key, value, "three lengths"))?;
+                spacing = spacing.filter(|_| key == "ElementSize").or(Some(DVec3::from_array(read)));
+            }
+            "Offset" | "Position" | "Origin" => {
+                origin = Some(DVec3::from_array(three(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
+            }
+            "TransformMatrix" | "Rotation" | "Orientation" => {
+                let identity = "1 0 0 0 1 0 0 0 1".split(' ').map(|n| n.parse::<f64>());
+                if !value.split_whitespace().map(str::parse::<f64>).eq(identity) {
+                    oddities.push(format!("the axes have the directions {value}; they are read as x, y and z"));
+                }
+            }
+            "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => big = is_true,
+            "CompressedData" if is_true => encoding = Encoding::Zlib,
+            "ElementDataFile" => {
+                let (Some(shape), Some(element)) = (shape, element) else {
+                    return Err(wrong(key, value, "DimSize and ElementType before it"));
+                };
+                let element = if big { element.big_endian() } else { element };
+                let elsewhere;
+                let bytes = if value == "LOCAL" {
+                    &content[at..]
+                } else {
+                    let file =
+                        beside(path, value).ok_or_else(|| wrong(key, value, "LOCAL or a file in this folder"))?;
+                    elsewhere = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;
+                    &elsewhere
+                };
+                let values = element.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
+                return Ok(VolumeFile { values, spacing, origin, oddities });
+            }
+            _ => {}
+        }
+        if at >= content.len().min(HEADER) {
+            return Err(wrong("header", "its end", "ElementDataFile"));
+        }
+    }
+}
+
+/// A file in the same folder: a header must not point anywhere else.
+pub(super) fn beside(path: &Path, name: &str) -> Option<std::path::PathBuf> {
+    let is_name = Path::new(name).file_name().is_some_and(|file| file == name);
+    is_name.then(|| path.with_file_name(name))
+}
+
+pub(super) fn header(path: &Path, shape: [usize; 3], spacing: DVec3, origin: DVec3) -> Result<Vec<u8>> {
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mhd")) {
+        return Err(Error::invalid("file to write", path.display(), "one file", "end it with .mha"));
+    }
+    let [x, y, z] = shape;
+    let (s, o) = (spacing, origin);
+    Ok(format!(
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n\
+         TransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = {} {} {}\nElementSpacing = {} {} {}\nDimSize = {x} {y} {z}\n\
+         ElementType = MET_FLOAT\nElementDataFile = LOCAL\n",
+        o.x, o.y, o.z, s.x, s.y, s.z
+    )
+    .into_bytes())
+}
