@@ -13,6 +13,7 @@ import statistics
 import subprocess
 import sys
 import tomllib
+from array import array
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
@@ -37,12 +38,29 @@ def cells(experiment, only):
                         yield {"object": thing, "views": views, "seed": seed, "variant": name}, arguments
 
 
+def densities(path, out):
+    """A volume of bytes, which stand for densities from 0 to 1, as numbers; any other is as it should be."""
+    content = path.read_bytes()
+    start = 10 + int.from_bytes(content[8:10], "little")
+    header = content[10:start].decode()
+    if "'|u1'" not in header:
+        return path
+    floats = out / f"{path.stem}.npy"
+    text = header.replace("'|u1'", "'<f4'").rstrip()
+    text += " " * (-(len(text) + 11) % 64) + "\n"
+    values = array("f", (byte / 255 for byte in content[start:]))
+    if sys.byteorder == "big":
+        values.byteswap()
+    floats.write_bytes(b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode() + values.tobytes())
+    return floats
+
+
 def scan(program, experiment, cell, out):
     """The scan of a cell, made once."""
     thing = cell["object"]
     folder = out / f"{Path(thing).stem}-{cell['views']}-{cell['seed']}"
     if not (folder / "meta_data.json").exists():
-        what = ["--volume", (HERE / thing).resolve()] if thing.endswith(".npy") else ["--phantom", thing]
+        what = ["--volume", densities((HERE / thing).resolve(), out)] if thing.endswith(".npy") else ["--phantom", thing]
         trgs(program, "simulate", *what, "--out", folder, "--views", cell["views"], "--seed", cell["seed"],
              *experiment.get("scan", []))
     return folder
