@@ -4,6 +4,7 @@
 //! `cargo fuzz` would look further, but needs a nightly compiler; this is proptest on bytes with a fixed seed: mutations of
 //! valid files, with the tokens that readers stumble over, and plain noise. Extreme numbers are in `tests/extremes.rs`.
 
+use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -19,6 +20,7 @@ use trgs::scene::noise::Noise;
 use trgs::scene::npz::{Entry, Npz};
 use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{Beam, Detector, Grid, Scanner, npy, npz};
 
 const CASES: u32 = 400;
@@ -228,6 +230,77 @@ fn scans_with_any_damaged_file_are_clear_errors() {
         std::fs::write(&path, valid).unwrap();
     }
     Dataset::read(&scan).unwrap();
+}
+
+/// A volume in a format, by the file's name.
+fn small_volume(name: &str) -> Vec<u8> {
+    let values = Array3::from_shape_fn((3, 4, 5), |(x, y, z)| (x + y * z) as f32);
+    let volume = VolumeFile { values, spacing: Some(DVec3::splat(0.5)), origin: None, oddities: Vec::new() };
+    bytes_of(name, |path| volume_file::write(path, &volume).unwrap())
+}
+
+#[test]
+fn damaged_volumes_of_every_format_are_clear_errors() {
+    for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a_3x4x5_float32.raw"] {
+        // Of numbers alone nothing but the length can be wrong.
+        let valid = small_volume(name);
+        if name.ends_with("raw") {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(name);
+            for_all(CASES, &damaged(valid), |bytes| {
+                std::fs::write(&path, bytes).unwrap();
+                assert_clear(volume_file::read(&path), name);
+            });
+        } else {
+            assert_reader_survives(name, valid, volume_file::read);
+        }
+    }
+}
+
+#[test]
+fn damaged_pickles_are_clear_errors() {
+    for protocol in 2..=5 {
+        let path = format!("{}/tests/data/naf_{protocol}.pickle", env!("CARGO_MANIFEST_DIR"));
+        assert_reader_survives("scan.pickle", std::fs::read(path).unwrap(), Dataset::read);
+    }
+}
+
+/// Every four bytes of a small file, everywhere, as large numbers, and every number of a header as a larger one.
+#[cfg(target_os = "linux")]
+#[test]
+fn volumes_and_pickles_that_claim_gigabytes_are_given_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let pickle = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle")).unwrap();
+    let files = ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"].map(|name| (name, small_volume(name)));
+    let files: Vec<_> = files.into_iter().chain([("scan.pickle", pickle)]).collect();
+    let read = |path: &Path| match path.extension().is_some_and(|extension| extension == "pickle") {
+        true => assert_clear(Dataset::read(path), "scan"),
+        false => assert_clear(volume_file::read(path), "a."),
+    };
+    for (name, valid) in &files {
+        std::fs::write(folder.path().join(name), valid).unwrap();
+        assert!(read(&folder.path().join(name)));
+    }
+    let before = largest_address_space();
+    for (name, valid) in &files {
+        let path = folder.path().join(name);
+        for at in 0..valid.len() - 4 {
+            for claim in [u32::MAX, 0x7f7f_7f7f, 1 << 28] {
+                let mut bytes = valid.clone();
+                bytes[at..at + 4].copy_from_slice(&claim.to_le_bytes());
+                std::fs::write(&path, &bytes).unwrap();
+                read(&path);
+            }
+            if valid[at].is_ascii_digit() {
+                let mut bytes = valid.clone();
+                bytes.splice(at..=at, *b"99999");
+                std::fs::write(&path, &bytes).unwrap();
+                read(&path);
+            }
+        }
+    }
+    let grown = (largest_address_space() - before) << 10;
+    assert!(grown < 1 << 30, "{grown} bytes of address space for files of two thousand bytes");
 }
 
 #[test]

@@ -23,13 +23,7 @@ const TYPES: [(&str, Element); 8] = [
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let wrong = |key: &str, got: &str, expected: &str| {
-        Error::format(
-            path,
-            key,
-            format!("{got:?}"),
-            expected,
-            "write it again as a plain 3-D image, for example with ITK",
-        )
+        Error::format(path, key, shown(got), expected, "write it again as a plain 3-D image, for example with ITK")
     };
     let (mut shape, mut element, mut encoding, mut big) = (None, None, Encoding::Raw, false);
     let (mut spacing, mut origin, mut oddities) = (None, None, Vec::new());
@@ -76,9 +70,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                 let bytes = if value == "LOCAL" {
                     &content[at..]
                 } else {
-                    let file =
-                        beside(path, value).ok_or_else(|| wrong(key, value, "LOCAL or a file in this folder"))?;
-                    elsewhere = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;
+                    elsewhere = beside(path, value).map_err(|got| {
+                        Error::format(path, key, got, "LOCAL or a file in this folder", "put the file there")
+                    })?;
                     &elsewhere
                 };
                 let values = element.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
@@ -92,10 +86,20 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
 }
 
-/// A file in the same folder: a header must not point anywhere else.
-pub(super) fn beside(path: &Path, name: &str) -> Option<std::path::PathBuf> {
-    let is_name = Path::new(name).file_name().is_some_and(|file| file == name);
-    is_name.then(|| path.with_file_name(name))
+/// The content of a file in the same folder, or what is wrong with it: a header must not point anywhere else.
+pub(super) fn beside(path: &Path, name: &str) -> std::result::Result<Vec<u8>, String> {
+    if Path::new(name).file_name().is_none_or(|file| file != name) {
+        return Err(shown(name));
+    }
+    std::fs::read(path.with_file_name(name)).map_err(|error| format!("{}: {error}", shown(name)))
+}
+
+/// The beginning of a text from a file, for a message.
+pub(super) fn shown(text: &str) -> String {
+    const LONGEST: usize = 60;
+    let beginning: String = text.chars().take(LONGEST).collect();
+    let rest = if text.chars().count() > LONGEST { "…" } else { "" };
+    format!("{beginning:?}{rest}")
 }
 
 pub(super) fn header(path: &Path, shape: [usize; 3], spacing: DVec3, origin: DVec3) -> Result<Vec<u8>> {

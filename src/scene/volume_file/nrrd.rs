@@ -1,7 +1,7 @@
 //! NRRD: "nearly raw raster data" of Teem and 3D Slicer.
 
 use super::elements::{Element, Encoding};
-use super::meta_image::beside;
+use super::meta_image::{beside, shown};
 use super::{VolumeFile, damaged, three};
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -33,13 +33,7 @@ fn vector(text: &str) -> Option<DVec3> {
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let wrong = |key: &str, got: &str, expected: &str| {
-        Error::format(
-            path,
-            key,
-            format!("{got:?}"),
-            expected,
-            "write it again as a plain 3-D volume, for example with Slicer",
-        )
+        Error::format(path, key, shown(got), expected, "write it again as a plain 3-D volume, for example with Slicer")
     };
     let (mut shape, mut kind, mut encoding, mut big, mut file) = (None, None, None, false, None);
     let (mut spacing, mut origin, mut oddities) = (None, None, Vec::new());
@@ -102,8 +96,8 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let bytes = match file {
         None => &content[at..],
         Some(name) => {
-            let file = beside(path, &name).ok_or_else(|| wrong("data file", &name, "a file in this folder"))?;
-            elsewhere = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;
+            elsewhere = beside(path, &name)
+                .map_err(|got| Error::format(path, "data file", got, "a file in this folder", "put the file there"))?;
             &elsewhere
         }
     };
