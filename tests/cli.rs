@@ -273,7 +273,9 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
             .collect();
         assert_eq!(log.len(), iterations, "{method}");
         let residual = |k: usize| log[k]["residual"].as_f64().unwrap();
-        assert!(residual(iterations - 1) < residual(0), "{method}");
+        // ASD-POCS logs what a whole pass leaves, so most of the way is behind its first line.
+        let falls_to = if method == "asd-pocs" { 1.0 } else { 0.5 };
+        assert!(residual(iterations - 1) < falls_to * residual(0), "{method}");
         assert!(sandbox.text(&format!("{method}/report.html")).contains("residual"));
     }
     sandbox.done("reconstruct scan --out sax --method sart --preset sax-nerf");

@@ -84,14 +84,21 @@ impl Fan {
         }
     }
 
-    /// Line integrals of the shallow rays of `out`, one value per ray.
-    pub(super) fn joseph_forward<R: Real>(&self, volume: &[R], slab: &Slab, out: &mut [R], profile: &mut Vec<R>) {
-        let (rows, nz) = (self.shallow(out.len()), slab.shape[2]);
+    /// Line integrals of the shallow rays `rows` of `out`, which has one value per ray.
+    pub(super) fn joseph_forward<R: Real>(
+        &self,
+        volume: &[R],
+        slab: &Slab,
+        rows: &Range<usize>,
+        out: &mut [R],
+        profile: &mut Vec<R>,
+    ) {
+        let nz = slab.shape[2];
         profile.clear();
         profile.resize(nz + 1 + MARGIN, R::ZERO);
         out[rows.clone()].fill(R::ZERO);
         for plane in self.planes(slab) {
-            let rows = plane.level.rows_within(&rows, -1.0, nz as f64);
+            let rows = plane.level.rows_within(rows, -1.0, nz as f64);
             if rows.is_empty() {
                 continue;
             }
@@ -105,7 +112,7 @@ impl Fan {
                 }
             });
         }
-        for (value, step) in out[rows.clone()].iter_mut().zip(self.steps::<R>(rows)) {
+        for (value, step) in out[rows.clone()].iter_mut().zip(self.steps::<R>(rows.clone())) {
             *value *= step;
         }
     }

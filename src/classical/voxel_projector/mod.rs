@@ -150,8 +150,8 @@ impl VoxelProjector {
                 let fan = Fan::new(&self.scanner, &views[number / columns], number % columns);
                 match self.model {
                     RayModel::Joseph => {
-                        fan.joseph_forward(volume, &slab, out, &mut profile);
                         let shallow = fan.shallow(rows);
+                        fan.joseph_forward(volume, &slab, &shallow, out, &mut profile);
                         for k in (0..shallow.start).chain(shallow.end..rows) {
                             fan.visit_steep(k, &slab, |line, z, weight| {
                                 out[k] += volume[line * grid.shape[2] + z] * real(weight);

@@ -9,24 +9,18 @@ use std::path::Path;
 /// A byte of deflated data stands for at most so many.
 const MOST_INFLATION: usize = 1032;
 
-/// A type of number, little-endian unless it says so.
+/// A type of number and the order of its bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Element {
-    U8,
-    I8,
-    U16,
-    I16,
-    U32,
-    I32,
-    F32,
-    F64,
-    /// Big-endian.
-    Big(Wide),
+pub(super) struct Element {
+    pub(super) number: Number,
+    pub(super) big_endian: bool,
 }
 
-/// What has more than one byte.
+/// A type of number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wide {
+pub(super) enum Number {
+    U8,
+    I8,
     U16,
     I16,
     U32,
@@ -43,7 +37,7 @@ pub(super) enum Encoding {
     Zlib,
 }
 
-impl Element {
+impl Number {
     /// By NumPy's names.
     pub(super) fn named(name: &str) -> Option<Self> {
         Some(match name {
@@ -59,51 +53,35 @@ impl Element {
         })
     }
 
-    /// The same with the other order of bytes.
-    pub(super) fn big_endian(self) -> Self {
-        match self {
-            Self::U8 | Self::I8 | Self::Big(_) => self,
-            Self::U16 => Self::Big(Wide::U16),
-            Self::I16 => Self::Big(Wide::I16),
-            Self::U32 => Self::Big(Wide::U32),
-            Self::I32 => Self::Big(Wide::I32),
-            Self::F32 => Self::Big(Wide::F32),
-            Self::F64 => Self::Big(Wide::F64),
-        }
-    }
-
     /// Bytes of a number.
-    pub(super) fn size(self) -> usize {
+    fn size(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 | Self::Big(Wide::U16 | Wide::I16) => 2,
-            Self::U32 | Self::I32 | Self::F32 | Self::Big(Wide::U32 | Wide::I32 | Wide::F32) => 4,
-            Self::F64 | Self::Big(Wide::F64) => 8,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::F64 => 8,
         }
     }
+}
 
+impl Element {
     fn numbers(self, bytes: &[u8]) -> Vec<f32> {
         macro_rules! read {
-            ($kind:ty, $from:ident) => {{
+            ($kind:ty) => {{
                 let (chunks, _) = bytes.as_chunks();
-                chunks.iter().map(|chunk| <$kind>::$from(*chunk) as f32).collect()
+                let from = if self.big_endian { <$kind>::from_be_bytes } else { <$kind>::from_le_bytes };
+                chunks.iter().map(|chunk| from(*chunk) as f32).collect()
             }};
         }
-        match self {
-            Self::U8 => read!(u8, from_le_bytes),
-            Self::I8 => read!(i8, from_le_bytes),
-            Self::U16 => read!(u16, from_le_bytes),
-            Self::I16 => read!(i16, from_le_bytes),
-            Self::U32 => read!(u32, from_le_bytes),
-            Self::I32 => read!(i32, from_le_bytes),
-            Self::F32 => read!(f32, from_le_bytes),
-            Self::F64 => read!(f64, from_le_bytes),
-            Self::Big(Wide::U16) => read!(u16, from_be_bytes),
-            Self::Big(Wide::I16) => read!(i16, from_be_bytes),
-            Self::Big(Wide::U32) => read!(u32, from_be_bytes),
-            Self::Big(Wide::I32) => read!(i32, from_be_bytes),
-            Self::Big(Wide::F32) => read!(f32, from_be_bytes),
-            Self::Big(Wide::F64) => read!(f64, from_be_bytes),
+        match self.number {
+            Number::U8 => read!(u8),
+            Number::I8 => read!(i8),
+            Number::U16 => read!(u16),
+            Number::I16 => read!(i16),
+            Number::U32 => read!(u32),
+            Number::I32 => read!(i32),
+            Number::F32 => read!(f32),
+            Number::F64 => read!(f64),
         }
     }
 
@@ -115,7 +93,7 @@ impl Element {
         shape: [usize; 3],
     ) -> std::result::Result<Array3<f32>, String> {
         let voxels = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
-        let size = voxels.and_then(|voxels| voxels.checked_mul(self.size())).filter(|&size| size > 0);
+        let size = voxels.and_then(|voxels| voxels.checked_mul(self.number.size())).filter(|&size| size > 0);
         let Some(size) = size else { return Err(format!("shape {shape:?}")) };
         let unpacked;
         let bytes = match encoding {
@@ -133,7 +111,7 @@ impl Element {
             }
         };
         if bytes.len() < size {
-            return Err(format!("{} bytes for shape {shape:?} of {} bytes each", bytes.len(), self.size()));
+            return Err(format!("{} bytes for shape {shape:?} of {} bytes each", bytes.len(), self.number.size()));
         }
         let [x, y, z] = shape;
         let values = self.numbers(&bytes[..size]);
@@ -156,9 +134,12 @@ pub(super) fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
         let sides: Option<Vec<usize>> = part.split('x').map(|n| n.parse().ok()).collect();
         sides?.try_into().ok()
     };
-    let element = |part: &str| match part.strip_suffix("be") {
-        Some(name) => Element::named(name).map(Element::big_endian),
-        None => Element::named(part.strip_suffix("le").unwrap_or(part)),
+    let element = |part: &str| {
+        let (name, big_endian) = match part.strip_suffix("be") {
+            Some(name) => (name, true),
+            None => (part.strip_suffix("le").unwrap_or(part), false),
+        };
+        Number::named(name).map(|number| Element { number, big_endian })
     };
     let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
     let (Some(shape), Some(element)) = found else {

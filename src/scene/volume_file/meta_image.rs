@@ -1,6 +1,6 @@
 //! MetaImage, of ITK: a text header, then or elsewhere the numbers.
 
-use super::elements::{Element, Encoding};
+use super::elements::{Element, Encoding, Number};
 use super::{VolumeFile, damaged, three};
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -10,15 +10,15 @@ use std::path::Path;
 const HEADER: usize = 1 << 16;
 
 /// ITK's names of types.
-const TYPES: [(&str, Element); 8] = [
-    ("MET_UCHAR", Element::U8),
-    ("MET_CHAR", Element::I8),
-    ("MET_USHORT", Element::U16),
-    ("MET_SHORT", Element::I16),
-    ("MET_UINT", Element::U32),
-    ("MET_INT", Element::I32),
-    ("MET_FLOAT", Element::F32),
-    ("MET_DOUBLE", Element::F64),
+const TYPES: [(&str, Number); 8] = [
+    ("MET_UCHAR", Number::U8),
+    ("MET_CHAR", Number::I8),
+    ("MET_USHORT", Number::U16),
+    ("MET_SHORT", Number::I16),
+    ("MET_UINT", Number::U32),
+    ("MET_INT", Number::I32),
+    ("MET_FLOAT", Number::F32),
+    ("MET_DOUBLE", Number::F64),
 ];
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
@@ -65,7 +65,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                 let (Some(shape), Some(element)) = (shape, element) else {
                     return Err(wrong(key, value, "DimSize and ElementType before it"));
                 };
-                let element = if big { element.big_endian() } else { element };
+                let element = Element { number: element, big_endian: big };
                 let elsewhere;
                 let bytes = if value == "LOCAL" {
                     &content[at..]

@@ -22,7 +22,7 @@ mod nrrd;
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
-use elements::{Element, Encoding};
+use elements::{Element, Encoding, Number};
 use glam::DVec3;
 use ndarray::{Array3, Ix3};
 use std::io::Write;
@@ -110,7 +110,7 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
         Format::Nifti => return nifti::write(path, volume, spacing, origin),
         Format::Raw => {
             let expected = elements::of_name(path)?;
-            if expected != (shape, Element::F32) {
+            if expected != (shape, Element { number: Number::F32, big_endian: false }) {
                 let [x, y, z] = shape;
                 let remedy = format!("end it with _{x}x{y}x{z}_float32.raw");
                 return Err(Error::invalid("name of the file", path.display(), "its size and type", remedy));

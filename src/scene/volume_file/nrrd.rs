@@ -1,6 +1,6 @@
 //! NRRD: "nearly raw raster data" of Teem and 3D Slicer.
 
-use super::elements::{Element, Encoding};
+use super::elements::{Element, Encoding, Number};
 use super::meta_image::{beside, shown};
 use super::{VolumeFile, damaged, three};
 use crate::error::{Error, Result};
@@ -11,17 +11,17 @@ use std::path::Path;
 const HEADER: usize = 1 << 16;
 
 /// Names of types that are not NumPy's.
-fn element(name: &str) -> Option<Element> {
+fn number(name: &str) -> Option<Number> {
     Some(match name {
-        "uchar" | "unsigned char" | "uint8_t" => Element::U8,
-        "signed char" | "int8_t" => Element::I8,
-        "ushort" | "unsigned short" | "unsigned short int" | "uint16_t" => Element::U16,
-        "short" | "short int" | "signed short" | "signed short int" | "int16_t" => Element::I16,
-        "uint" | "unsigned int" | "uint32_t" => Element::U32,
-        "int" | "signed int" | "int32_t" => Element::I32,
-        "float" => Element::F32,
-        "double" => Element::F64,
-        other => return Element::named(other),
+        "uchar" | "unsigned char" | "uint8_t" => Number::U8,
+        "signed char" | "int8_t" => Number::I8,
+        "ushort" | "unsigned short" | "unsigned short int" | "uint16_t" => Number::U16,
+        "short" | "short int" | "signed short" | "signed short int" | "int16_t" => Number::I16,
+        "uint" | "unsigned int" | "uint32_t" => Number::U32,
+        "int" | "signed int" | "int32_t" => Number::I32,
+        "float" => Number::F32,
+        "double" => Number::F64,
+        other => return Number::named(other),
     })
 }
 
@@ -56,7 +56,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
             "dimension" if value != "3" => return Err(wrong(key, value, "3")),
             "type" => {
                 kind =
-                    Some(element(value).ok_or_else(|| wrong(key, value, "a number type of up to 32 bits, or double"))?)
+                    Some(number(value).ok_or_else(|| wrong(key, value, "a number type of up to 32 bits, or double"))?)
             }
             "sizes" => shape = Some(three::<usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
             "endian" => big = value == "big",
@@ -101,8 +101,8 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
             &elsewhere
         }
     };
-    let kind = if big { kind.big_endian() } else { kind };
-    let values = kind.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
+    let element = Element { number: kind, big_endian: big };
+    let values = element.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
     Ok(VolumeFile { values, spacing, origin, oddities })
 }
 
