@@ -88,6 +88,59 @@ impl Plane {
     }
 }
 
+/// Where the support may lie in a box of pixels. Pixels that it leaves out would have added zeros.
+struct Outline<'a> {
+    plane: &'a Plane,
+    /// What y² + z² may be at most.
+    squares: f64,
+    /// Rows per unit of y.
+    per_y: f64,
+}
+
+impl<'a> Outline<'a> {
+    /// How much wider it is than the support, so that no rounding of the lanes leads out of it.
+    const SPARE: f64 = 1e-3;
+
+    /// From `x ≤ limit`, which is `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
+    fn new(plane: &'a Plane, rows: &Range<usize>, columns: &Range<usize>) -> Self {
+        let h = |row: usize, column: usize| {
+            let across = column as f64 - plane.column_centre;
+            let y = plane.b * (row as f64 - plane.row_centre - plane.slant * across);
+            (1.0 + plane.h_y * y + plane.h_z * (plane.a * across + plane.shift)).abs()
+        };
+        let (last_row, last_column) = (rows.end.max(1) - 1, columns.end.max(1) - 1);
+        let corners = [(rows.start, columns.start), (rows.start, last_column), (last_row, columns.start)];
+        let h = corners.iter().fold(h(last_row, last_column), |most, &(row, column)| most.max(h(row, column)));
+        let free = 1.0 - plane.limit * plane.k;
+        let most = if free > 0.0 { plane.limit * h * h / free } else { f64::INFINITY };
+        let squares = most * (1.0 + Self::SPARE) - plane.floor;
+        Self { plane, squares, per_y: 1.0 / plane.b }
+    }
+
+    /// The registers, of a strip of `rows` (even start), that pixels of the support in `width` columns from `first` on can
+    /// be in.
+    #[inline(always)]
+    fn registers(&self, rows: &Range<usize>, first: usize, width: usize) -> Range<usize> {
+        let plane = self.plane;
+        let across = [first, first + width - 1].map(|column| column as f64 - plane.column_centre);
+        let [z0, z1] = across.map(|across| plane.a * across + plane.shift);
+        let nearest = if z0 * z1 > 0.0 { (z0 * z0).min(z1 * z1) } else { 0.0 };
+        let room = self.squares - nearest;
+        if room < 0.0 {
+            return 0..0;
+        }
+        let reach = room.sqrt() * self.per_y + Self::SPARE;
+        let [a, b] = across.map(|across| plane.row_centre + plane.slant * across);
+        // What is not a number bounds nothing.
+        let low = (a.min(b) - reach).max(rows.start as f64);
+        let high = (a.max(b) + reach).min(rows.end as f64 - 1.0);
+        if low > high {
+            return 0..0;
+        }
+        (low as usize - rows.start) / 2..(high as usize - rows.start) / 2 + 1
+    }
+}
+
 impl<R: Real> Canvas<R> {
     /// Zeros for `rows` × `columns`.
     pub(super) fn new(rows: usize, columns: usize) -> Self {
@@ -212,23 +265,27 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
     scratch: &mut Scratch<R::Lanes>,
 ) {
     let half = R::Lanes::WIDTH / 2;
-    let registers = rows.len().div_ceil(2);
     let Scratch { row, x, r: root, power, .. } = scratch;
+    let outline = Outline::new(plane, &rows, &columns);
     let shared = Shared::<R::Lanes>::new(plane);
     let (minus_q, weight, zero) = (real::<R::Lanes>(-plane.q), real(plane.weight), R::Lanes::default());
     for first in columns.step_by(half) {
+        let registers = outline.registers(&rows, first, half);
+        if registers.is_empty() {
+            continue;
+        }
         let column = Column::new(plane, rows.start, first);
-        for j in 0..registers {
+        for j in registers.clone() {
             let (_, delta, _, r) = shared.distances::<EXACT>(&column, row[j]);
             (x[j], root[j]) = if EXACT { (delta * r, r.sqrt()) } else { (delta, zero) };
         }
-        for j in 0..registers {
+        for j in registers.clone() {
             power[j] = if STUDENT { minus_q * x[j].log2_1p() } else { -x[j] };
         }
-        for power in &mut power[..registers] {
+        for power in &mut power[registers.clone()] {
             *power = power.exp2();
         }
-        for j in 0..registers {
+        for j in registers {
             let value = if EXACT { power[j] * root[j] } else { power[j] };
             let value = x[j].select_le(shared.limit, value * weight, zero);
             let pixel = (rows.start - origin + 2 * j) * canvas.stride + first;
@@ -258,15 +315,20 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
     let (slope, slope_x) = if STUDENT { (plane.q, plane.q - 0.5) } else { (LN_2, LN_2) };
     let (slope, slope_x) = (real::<R::Lanes>(slope), real::<R::Lanes>(slope_x));
     let mut total = Totals::<R::Lanes>::default();
+    let outline = Outline::new(plane, &rows, &columns);
     for strip in rows.clone().step_by(STRIP) {
-        let registers = (rows.end - strip).min(STRIP).div_ceil(2);
+        let strip = strip..rows.end.min(strip + STRIP);
         let Scratch { row, x, y, delta, h, r, w, log, power } = &mut *scratch;
         for first in columns.clone().step_by(half) {
-            let column = Column::new(plane, strip, first);
-            for j in 0..registers {
+            let registers = outline.registers(&strip, first, half);
+            if registers.is_empty() {
+                continue;
+            }
+            let column = Column::new(plane, strip.start, first);
+            for j in registers.clone() {
                 (y[j], delta[j], h[j], r[j]) = shared.distances::<EXACT>(&column, row[j]);
                 let here = if EXACT { delta[j] * r[j] } else { delta[j] };
-                let pixel = (strip + 2 * j) * cotangent.stride + first;
+                let pixel = (strip.start + 2 * j) * cotangent.stride + first;
                 let (top, bottom) = cotangent.pixels[pixel..].split_at(cotangent.stride);
                 let cotangent = R::Lanes::from_rows(&top[..half], &bottom[..half]);
                 let cotangent = if EXACT { cotangent * r[j].sqrt() } else { cotangent };
@@ -274,14 +336,14 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
                 x[j] = here.select_le(shared.limit, here, zero);
                 w[j] = here.select_le(shared.limit, cotangent, zero);
             }
-            for j in 0..registers {
+            for j in registers.clone() {
                 log[j] = if STUDENT { x[j].log2_1p() } else { zero };
             }
-            for j in 0..registers {
+            for j in registers.clone() {
                 power[j] = if STUDENT { (minus_q_1 * log[j]).exp2() } else { (-x[j]).exp2() };
             }
             let mut part = ColumnSums::<R::Lanes>::default();
-            for j in 0..registers {
+            for j in registers {
                 let a = w[j] * power[j];
                 let value = if STUDENT { a + a * x[j] } else { a };
                 part.value += value;
@@ -358,5 +420,60 @@ impl<L: Lanes> Totals<L> {
             value: self.value.sum(),
             log: self.log.sum(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use rand::RngExt;
+
+    #[test]
+    fn an_outline_holds_every_pixel_of_the_support_and_little_else() {
+        let mut draws = stream(5, Purpose::Phantom, 0, 0);
+        let (mut walked, mut boxed, mut useful) = (0, 0, 0);
+        for number in 0..400 {
+            let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
+            let plane = Plane {
+                row_centre: draw(10.0, 50.0),
+                column_centre: draw(10.0, 50.0),
+                slant: draw(-2.0, 2.0),
+                b: draw(0.1, 0.5),
+                a: draw(0.1, 0.5),
+                shift: draw(-0.1, 0.1),
+                floor: draw(0.0, 0.5),
+                h_y: if number % 2 == 0 { 0.0 } else { draw(-0.1, 0.1) },
+                h_z: draw(-0.1, 0.1),
+                k: draw(0.0, 0.02),
+                limit: draw(0.3, 3.0),
+                ..Plane::default()
+            };
+            let pixels: Vec<_> = (0..64 * 64).map(|i| (i / 64, i % 64)).filter(|&(r, c)| plane.reaches(r, c)).collect();
+            let Some(&(top, _)) = pixels.first() else { continue };
+            let bottom = pixels.last().unwrap().0 + 1;
+            let columns = pixels.iter().map(|p| p.1).min().unwrap()..pixels.iter().map(|p| p.1).max().unwrap() + 1;
+            let rows = top & !1..bottom;
+            let outline = Outline::new(&plane, &rows, &columns);
+            useful += pixels.len();
+            for strip in rows.clone().step_by(STRIP) {
+                let strip = strip..rows.end.min(strip + STRIP);
+                for first in columns.clone().step_by(8) {
+                    let registers = outline.registers(&strip, first, 8);
+                    walked += 16 * registers.len();
+                    boxed += 16 * strip.len().div_ceil(2);
+                    assert!(
+                        registers.is_empty() || registers.end <= strip.len().div_ceil(2),
+                        "{registers:?} of {strip:?}"
+                    );
+                    for &(row, column) in &pixels {
+                        if strip.contains(&row) && (first..first + 8).contains(&column) {
+                            assert!(registers.contains(&((row - strip.start) / 2)), "{plane:?} at {row}, {column}");
+                        }
+                    }
+                }
+            }
+        }
+        assert!(useful > 20_000 && walked * 6 < boxed * 5, "{walked} of {boxed} for {useful}");
     }
 }
