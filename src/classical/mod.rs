@@ -2,6 +2,7 @@
 
 pub mod algebraic;
 pub mod fdk;
+mod resample;
 pub mod voxel_projector;
 
 pub use fdk::{Turn, Window, fdk};

@@ -7,7 +7,7 @@
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
-use wide::{f32x16, f64x8, u32x16, u64x8};
+use wide::{f32x8, f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 
 /// A floating-point scalar that the pixel kernels can run in.
 pub trait Real:
@@ -76,19 +76,34 @@ pub trait Lanes:
 {
     /// One lane.
     type Scalar: Real<Lanes = Self>;
+    /// A whole number in every lane.
+    type Index: Copy;
     /// Number of lanes, even.
     const WIDTH: usize;
 
     /// The same value in every lane.
     fn splat(value: Self::Scalar) -> Self;
+    /// Lanes from the first `WIDTH` of contiguous values.
+    fn from_slice(values: &[Self::Scalar]) -> Self;
+    /// Writes the lanes to the first `WIDTH` of contiguous values.
+    fn write(self, values: &mut [Self::Scalar]);
     /// Lanes from two rows of `WIDTH/2` contiguous values.
     fn from_rows(top: &[Self::Scalar], bottom: &[Self::Scalar]) -> Self;
     /// Adds the lanes onto two rows of `WIDTH/2` contiguous values.
     fn add_to_rows(self, top: &mut [Self::Scalar], bottom: &mut [Self::Scalar]);
     /// Lanes from a function of the lane's number.
     fn from_fn(value: impl FnMut(usize) -> Self::Scalar) -> Self;
+    /// The whole number at or below each lane, and what is left over; for lanes from 0 to 2^22.
+    fn split(self) -> (Self::Index, Self);
+    /// Lane i is `table[index[i]]` of its half's table, of which the first `WIDTH/2` values count. Lanes with another index
+    /// have any of these, or zero.
+    fn pick(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
+    /// [`Self::pick`] from the first `WIDTH` values of the tables.
+    fn pick_wide(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
     /// Square root, correctly rounded.
     fn sqrt(self) -> Self;
+    /// Absolute value.
+    fn abs(self) -> Self;
     /// The smaller of both, `other` where `self` is NaN.
     fn at_most(self, other: Self) -> Self;
     /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
@@ -161,11 +176,28 @@ const EXP2_F64: [f64; 11] = [
     4.4388850923243237e-10,
 ];
 
+/// The first eight values.
+#[inline(always)]
+fn eight(values: &[f32]) -> u32x8 {
+    bytemuck::cast(f32x8::new(values[..8].try_into().expect("a slice of this length")))
+}
+
+/// `table[index]` for indices below 16.
+#[inline(always)]
+fn one_of_sixteen(table: &[f32], index: u32x8) -> u32x8 {
+    let place = index & u32x8::splat(7);
+    let low: i32x8 = bytemuck::cast(eight(table).shuffle(place));
+    let high: i32x8 = bytemuck::cast(eight(&table[8..]).shuffle(place));
+    let index: i32x8 = bytemuck::cast(index);
+    bytemuck::cast(index.simd_lt(i32x8::splat(8)).select(low, high))
+}
+
 /// Implements [`Real`] and [`Lanes`] for one precision. `log2_of_1_plus` is the series on [√½-1, √2-1].
 macro_rules! precision {
     (
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
         horizon $horizon:literal, far $far:literal, rounder $rounder:literal, exp2 $exp2:ident,
+        pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
         log2_of_1_plus |$f:ident| $series:expr
     ) => {
         impl Real for $scalar {
@@ -207,11 +239,20 @@ macro_rules! precision {
 
         impl Lanes for $lanes {
             type Scalar = $scalar;
+            type Index = $bits;
             const WIDTH: usize = $width;
 
             #[inline(always)]
             fn splat(value: $scalar) -> Self {
                 $lanes::splat(value)
+            }
+            #[inline(always)]
+            fn from_slice(values: &[$scalar]) -> Self {
+                $lanes::new(values[..$width].try_into().expect("a slice of this length"))
+            }
+            #[inline(always)]
+            fn write(self, values: &mut [$scalar]) {
+                values[..$width].copy_from_slice(&self.to_array());
             }
             #[inline(always)]
             fn from_rows(top: &[$scalar], bottom: &[$scalar]) -> Self {
@@ -230,9 +271,30 @@ macro_rules! precision {
             fn from_fn(value: impl FnMut(usize) -> $scalar) -> Self {
                 $lanes::new(std::array::from_fn(value))
             }
+            // Adding 2^mantissa rounds to a whole number, which may be the one above.
+            #[inline(always)]
+            fn split(self) -> (Self::Index, Self) {
+                const INTEGER: $scalar = ((1 as $unsigned) << $mantissa) as $scalar;
+                let nearest = (self + Self::splat(INTEGER)) - Self::splat(INTEGER);
+                let whole = nearest.select_le(self, nearest, nearest - Self::splat(1.0));
+                let bits: $bits = bytemuck::cast(whole + Self::splat(INTEGER));
+                (bits - $bits::splat(INTEGER.to_bits()), self - whole)
+            }
+            #[inline(always)]
+            fn pick($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
+                $picked
+            }
+            #[inline(always)]
+            fn pick_wide($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
+                $picked_wide
+            }
             #[inline(always)]
             fn sqrt(self) -> Self {
                 $lanes::sqrt(self)
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $lanes::abs(self)
             }
             #[inline(always)]
             fn at_most(self, other: Self) -> Self {
@@ -289,10 +351,28 @@ macro_rules! precision {
 
 precision!(
     f32, f32x16, u32x16, u32, width 16, mantissa 23, horizon 126.0, far 1e15, rounder 12_582_912.0, exp2 EXP2_F32,
+    pick |tables, index| {
+        let [first, second]: [u32x8; 2] = bytemuck::cast(index);
+        bytemuck::cast([eight(tables[0]).shuffle(first), eight(tables[1]).shuffle(second)])
+    },
+    wide {
+        let [first, second]: [u32x8; 2] = bytemuck::cast(index);
+        bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
+    },
     log2_of_1_plus |f| f * polynomial(f, &LOG2_F32)
 );
 precision!(
     f64, f64x8, u64x8, u64, width 8, mantissa 52, horizon 1022.0, far 1e120, rounder 6_755_399_441_055_744.0, exp2 EXP2_F64,
+    pick |tables, index| {
+        let tables = [&tables[0][..4], &tables[1][..4]];
+        let index = index.to_array();
+        Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 4])
+    },
+    wide {
+        let tables = [&tables[0][..8], &tables[1][..8]];
+        let index = index.to_array();
+        Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
+    },
     log2_of_1_plus |f| {
         let s = f / (f + Self::splat(2.0));
         s * polynomial(s * s, &LOG2_F64)
@@ -356,6 +436,38 @@ mod tests {
             assert_eq!(f64x8::splat(-f64::from(n)).exp2().to_array()[7], libm::exp2(-f64::from(n)));
         }
         assert_eq!(f64x8::splat(-1022.0).exp2().to_array()[7], f64::MIN_POSITIVE);
+    }
+
+    /// Numbers at and just below whole ones are split by floor, and lanes pick from the table of their half by the whole part.
+    fn split_and_pick<R: Real>(below_one: f64) {
+        let width = R::Lanes::WIDTH;
+        let table: Vec<R> = (0..2 * width).map(|i| R::from_index(100 + i)).collect();
+        for first in 0..width {
+            for rest in [0.0, 1e-3, 0.5, below_one] {
+                for lane in 0..width {
+                    let mut given = vec![R::ZERO; width];
+                    given[lane] = R::from_f64(first as f64 + rest);
+                    let floor = given[lane].to_f64().floor();
+                    let (index, fraction) = R::Lanes::from_slice(&given).split();
+                    let mut lanes = [vec![R::ZERO; width], vec![R::ZERO; width], vec![R::ZERO; width]];
+                    let tables = [&table[..], &table[width..]];
+                    fraction.write(&mut lanes[0]);
+                    R::Lanes::pick(tables, index).write(&mut lanes[1]);
+                    R::Lanes::pick_wide(tables, index).write(&mut lanes[2]);
+                    let [fraction, narrow, wide] = lanes.map(|lanes| lanes[lane].to_f64());
+                    let expected = 100.0 + floor + if lane < width / 2 { 0.0 } else { width as f64 };
+                    assert_eq!(fraction, given[lane].to_f64() - floor);
+                    assert!(floor >= width as f64 || wide == expected, "{wide} instead of {expected}");
+                    assert!(floor >= (width / 2) as f64 || narrow == expected, "{narrow} instead of {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn lanes_are_split_into_whole_numbers_and_pick_from_the_tables_of_their_halves() {
+        split_and_pick::<f32>(0.999_998);
+        split_and_pick::<f64>(1.0 - 1e-14);
     }
 
     #[test]

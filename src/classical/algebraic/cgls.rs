@@ -24,9 +24,8 @@ pub fn cgls<R: Real>(
     let system = System::<R>::new(projector, projections)?;
     let views = projector.views(system.angles)?;
     let adjoint = |values: &[R]| {
-        let pairs: Vec<[R; 1]> = values.iter().map(|&value| [value]).collect();
         let mut out = system.empty();
-        projector.adjoin(&views, &pairs, &mut out, |out, [value]| *out = value);
+        projector.adjoin(&views, [values], &mut out, |out, [value]| *out = value);
         out
     };
     let mut counter = Counter::new(iterations, observe);

@@ -89,6 +89,8 @@ pub(super) struct Sweeps<'a, R> {
     views: Vec<View>,
     /// 1/A1 of every ray, 0 for those that do not count.
     per_length: Vec<R>,
+    /// 1 for the rays that count, else 0.
+    counts: Vec<R>,
     non_negative: bool,
 }
 
@@ -98,10 +100,11 @@ impl<'a, R: Real> Sweeps<'a, R> {
         let grid = &system.projector.scanner().grid;
         let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
         let least = real(0.5 * grid.spacing.min_element());
-        let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
+        let per_length: Vec<R> = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
+        let counts = per_length.iter().map(|&l| if l > R::ZERO { R::ONE } else { R::ZERO }).collect();
         let order = settings.order.of(system.angles, settings.seed);
         let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
-        Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
+        Ok(Self { system, subsets, views, per_length, counts, non_negative: settings.non_negative })
     }
 
     /// One pass; the residual that its views had when their turn came.
@@ -116,22 +119,23 @@ impl<'a, R: Real> Sweeps<'a, R> {
         let (projector, pixels) = (self.system.projector, self.system.pixels);
         let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();
         let seen = projector.project(&views, x).values;
-        let mut pairs = vec![[R::ZERO; 2]; seen.len()];
-        threads::for_each_chunk(&mut pairs, pixels, |slot, pairs| {
+        let mut corrections = vec![R::ZERO; seen.len()];
+        threads::for_each_chunk(&mut corrections, pixels, |slot, corrections| {
             let view = subset[slot] * pixels;
             let (measured, per_length) = (&self.system.measured[view..], &self.per_length[view..]);
-            for (i, (pair, &seen)) in pairs.iter_mut().zip(&seen[slot * pixels..]).enumerate() {
-                let counts = if per_length[i] > R::ZERO { R::ONE } else { R::ZERO };
-                *pair = [(measured[i] - seen) * per_length[i], counts];
+            for (i, (correction, &seen)) in corrections.iter_mut().zip(&seen[slot * pixels..]).enumerate() {
+                *correction = (measured[i] - seen) * per_length[i];
             }
         });
+        let counts = |&view: &usize| &self.counts[view * pixels..][..pixels];
+        let counts: Vec<R> = subset.iter().flat_map(counts).copied().collect();
         let residual = |i: usize| (self.system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
         let squares = threads::map(seen.len().div_ceil(CHUNK), |chunk| {
             let from = chunk * CHUNK;
             reduce::sum_by(CHUNK.min(seen.len() - from), &|i| residual(from + i) * residual(from + i))
         });
         let non_negative = self.non_negative;
-        projector.adjoin(&views, &pairs, x, |x, [correction, weight]| {
+        projector.adjoin(&views, [&corrections, &counts], x, |x, [correction, weight]| {
             if weight > R::ZERO {
                 *x += relaxation * (correction / weight);
             }

@@ -1,7 +1,8 @@
 //! The sum of the views at every voxel.
 
 use super::{Filtered, Sample};
-use crate::numeric::{Real, real, threads};
+use crate::classical::resample::{Places, interpolate, margin};
+use crate::numeric::{real, threads};
 use crate::scene::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Array3;
@@ -14,7 +15,7 @@ impl<R: Sample> Filtered<R> {
         let [_, ny, nz] = scanner.grid.shape;
         let slices = values.as_slice_mut().expect("a new array is in C order");
         threads::for_each_chunk(slices, ny * nz, |x, slice| {
-            let mut profile = vec![R::ZERO; self.rows + 2];
+            let mut profile = vec![R::ZERO; self.rows + 2 + margin::<R>()];
             for (number, view) in views.iter().enumerate() {
                 for (y, line) in slice.chunks_exact_mut(nz).enumerate() {
                     self.add_view(scanner, number, view, [x, y], line, &mut profile);
@@ -24,7 +25,8 @@ impl<R: Sample> Filtered<R> {
         values
     }
 
-    /// Adds a view to the line of voxels along z at (x, y). `profile` is scratch of two more values than there are rows.
+    /// Adds a view to the line of voxels along z at (x, y). `profile` is scratch: a zero, the rows
+    /// from below, and zeros for the margin.
     ///
     /// All these voxels have one depth and one column, so the two columns next to it are blended once into a profile.
     fn add_view(
@@ -47,13 +49,12 @@ impl<R: Sample> Filtered<R> {
         if !(column > -1.0 && column < self.columns as f64) {
             return;
         }
-        let step = next_row - row;
-        // Voxels whose row lies within (-1, rows), where the bilinear function is not 0.
-        let crossing = |edge: f64| (edge - row) / step;
-        let (a, b) = (crossing(-1.0), crossing(self.rows as f64));
-        let from = (a.min(b).floor().max(-1.0) + 1.0) as usize;
-        let to = (a.max(b).ceil().clamp(0.0, line.len() as f64)) as usize;
-        if from >= to {
+        // Counted from the zero below the lowest row.
+        let row = self.rows as f64 - row;
+        let places = Places { first: row, pitch: self.rows as f64 - next_row - row };
+        // Where the bilinear function is not 0.
+        let voxels = places.within(&(0..line.len()), 0.0, (self.rows + 1) as f64);
+        if voxels.is_empty() {
             return;
         }
 
@@ -63,17 +64,7 @@ impl<R: Sample> Filtered<R> {
         // `left` counts from the column of zeros before the detector.
         self.blend(number, left as usize, sides, &mut profile[1..=self.rows]);
 
-        let (row, step): (R, R) = (real(row + 1.0), real(step));
-        let last = real(self.rows as f64);
-        for (z, value) in line.iter_mut().enumerate().take(to).skip(from) {
-            // The clamp only meets rounding at the ends, where the profile is 0 anyway.
-            let row = row + step * real(z as f64);
-            let row = if row > R::ZERO { row } else { R::ZERO };
-            let row = if row < last { row } else { last };
-            let above = Real::to_f64(row) as usize;
-            let (a, b) = (profile[above], profile[above + 1]);
-            *value += a + (b - a) * (row - real(above as f64));
-        }
+        interpolate(profile, places, voxels, line);
     }
 
     /// The weighted sum of columns `left - 1` and `left` of a view; those beside the detector are 0.

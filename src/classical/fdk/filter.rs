@@ -43,9 +43,9 @@ impl<R: Sample> Filtered<R> {
                 }
                 ramp.apply(&mut buffer, &mut scratch);
                 for (column, value) in buffer[..columns].iter().enumerate() {
-                    out[column * rows + top] = value.re;
+                    out[column * rows + rows - 1 - top] = value.re;
                     if let Some(row) = bottom {
-                        out[column * rows + row] = value.im;
+                        out[column * rows + rows - 1 - row] = value.im;
                     }
                 }
             }

@@ -21,7 +21,7 @@ use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
 use crate::scene::{Projections, Scanner, Volume};
-use ndarray::{Array3, ArrayView3};
+use ndarray::{Array3, ArrayView3, Axis};
 use redundancy::RayWeights;
 use rustfft::FftNum;
 use serde::{Deserialize, Serialize};
@@ -146,7 +146,7 @@ pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: Array
 
 /// Weighted and filtered projections.
 struct Filtered<R> {
-    /// `[view][column][row]`, so that the rows a line of voxels along z needs lie side by side.
+    /// `[view][column][row from below]`: what a line of voxels along z needs lies side by side, in the order of the voxels.
     values: Vec<R>,
     rows: usize,
     columns: usize,
@@ -156,14 +156,18 @@ impl<R: Sample> Filtered<R> {
     /// From `[view, v, u]`.
     fn from_images(images: ArrayView3<'_, R>) -> Self {
         let (_, rows, columns) = images.dim();
-        Self { values: images.permuted_axes([0, 2, 1]).iter().copied().collect(), rows, columns }
+        let mut upwards = images.permuted_axes([0, 2, 1]);
+        upwards.invert_axis(Axis(2));
+        Self { values: upwards.iter().copied().collect(), rows, columns }
     }
 
     /// To `[view, v, u]`.
     fn images(&self) -> Array3<R> {
         let (rows, columns) = (self.rows, self.columns);
         let shape = (self.values.len() / (rows * columns), rows, columns);
-        Array3::from_shape_fn(shape, |(view, row, column)| self.values[(view * columns + column) * rows + row])
+        Array3::from_shape_fn(shape, |(view, row, column)| {
+            self.values[(view * columns + column) * rows + rows - 1 - row]
+        })
     }
 }
 

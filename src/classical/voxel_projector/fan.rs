@@ -1,6 +1,7 @@
 //! The rays of one column of the detector: they share a vertical plane, so the way through the grid seen from above is
 //! one for all of them.
 
+use crate::classical::resample::Places;
 use crate::scene::{Beam, Scanner, View};
 use std::ops::Range;
 
@@ -18,13 +19,6 @@ pub(super) struct Fan {
     /// Length of the direction seen from above, and the spacing along z, scene units.
     horizontal: f64,
     spacing_z: f64,
-}
-
-/// Where the rays of a fan are at some s: row k at `z = first + k·pitch`.
-#[derive(Clone, Copy)]
-pub(super) struct Level {
-    pub(super) first: f64,
-    pub(super) pitch: f64,
 }
 
 impl Fan {
@@ -60,10 +54,10 @@ impl Fan {
         if self.is_cone { self.low + k as f64 * self.pitch } else { 0.0 }
     }
 
-    /// Where the rays are at s.
-    pub(super) fn level(&self, s: f64) -> Level {
+    /// The heights of the rays at s: row k at `first + k·pitch`.
+    pub(super) fn level(&self, s: f64) -> Places {
         let m = if self.is_cone { s } else { 1.0 };
-        Level { first: self.height + self.low * m, pitch: self.pitch * m }
+        Places { first: self.height + self.low * m, pitch: self.pitch * m }
     }
 
     /// The s at which ray k has the height z; `None` if it stays at its height.
@@ -104,25 +98,5 @@ impl Fan {
             }
         }
         (part.0 < part.1).then_some(part)
-    }
-}
-
-impl Level {
-    /// The rows of `rows` with `low < height < high`.
-    pub(super) fn rows_within(&self, rows: &Range<usize>, low: f64, high: f64) -> Range<usize> {
-        let (from, to) = ((low - self.first) / self.pitch, (high - self.first) / self.pitch);
-        let clamped = |k: f64| k.clamp(rows.start as f64, rows.end as f64) as usize;
-        let (mut start, mut end) = (clamped(from.floor()), clamped(to.ceil() + 1.0));
-        while start < end && self.at(start) <= low {
-            start += 1;
-        }
-        while start < end && self.at(end - 1) >= high {
-            end -= 1;
-        }
-        start..end
-    }
-
-    pub(super) fn at(&self, k: usize) -> f64 {
-        self.first + k as f64 * self.pitch
     }
 }

@@ -1,16 +1,13 @@
 //! Joseph's rays: planes of voxel centres, interpolated bilinearly.
 //!
 //! All rays of a fan cross a plane perpendicular to the main axis on one vertical line. So the two lines of voxels beside
-//! it are blended once into a profile along z, which every ray then reads; the adjoint is the same backwards.
+//! it are blended once into a profile along z, which every ray then reads; the adjoint is the same backwards. Steep rays,
+//! if there are any, go one by one.
 
-use super::fan::{Fan, Level};
+use super::fan::Fan;
+use crate::classical::resample::{Places, interpolate, margin, spread};
 use crate::numeric::{Real, real};
 use std::ops::Range;
-
-/// Rays that share one exact start; the others count from there, in the kernel's precision.
-const BLOCK: usize = 16;
-/// Beyond the voxels a profile has one zero below and these above, which rounding may lead to.
-const MARGIN: usize = 3;
 
 /// A plane of voxel centres that the rays of a fan cross.
 struct Plane {
@@ -18,7 +15,8 @@ struct Plane {
     lines: [Option<usize>; 2],
     /// Their shares.
     shares: [f64; 2],
-    level: Level,
+    /// Where the rays cross it.
+    heights: Places,
 }
 
 /// The grid, and the part of it that is looked at.
@@ -57,7 +55,7 @@ impl Fan {
             lines.iter().any(Option::is_some).then(|| Plane {
                 lines,
                 shares: [1.0 - share, share],
-                level: self.level(s),
+                heights: self.level(s),
             })
         })
     }
@@ -95,90 +93,57 @@ impl Fan {
     ) {
         let nz = slab.shape[2];
         profile.clear();
-        profile.resize(nz + 1 + MARGIN, R::ZERO);
+        // From height -1 on; places reach up to nz, where rounding may end them.
+        profile.resize(nz + 2 + margin::<R>(), R::ZERO);
         out[rows.clone()].fill(R::ZERO);
         for plane in self.planes(slab) {
-            let rows = plane.level.rows_within(rows, -1.0, nz as f64);
-            if rows.is_empty() {
-                continue;
+            let heights = plane.heights;
+            let rows = heights.within(rows, -1.0, nz as f64);
+            if !rows.is_empty() {
+                plane.blend(volume, nz, touched(heights, &rows, nz), profile);
+                interpolate(profile, Places { first: heights.first + 1.0, ..heights }, rows, out);
             }
-            let touched = touched(&plane.level, &rows, nz);
-            plane.blend(volume, nz, touched, profile);
-            for_each_block(&plane.level, rows, |first, block, at| {
-                let profile = &profile[first..];
-                for (&(index, share), value) in at.iter().zip(&mut out[block]) {
-                    let (below, above) = (profile[index], profile[index + 1]);
-                    *value += below + (above - below) * share;
-                }
-            });
         }
         for (value, step) in out[rows.clone()].iter_mut().zip(self.steps::<R>(rows.clone())) {
             *value *= step;
         }
     }
 
-    /// Adds what the shallow rays with the values `image` give to the voxels of the slab.
+    /// A column of an image, of which the shallow rays count, times their steps: what [`Self::joseph_adjoint`] spreads.
+    pub(super) fn weighted<R: Real>(&self, column: &[R], out: &mut [R]) {
+        let rows = self.shallow(column.len());
+        let steps = self.steps::<R>(rows.clone());
+        let out = &mut out[margin::<R>()..][rows.clone()];
+        for ((out, &value), step) in out.iter_mut().zip(&column[rows]).zip(steps) {
+            *out = value * step;
+        }
+    }
+
+    /// Adds what the shallow rays with the [`Self::weighted`] values `columns` give to the voxels of the slab, in their order.
     pub(super) fn joseph_adjoint<R: Real, const N: usize>(
         &self,
-        image: &[[R; N]],
+        columns: [&[R]; N],
+        shallow: &Range<usize>,
         slab: &Slab,
-        out: &mut [[R; N]],
-        scratch: &mut Scratch<R, N>,
+        out: &mut [Vec<R>; N],
     ) {
         let nz = slab.shape[2];
-        let mut planes = self.planes(slab).peekable();
-        if planes.peek().is_none() {
-            return;
-        }
-        let rows = self.shallow(image.len());
-        let weighted = &mut scratch.weighted;
-        weighted.clear();
-        weighted.resize(rows.start, [R::ZERO; N]);
-        let values = image[rows.clone()].iter().zip(self.steps::<R>(rows.clone()));
-        weighted.extend(values.map(|(value, step)| value.map(|value| value * step)));
-        for plane in planes {
-            let rows = plane.level.rows_within(&rows, -1.0, nz as f64);
+        for plane in self.planes(slab) {
+            let rows = plane.heights.within(shallow, -1.0, nz as f64);
             if rows.is_empty() {
                 continue;
             }
-            let touched = touched(&plane.level, &rows, nz);
-            // A second profile for every other ray: sums into one place wait for each other.
-            let [even, odd] = &mut scratch.profiles;
-            for profile in [&mut *even, &mut *odd] {
-                profile.resize(nz + 1 + MARGIN, [R::ZERO; N]);
-                let to = (touched.end + 1 + MARGIN).min(profile.len());
-                profile[touched.start..to].fill([R::ZERO; N]);
-            }
-            for_each_block(&plane.level, rows, |first, block, at| {
-                let (even, odd) = (&mut even[first..], &mut odd[first..]);
-                let add = |profile: &mut [[R; N]], (index, share): (usize, R), value: [R; N]| {
-                    let cells = &mut profile[index..index + 2];
-                    for n in 0..N {
-                        let above = value[n] * share;
-                        cells[0][n] += value[n] - above;
-                        cells[1][n] += above;
+            let shares = plane.shares.map(real::<R>);
+            spread(columns, plane.heights, &rows, touched(plane.heights, &rows, nz), |heights, sums| {
+                for (line, share) in plane.lines.into_iter().zip(shares) {
+                    let Some(line) = line else { continue };
+                    for (n, out) in out.iter_mut().enumerate() {
+                        sums.add(n, share, &mut out[line * nz..][heights.clone()]);
                     }
-                };
-                let mut pairs = at.chunks_exact(2).zip(weighted[block.clone()].chunks_exact(2));
-                for (at, value) in &mut pairs {
-                    add(even, at[0], value[0]);
-                    add(odd, at[1], value[1]);
-                }
-                if block.len() % 2 == 1 {
-                    let last = block.len() - 1;
-                    add(even, at[last], weighted[block][last]);
                 }
             });
-            plane.spread([even, odd], nz, touched, out);
         }
     }
-}
-
-/// What the adjoint of a column works in.
-#[derive(Default)]
-pub(super) struct Scratch<R, const N: usize> {
-    weighted: Vec<[R; N]>,
-    profiles: [Vec<[R; N]>; 2],
 }
 
 impl Plane {
@@ -198,50 +163,10 @@ impl Plane {
             [None, None] => unreachable!("planes without a line are left out"),
         }
     }
-
-    /// Gives both lines their shares of the profiles' sum, at the heights `touched`.
-    fn spread<R: Real, const N: usize>(
-        &self,
-        profiles: [&[[R; N]]; 2],
-        nz: usize,
-        touched: Range<usize>,
-        out: &mut [[R; N]],
-    ) {
-        let [even, odd] = profiles.map(|profile| &profile[touched.start + 1..=touched.end]);
-        for (line, share) in self.lines.into_iter().zip(self.shares.map(real::<R>)) {
-            let Some(line) = line else { continue };
-            let values = &mut out[line * nz..][..nz][touched.clone()];
-            for ((value, even), odd) in values.iter_mut().zip(even).zip(odd) {
-                for n in 0..N {
-                    value[n] += share * (even[n] + odd[n]);
-                }
-            }
-        }
-    }
 }
 
 /// The voxels along z that rays of these rows can read, of a line of `nz`.
-fn touched(level: &Level, rows: &Range<usize>, nz: usize) -> Range<usize> {
+fn touched(heights: Places, rows: &Range<usize>, nz: usize) -> Range<usize> {
     let clamped = |z: f64| z.clamp(0.0, nz as f64) as usize;
-    clamped(level.at(rows.start).floor() - 1.0)..clamped(level.at(rows.end - 1).floor() + 3.0)
-}
-
-/// Calls `f(first, rows, at)` for blocks of rays: ray i of them is at `at[i].1` between the values `first + at[i].0` and the
-/// next of a profile, which begins with one zero.
-#[inline(always)]
-fn for_each_block<R: Real>(level: &Level, rows: Range<usize>, mut f: impl FnMut(usize, Range<usize>, &[(usize, R)])) {
-    let pitch: R = real(level.pitch);
-    for start in rows.clone().step_by(BLOCK) {
-        let end = (start + BLOCK).min(rows.end);
-        let from = level.at(start) + 1.0;
-        let first = from.floor();
-        let offset: R = real(from - first);
-        let mut at = [(0, R::ZERO); BLOCK];
-        for (lane, at) in at.iter_mut().enumerate() {
-            let place = offset + pitch * R::from_index(lane);
-            let index = place.to_index();
-            *at = (index, place - R::from_index(index));
-        }
-        f(first as usize, start..end, &at[..end - start]);
-    }
+    clamped(heights.at(rows.start).floor() - 1.0)..clamped(heights.at(rows.end - 1).floor() + 3.0)
 }

@@ -24,18 +24,20 @@ mod siddon;
 #[cfg(test)]
 mod tests;
 
+use super::resample::margin;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, threads};
 use crate::scene::{Scanner, View};
 use fan::Fan;
-use joseph::{Scratch, Slab};
+use joseph::Slab;
 use ndarray::{Array3, ArrayView3, Axis};
+
 use serde::{Deserialize, Serialize};
 
 /// Columns that are projected by one piece of work: neighbours meet the same voxels.
 const COLUMNS: usize = 8;
 /// Slices in x that get what they get from one piece of work.
-const SLICES: usize = 8;
+const SLICES: usize = 4;
 
 /// How a ray weighs the voxels on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -117,10 +119,10 @@ impl VoxelProjector {
         let detector = &self.scanner.detector;
         let expected = [angles.len(), detector.rows, detector.columns];
         check("projections", projections.shape(), &expected, "check nDetector = [v, u] and the angles")?;
-        let columns = Columns::from_images(projections.mapv(|value| [value]).view());
+        let columns = Columns::from_images(projections);
         let mut volume = Array3::from_elem(self.scanner.grid.shape, R::ZERO);
         let values = volume.as_slice_mut().expect("a new array is in C order");
-        self.adjoin(&views, &columns.values, values, |out, [value]| *out = value);
+        self.adjoin(&views, [&columns.values], values, |out, [value]| *out = value);
         Ok(volume)
     }
 
@@ -172,37 +174,55 @@ impl VoxelProjector {
     pub(super) fn adjoin<R: Real, const N: usize>(
         &self,
         views: &[View],
-        images: &[[R; N]],
+        images: [&[R]; N],
         volume: &mut [R],
         take: impl Fn(&mut R, [R; N]) + Sync + Send,
     ) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let [nx, ny, nz] = self.scanner.grid.shape;
+        let fan = |number: usize| Fan::new(&self.scanner, &views[number / columns], number % columns);
+        let padded = rows + 2 * margin::<R>();
+        let weighted = images.map(|image| match self.model {
+            RayModel::Joseph => {
+                let mut weighted = vec![R::ZERO; views.len() * columns * padded];
+                threads::for_each_chunk(&mut weighted, COLUMNS * padded, |chunk, weighted| {
+                    for (i, out) in weighted.chunks_exact_mut(padded).enumerate() {
+                        let number = chunk * COLUMNS + i;
+                        fan(number).weighted(&image[number * rows..][..rows], out);
+                    }
+                });
+                weighted
+            }
+            RayModel::Siddon => Vec::new(),
+        });
         threads::for_each_chunk(volume, SLICES * ny * nz, |chunk, volume| {
             let slab = Slab { shape: [nx, ny, nz], x: chunk * SLICES..(chunk * SLICES + volume.len() / (ny * nz)) };
-            let mut sums = vec![[R::ZERO; N]; volume.len()];
-            let out = &mut sums[..];
-            let mut scratch = Scratch::default();
-            let add = |out: &mut [[R; N]], at: usize, value: [R; N], weight: f64| {
+            let mut sums = images.map(|_| vec![R::ZERO; volume.len()]);
+            let add = |sums: &mut [Vec<R>; N], at: usize, pixel: usize, weight: f64| {
                 let weight: R = real(weight);
-                (0..N).for_each(|n| out[at][n] += value[n] * weight);
+                (0..N).for_each(|n| sums[n][at] += images[n][pixel] * weight);
             };
-            for (number, image) in images.chunks_exact(rows).enumerate() {
-                let fan = Fan::new(&self.scanner, &views[number / columns], number % columns);
+            for number in 0..views.len() * columns {
+                let (fan, first) = (fan(number), number * rows);
                 match self.model {
                     RayModel::Joseph => {
-                        fan.joseph_adjoint(image, &slab, out, &mut scratch);
                         let shallow = fan.shallow(rows);
+                        let columns = weighted.each_ref().map(|weighted| &weighted[number * padded..][..padded]);
+                        fan.joseph_adjoint(columns, &shallow, &slab, &mut sums);
                         for k in (0..shallow.start).chain(shallow.end..rows) {
-                            fan.visit_steep(k, &slab, |line, z, weight| add(out, line * nz + z, image[k], weight));
+                            fan.visit_steep(k, &slab, |line, z, weight| {
+                                add(&mut sums, line * nz + z, first + k, weight)
+                            });
                         }
                     }
                     RayModel::Siddon => fan.visit_siddon(0..rows, &slab, |line, z, k, length| {
-                        add(out, line * nz + z, image[k], length);
+                        add(&mut sums, line * nz + z, first + k, length);
                     }),
                 }
             }
-            volume.iter_mut().zip(sums).for_each(|(voxel, sum)| take(voxel, sum));
+            for (at, voxel) in volume.iter_mut().enumerate() {
+                take(voxel, std::array::from_fn(|n| sums[n][at]));
+            }
         });
     }
 }

@@ -26,7 +26,7 @@ impl Fan {
             let line = (cell.x - slab.x.start) * slab.shape[1] + cell.y;
             let (enter, leave) = (self.level(cell.from), self.level(cell.to));
             // The union of what is inside at either end, as heights in between lie between.
-            let (a, b) = (enter.rows_within(&rows, -0.5, nz - 0.5), leave.rows_within(&rows, -0.5, nz - 0.5));
+            let (a, b) = (enter.within(&rows, -0.5, nz - 0.5), leave.within(&rows, -0.5, nz - 0.5));
             for k in a.start.min(b.start)..a.end.max(b.end) {
                 // Voxel z reaches from z to z + 1 here.
                 let (a, b) = (enter.at(k) + 0.5, leave.at(k) + 0.5);
