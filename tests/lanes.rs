@@ -10,6 +10,7 @@ use common::precision::{OTHER_WIDTH_F32, OTHER_WIDTH_F64};
 use common::scenes;
 use ndarray::Array3;
 use rand::RngExt;
+use trgs::classical::{RayModel, VoxelProjector};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::{Lanes, Real};
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};
@@ -310,4 +311,26 @@ fn narrow<R: Kernels>(tolerance: f64) {
 fn a_pixel_alone_is_the_pixel_of_a_whole_detector() {
     narrow::<f64>(OTHER_WIDTH_F64);
     narrow::<f32>(OTHER_WIDTH_F32);
+}
+
+/// Projections of a volume and what their adjoint makes of them, in one number type. The detector's rows are `pitch` apart.
+fn voxels<R: Real>(pitch: f64) -> Vec<u64> {
+    let mut scanner = scenes::cone();
+    (scanner.detector.rows, scanner.detector.columns, scanner.detector.pitch_v) = (45, 21, pitch);
+    let number = |i: usize| R::from_f64(f64::from(((i * 7919 + 13) % 1009) as f32 / 1009.0));
+    let [x, y, z] = scanner.grid.shape;
+    let volume = Array3::from_shape_fn((x, y, z), |(i, j, k)| number((i * y + j) * z + k));
+    let projector = VoxelProjector::new(&scanner, RayModel::Joseph).unwrap();
+    let images = projector.forward(&[0.3, 2.0], volume.view()).unwrap();
+    let adjoint = projector.adjoint(&[0.3, 2.0], images.view()).unwrap();
+    assert!(images.iter().any(|value| value.to_f64() > 0.0));
+    images.iter().chain(&adjoint).map(|value| value.to_f64().to_bits()).collect()
+}
+
+#[test]
+fn rays_through_voxels_are_plain_numbers_at_every_pitch() {
+    for pitch in [0.02, 0.06, 0.1, 0.3] {
+        assert!(voxels::<f32>(pitch) == voxels::<Plain32<16>>(pitch), "f32 at pitch {pitch}");
+        assert!(voxels::<f64>(pitch) == voxels::<Plain64<8>>(pitch), "f64 at pitch {pitch}");
+    }
 }

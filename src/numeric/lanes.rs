@@ -46,8 +46,6 @@ pub trait Real:
     fn to_f64(self) -> f64;
     /// A small count, exact below 2^24.
     fn from_index(index: usize) -> Self;
-    /// The whole number at or below a value from 0 to 2^31.
-    fn to_index(self) -> usize;
     /// Correctly rounded square root.
     fn sqrt(self) -> Self;
     /// Absolute value.
@@ -218,10 +216,6 @@ macro_rules! precision {
             #[inline(always)]
             fn from_index(index: usize) -> Self {
                 index as Self
-            }
-            #[inline(always)]
-            fn to_index(self) -> usize {
-                self as i32 as usize
             }
             #[inline(always)]
             fn sqrt(self) -> Self {

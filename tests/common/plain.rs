@@ -120,9 +120,6 @@ macro_rules! plain {
             fn from_index(index: usize) -> Self {
                 Self(index as $scalar)
             }
-            fn to_index(self) -> usize {
-                self.0 as usize
-            }
             fn sqrt(self) -> Self {
                 Self(self.0.sqrt())
             }
@@ -136,9 +133,16 @@ macro_rules! plain {
 
         impl<const W: usize> Lanes for $row<W> {
             type Scalar = $number<W>;
+            type Index = [usize; W];
             const WIDTH: usize = W;
             fn splat(value: $number<W>) -> Self {
                 Self([value; W])
+            }
+            fn from_slice(values: &[$number<W>]) -> Self {
+                Self::from_fn(|i| values[i])
+            }
+            fn write(self, values: &mut [$number<W>]) {
+                values[..W].copy_from_slice(&self.0);
             }
             fn from_rows(top: &[$number<W>], bottom: &[$number<W>]) -> Self {
                 Self::from_fn(|i| if i < W / 2 { top[i] } else { bottom[i - W / 2] })
@@ -152,8 +156,20 @@ macro_rules! plain {
             fn from_fn(value: impl FnMut(usize) -> $number<W>) -> Self {
                 Self(std::array::from_fn(value))
             }
+            fn split(self) -> ([usize; W], Self) {
+                (self.0.map(|value| value.0.floor() as usize), Self(self.0.map(|value| $number(value.0 - value.0.floor()))))
+            }
+            fn pick(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
+                Self::from_fn(|i| tables[2 * i / W][..W / 2].get(index[i]).copied().unwrap_or_default())
+            }
+            fn pick_wide(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
+                Self::from_fn(|i| tables[2 * i / W][..W].get(index[i]).copied().unwrap_or_default())
+            }
             fn sqrt(self) -> Self {
                 Self(self.0.map(Real::sqrt))
+            }
+            fn abs(self) -> Self {
+                Self(self.0.map(Real::abs))
             }
             fn at_most(self, other: Self) -> Self {
                 Self::from_fn(|i| if self.0[i] < other.0[i] { self.0[i] } else { other.0[i] })
