@@ -42,6 +42,9 @@ pub(super) struct Evaluation {
 impl Evaluate {
     pub(super) fn run(&self) -> Result<Answer> {
         let dataset = Dataset::read(&self.against)?;
+        for note in &dataset.notes {
+            tracing::info!("{}: {note}", self.against.display());
+        }
         let evaluation = if self.result.is_dir() {
             let config = Config::read(&self.result.join("config.toml"), Method::TrGs)?;
             let volume = read_volume(&self.result.join("volume.npy"), &dataset)?;

@@ -47,7 +47,7 @@ impl Inspect {
 }
 
 fn dataset(path: &Path) -> Result<Value> {
-    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, mut oddities } =
+    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } =
         Dataset::read(path)?;
     let (d, grid) = (scanner.detector, scanner.grid);
     let beam = match scanner.beam {
@@ -72,6 +72,7 @@ fn dataset(path: &Path) -> Result<Value> {
         "test": test.as_ref().map(views),
         "truth": truth.map(|Volume { values, .. }| json!({ "values": range(&values) })),
         "initial_points": initial_points.map(|points| points.nrows()),
+        "notes": notes,
         "oddities": oddities,
     }))
 }

@@ -84,6 +84,9 @@ impl Reconstruct {
         for oddity in &dataset.oddities {
             tracing::warn!("{}: {oddity}", self.dataset.display());
         }
+        for note in &dataset.notes {
+            tracing::info!("{}: {note}", self.dataset.display());
+        }
         if let Some(n) = self.views {
             dataset.train = dataset.train.select(&evenly_spaced(n, dataset.train.len())?);
         }

@@ -153,6 +153,7 @@ fn page(
         ("Noise".into(), dataset.noise.to_string()),
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
+    facts.extend(dataset.notes.iter().map(|note| ("Note".into(), note.clone())));
     if let Some(last) = outcome.passes.last() {
         facts.push(("Iterations".into(), last.pass.iteration.to_string()));
     }

@@ -73,6 +73,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
         let remark = if count > 0 { format!("{count} outside of the volume") } else { String::new() };
         rows.push(row("initial points", points.nrows().to_string(), remark));
     }
+    rows.extend(dataset.notes.iter().map(|note| row("note", note, "")));
     rows.extend(dataset.oddities.iter().map(|oddity| row("oddity", "", oddity)));
     Ok(rows)
 }

@@ -78,6 +78,7 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
         test,
         truth: Some(truth),
         initial_points: None,
+        notes: Vec::new(),
         oddities: Vec::new(),
     })
 }

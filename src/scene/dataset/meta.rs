@@ -34,6 +34,9 @@ pub(super) struct Meta {
     pub(super) proj_train: Vec<ViewMeta>,
     #[serde(default)]
     pub(super) proj_test: Vec<ViewMeta>,
+    /// What must be known to judge results, a sentence each. This project's own key.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) notes: Vec<String>,
 }
 
 /// One projection.

@@ -8,6 +8,8 @@
 //! init_<name>.npy                    initial points [M, 4] = x, y, z, density, optional
 //! ```
 //!
+//! A key of our own, `notes`, says what must be known to judge results: that the truth is a pseudo truth, for instance.
+//!
 //! Lengths may have any one unit. On reading they are multiplied by `scale = 2/max(sVoxel)`, which makes the longest
 //! side of the volume 2, and so are the projections. The volume is not: densities stay what they are per unit of the
 //! file. Initial points are in scene units already. Writing is in scene units, where the scale is 1.
@@ -56,6 +58,8 @@ pub struct Dataset {
     pub truth: Option<Volume>,
     /// Initial points, `[M, 4]` = x, y, z in scene units and density.
     pub initial_points: Option<Array2<f64>>,
+    /// What must be known to judge results on it, a sentence each: kept in the files.
+    pub notes: Vec<String>,
     /// What is unusual about the files, a sentence each. Nothing here keeps the scan from being used.
     pub oddities: Vec<String>,
 }
@@ -121,6 +125,7 @@ impl Dataset {
             test,
             truth: truth.transpose()?,
             initial_points: initial_points.transpose()?,
+            notes: meta.notes,
             oddities,
         })
     }
@@ -162,6 +167,7 @@ impl Dataset {
             bbox: Some([self.scanner.grid.min.to_array(), self.scanner.grid.max().to_array()]),
             proj_train: views("proj_train", Some(&self.train))?,
             proj_test: views("proj_test", self.test.as_ref())?,
+            notes: self.notes.clone(),
         };
         meta.write(&at("meta_data.json"))?;
         staged.commit()

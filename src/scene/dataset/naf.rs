@@ -50,7 +50,7 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
         oddities.push("the test views have the noise of the training views".into());
     }
     let name = path.file_stem().map_or_else(|| "scan".into(), |stem| stem.to_string_lossy().into_owned());
-    Ok(Dataset { name, scanner, scale, noise, train, test, truth, initial_points: None, oddities })
+    Ok(Dataset { name, scanner, scale, noise, train, test, truth, initial_points: None, notes: Vec::new(), oddities })
 }
 
 /// The fields of the scanner in metres, with the sizes that the format leaves to be computed.

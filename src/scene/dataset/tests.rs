@@ -26,6 +26,7 @@ fn sample() -> Dataset {
                 .unwrap(),
         ),
         initial_points: Some(Array2::from_shape_fn((7, 4), |(i, j)| 1.0 / (i + 2 * j + 1) as f64)),
+        notes: vec!["the truth is made up".into()],
         oddities: Vec::new(),
     }
 }
@@ -62,13 +63,20 @@ fn what_is_written_is_read_again_bit_for_bit() {
     let expected = sample();
     assert_eq!((&read.train, &read.test, read.noise), (&expected.train, &expected.test, expected.noise));
     assert_eq!(read.truth.as_ref().unwrap().values, expected.truth.as_ref().unwrap().values);
-    assert_eq!(read.initial_points, expected.initial_points);
+    assert_eq!((&read.initial_points, &read.notes), (&expected.initial_points, &expected.notes));
     assert_eq!((read.scale, read.name.as_str()), (1.0, "sample"));
     assert_eq!((read.scanner.beam, read.scanner.detector), (expected.scanner.beam, expected.scanner.detector));
     assert_eq!(read.scanner.grid.spacing, expected.scanner.grid.spacing);
     assert!((read.scanner.grid.min - expected.scanner.grid.min).abs().max_element() < 1e-15);
     assert_eq!(read_scanner(&path.join("meta_data.json")).unwrap(), read.scanner);
     assert_eq!(read_scanner(&path).unwrap(), read.scanner);
+}
+
+#[test]
+fn notes_may_be_missing_but_not_be_numbers() {
+    let (_folder, path) = edited(|json| drop(json.as_object_mut().unwrap().remove("notes")));
+    assert!(Dataset::read(&path).unwrap().notes.is_empty());
+    assert!(error_after(|json| json["notes"] = json!([3])).contains("scan description"));
 }
 
 #[test]
@@ -83,7 +91,15 @@ fn a_cube_of_any_resolution_is_read_again_exactly() {
         let mut scanner = sample().scanner;
         scanner.grid = Grid::cube(n);
         let meta = ScannerMeta::describe(&scanner, &[0.0], Noise::None);
-        let meta = Meta { scanner: meta, vol: None, ct: None, bbox: None, proj_train: vec![], proj_test: vec![] };
+        let meta = Meta {
+            scanner: meta,
+            vol: None,
+            ct: None,
+            bbox: None,
+            proj_train: vec![],
+            proj_test: vec![],
+            notes: vec![],
+        };
         assert_eq!(meta.interpret(Path::new("meta_data.json")).unwrap().scanner, scanner, "{n} voxels");
     }
 }
