@@ -7,9 +7,10 @@ use glam::DVec3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
+use trgs::scene::phantom::{Group, PHANTOMS};
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, phantom};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume};
 
 /// Scan a phantom or a volume and write the dataset
 #[derive(Args)]
@@ -87,11 +88,21 @@ struct Simulated<'a> {
     test_views: usize,
     noise: String,
     seed: u64,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
 }
 
 fn phantom_help() -> String {
-    let names = phantom::NAMES.map(|(name, purpose)| format!("{name} ({purpose})"));
-    format!("Phantom: {}", names.join("; "))
+    let own = PHANTOMS.into_iter().filter(|p| p.group.is_none()).map(|p| format!("{} ({})", p.name, p.description));
+    let groups = Group::ALL.map(|group| {
+        let names: Vec<_> = group.stand_ins().map(|p| p.name).collect();
+        format!("{}: {}", group.title(), names.join(", "))
+    });
+    format!(
+        "Phantom: {}. Procedural stand-ins, which share only their names with the scans of the paper: {}",
+        own.collect::<Vec<_>>().join("; "),
+        groups.join("; ")
+    )
 }
 
 impl Simulate {
@@ -106,6 +117,7 @@ impl Simulate {
             test_views: self.test_views.into(),
             noise: dataset.noise.to_string(),
             seed: self.seed,
+            notes: dataset.notes,
         }))
     }
 

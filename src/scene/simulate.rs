@@ -69,6 +69,10 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
         0 => None,
         n => Some(project(&random_angles(n, plan.seed))?),
     };
+    let notes = match object {
+        Object::Phantom(phantom) => phantom.caveat().into_iter().collect(),
+        Object::Volume(_) => Vec::new(),
+    };
     Ok(Dataset {
         name: name.into(),
         scanner: *scanner,
@@ -78,7 +82,7 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
         test,
         truth: Some(truth),
         initial_points: None,
-        notes: Vec::new(),
+        notes,
         oddities: Vec::new(),
     })
 }
@@ -118,6 +122,18 @@ mod tests {
         let other = simulate("chest", Object::Phantom(&phantom), &scanner(), &Plan { seed: 4, ..PLAN }).unwrap();
         assert!(other.train != scan.train && other.test.unwrap().angles != test.angles);
         assert_eq!(other.truth, scan.truth);
+    }
+
+    #[test]
+    fn a_scan_of_a_stand_in_says_so() {
+        let notes = |name: &str| {
+            let phantom = Phantom::by_name(name, 0).unwrap();
+            simulate(name, Object::Phantom(&phantom), &scanner(), &Plan { views: 1, test_views: 0, ..PLAN })
+                .unwrap()
+                .notes
+        };
+        assert!(notes("teapot").len() == 1 && notes("teapot")[0].contains("stand-in"));
+        assert!(notes("torso").is_empty());
     }
 
     #[test]

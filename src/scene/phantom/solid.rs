@@ -1,14 +1,15 @@
 //! Solids with exact line integrals.
 //!
-//! In its own coordinates, which put its centre at 0 and its half lengths to 1, each solid is the unit ball of a norm:
-//! the Euclidean one for an ellipsoid, the largest coordinate for a cuboid, the larger of radius and height for a
-//! cylinder. A point is inside where the norm is at most 1, and the triangle inequality bounds it over a whole voxel.
+//! In its own coordinates, which put its centre at 0 and its half lengths to 1, each solid is where a convex function is
+//! at most 1: the Euclidean norm for an ellipsoid, the largest coordinate for a cuboid, the larger of radius and height for
+//! a cylinder, the distance from a line for a capsule. How far a step can change that function bounds it over a whole
+//! voxel.
 
 use crate::scene::geometry::Ray;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// What a solid looks like in its own coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// `x² + y² + z² ≤ 1`
     Ellipsoid,
@@ -16,6 +17,27 @@ pub enum Shape {
     Cuboid,
     /// `x² + y² ≤ 1` and `|z| ≤ 1`
     Cylinder,
+    /// `√(x² + y²) ≤ 1 - taper·z` and `|z| ≤ 1`: a cylinder that is thinner at the top, or for a negative taper below.
+    Cone {
+        /// From -1 to 1, where it is pointed.
+        taper: f64,
+    },
+    /// Within 1 of the points with x = y = 0 and `|z| ≤ core`.
+    Capsule {
+        /// Half the length without the round ends, in units of the half length along z; not negative.
+        core: f64,
+    },
+}
+
+/// How much of a box is inside of a solid.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Coverage {
+    /// Surely none.
+    Nothing,
+    /// Surely all.
+    Everything,
+    /// These of its evenly spaced points, x first, z fastest.
+    Points(Vec<bool>),
 }
 
 /// A convex body of constant density.
@@ -23,6 +45,7 @@ pub enum Shape {
 pub struct Solid {
     shape: Shape,
     density: f64,
+    displaces: bool,
     centre: DVec3,
     /// Own coordinates → world, without the centre: rotation times half lengths.
     to_world: DMat3,
@@ -39,16 +62,31 @@ impl Solid {
     /// `density` is added to that of other solids in the same place and may be negative.
     ///
     /// # Panics
-    /// When a half length is not positive.
+    /// When a half length is not positive, a taper is beyond ±1 or a core is negative.
     pub fn new(shape: Shape, density: f64, centre: DVec3, half: DVec3) -> Self {
         assert!(half.min_element() > 0.0, "half lengths {half} must be positive");
+        let across = half.truncate().max_element();
         let radius = match shape {
             Shape::Ellipsoid => half.max_element(),
             Shape::Cuboid => half.length(),
-            Shape::Cylinder => half.truncate().max_element().max(half.z) * 2.0_f64.sqrt(),
+            Shape::Cylinder => DVec2::new(across, half.z).length(),
+            Shape::Cone { taper } => {
+                assert!(taper.abs() <= 1.0, "the taper {taper} must be from -1 to 1");
+                DVec2::new(across * (1.0 + taper.abs()), half.z).length()
+            }
+            Shape::Capsule { core } => {
+                assert!(core >= 0.0, "the core {core} must not be negative");
+                half.max_element() + core * half.z
+            }
         };
         let (to_world, to_own) = (DMat3::from_diagonal(half), DMat3::from_diagonal(1.0 / half));
-        Self { shape, density, centre, to_world, to_own, radius }
+        Self { shape, density, displaces: false, centre, to_world, to_own, radius }
+    }
+
+    /// The solid in the place of those that stand before it in a phantom, instead of added to them.
+    #[must_use]
+    pub fn displacing(self) -> Self {
+        Self { displaces: true, ..self }
     }
 
     /// The solid turned about its centre.
@@ -58,9 +96,19 @@ impl Solid {
         Self { to_world: rotation * self.to_world, to_own: self.to_own * rotation.transpose(), ..self }
     }
 
-    /// What it adds to the density of the points inside.
+    /// Its own density, or what it adds to that of others.
     pub fn density(&self) -> f64 {
         self.density
+    }
+
+    /// Whether it takes the place of what stands before it.
+    pub fn displaces(&self) -> bool {
+        self.displaces
+    }
+
+    /// The density inside, where that of the solids before it is `below`.
+    pub fn over(&self, below: f64) -> f64 {
+        if self.displaces { self.density } else { below + self.density }
     }
 
     /// The middle.
@@ -68,39 +116,47 @@ impl Solid {
         self.centre
     }
 
-    /// Half lengths of the smallest box along the world's axes that is known to hold the solid.
+    /// Half lengths of the smallest box along the world's axes, with the same centre, that holds the solid.
     pub fn reach(&self) -> DVec3 {
-        self.to_world.x_axis.abs() + self.to_world.y_axis.abs() + self.to_world.z_axis.abs()
+        let rows = self.to_world.transpose();
+        let along = |row: DVec3| match self.shape {
+            Shape::Ellipsoid => row.length(),
+            Shape::Cuboid => row.abs().element_sum(),
+            Shape::Cylinder => row.truncate().length() + row.z.abs(),
+            Shape::Cone { taper } => row.truncate().length() * (1.0 + taper.abs()) + row.z.abs(),
+            Shape::Capsule { core } => row.length() + core * row.z.abs(),
+        };
+        DVec3::new(along(rows.x_axis), along(rows.y_axis), along(rows.z_axis))
     }
 
     /// Whether a point is inside or on the surface.
     pub fn contains(&self, point: DVec3) -> bool {
-        self.norm(self.to_own * (point - self.centre)) <= 1.0
+        self.level(self.to_own * (point - self.centre)) <= 1.0
     }
 
-    /// The part of a box with the given centre and half lengths that lies inside: exactly 0 or 1 where the surface is
-    /// surely elsewhere, else the part of `samples`³ evenly spaced points. It is off by at most about `1/(2·samples)`,
-    /// where a flat face runs along the box, and by far less on curved or tilted surfaces.
-    pub fn fraction(&self, centre: DVec3, half: DVec3, samples: usize) -> f64 {
+    /// The part of a box with the given centre and half lengths that lies inside: all or nothing where the surface is
+    /// surely elsewhere, else those of `samples`³ evenly spaced points. Their number is off by at most about
+    /// `1/(2·samples)` of all, where a flat face runs along the box, and by far less on curved or tilted surfaces.
+    pub(super) fn coverage(&self, centre: DVec3, half: DVec3, samples: usize) -> Coverage {
         let own = self.to_own * (centre - self.centre);
         let steps = [self.to_own.x_axis * half.x, self.to_own.y_axis * half.y, self.to_own.z_axis * half.z];
-        let distance = self.norm(own);
-        let margin = steps.iter().map(|step| self.norm(*step)).sum::<f64>();
-        if distance + margin <= 1.0 {
-            return 1.0;
+        let level = self.level(own);
+        let margin = steps.iter().map(|step| self.slope(*step)).sum::<f64>();
+        if level + margin <= 1.0 {
+            return Coverage::Everything;
         }
-        if distance - margin > 1.0 {
-            return 0.0;
+        if level - margin > 1.0 {
+            return Coverage::Nothing;
         }
         let place = |i: usize| (2 * i + 1) as f64 / samples as f64 - 1.0;
-        let mut inside = 0_usize;
+        let mut inside = Vec::with_capacity(samples.pow(3));
         for i in 0..samples {
             for j in 0..samples {
                 let start = own + steps[0] * place(i) + steps[1] * place(j);
-                inside += (0..samples).filter(|&k| self.norm(start + steps[2] * place(k)) <= 1.0).count();
+                inside.extend((0..samples).map(|k| self.level(start + steps[2] * place(k)) <= 1.0));
             }
         }
-        inside as f64 / samples.pow(3) as f64
+        Coverage::Points(inside)
     }
 
     /// Integral of the density along the whole line of a ray, scene units of length × density.
@@ -109,27 +165,53 @@ impl Solid {
     /// Accuracy: chord to about 10⁻¹⁵ of the solid's size, 10⁻⁸ of it next to a tangent.
     /// Tests: against quadrature and the chord formula of a sphere.
     pub fn line_integral(&self, ray: &Ray) -> f64 {
-        let to_centre = self.centre - ray.origin;
-        let nearest = to_centre.dot(ray.direction);
-        // Measured from the point nearest to the centre, numbers stay as small as the solid.
-        let offset = ray.direction * nearest - to_centre;
-        if offset.length_squared() > self.radius * self.radius {
-            return 0.0;
-        }
-        let (p, d) = (self.to_own * offset, self.to_own * ray.direction);
-        let (from, to) = match self.shape {
-            Shape::Ellipsoid => ball(p, d),
-            Shape::Cuboid => both(both(slab(p.x, d.x), slab(p.y, d.y)), slab(p.z, d.z)),
-            Shape::Cylinder => both(ball(p.with_z(0.0), d.with_z(0.0)), slab(p.z, d.z)),
-        };
+        let (_, (from, to)) = self.crossing(ray);
         self.density * (to - from).max(0.0)
     }
 
-    fn norm(&self, p: DVec3) -> f64 {
+    /// Where the whole line of a ray is inside, as distances from the ray's origin; `None` where it is not.
+    pub fn chord(&self, ray: &Ray) -> Option<(f64, f64)> {
+        let (nearest, (from, to)) = self.crossing(ray);
+        (from < to).then_some((nearest + from, nearest + to))
+    }
+
+    /// Where on the ray the point nearest to the centre is, and from there the ends of the chord: numbers that stay as
+    /// small as the solid.
+    fn crossing(&self, ray: &Ray) -> (f64, (f64, f64)) {
+        let to_centre = self.centre - ray.origin;
+        let nearest = to_centre.dot(ray.direction);
+        let offset = ray.direction * nearest - to_centre;
+        if offset.length_squared() > self.radius * self.radius {
+            return (nearest, (0.0, 0.0));
+        }
+        let (p, d) = (self.to_own * offset, self.to_own * ray.direction);
+        let chord = match self.shape {
+            Shape::Ellipsoid => ball(p, d),
+            Shape::Cuboid => both(both(slab(p.x, d.x), slab(p.y, d.y)), slab(p.z, d.z)),
+            Shape::Cylinder => both(ball(p.with_z(0.0), d.with_z(0.0)), slab(p.z, d.z)),
+            Shape::Cone { taper } => both(cone(p, d, taper), slab(p.z, d.z)),
+            Shape::Capsule { core } => capsule(p, d, core),
+        };
+        (nearest, chord)
+    }
+
+    /// The function that is at most 1 inside, of own coordinates.
+    fn level(&self, p: DVec3) -> f64 {
         match self.shape {
             Shape::Ellipsoid => p.length(),
             Shape::Cuboid => p.abs().max_element(),
             Shape::Cylinder => p.truncate().length().max(p.z.abs()),
+            Shape::Cone { taper } => (p.truncate().length() + taper * p.z).max(p.z.abs()),
+            Shape::Capsule { core } => (p - DVec3::Z * p.z.clamp(-core, core)).length(),
+        }
+    }
+
+    /// By how much the level can change, at most, over a step.
+    fn slope(&self, step: DVec3) -> f64 {
+        match self.shape {
+            Shape::Cone { taper } => (step.truncate().length() + (taper * step.z).abs()).max(step.z.abs()),
+            Shape::Capsule { .. } => step.length(),
+            Shape::Ellipsoid | Shape::Cuboid | Shape::Cylinder => self.level(step),
         }
     }
 }
@@ -153,12 +235,54 @@ fn ball(p: DVec3, d: DVec3) -> (f64, f64) {
     (middle - half, middle + half)
 }
 
+/// Where the line `p + t·d` is within the cone `√(x² + y²) ≤ 1 - taper·z`, beyond its tip left to the slab that it is cut with.
+fn cone(p: DVec3, d: DVec3, taper: f64) -> (f64, f64) {
+    // The width `w + t·e` at the line's height, and (x² + y²) - width² = a·t² + 2·b·t + c.
+    let (w, e) = (1.0 - taper * p.z, -taper * d.z);
+    let (flat_p, flat_d) = (p.truncate(), d.truncate());
+    let a = flat_d.length_squared() - e * e;
+    let b = flat_p.dot(flat_d) - w * e;
+    let c = flat_p.length_squared() - w * w;
+    if a == 0.0 && b == 0.0 {
+        return if c <= 0.0 { WHOLE } else { EMPTY };
+    }
+    let discriminant = b * b - a * c;
+    if discriminant <= 0.0 && a >= 0.0 {
+        return EMPTY;
+    }
+    // Neither root is a difference of nearly equal numbers.
+    let s = -(b + discriminant.max(0.0).sqrt().copysign(b));
+    let (one, other) = if s == 0.0 { (0.0, 0.0) } else { (s / a, c / s) };
+    if a > 0.0 {
+        (one.min(other), one.max(other))
+    } else if e > 0.0 {
+        // So steep that it stays inside, upwards or downwards, once it is.
+        (if a == 0.0 { other } else { one.max(other) }, f64::INFINITY)
+    } else {
+        (f64::NEG_INFINITY, if a == 0.0 { other } else { one.min(other) })
+    }
+}
+
+/// Where the line `p + t·d` is within 1 of the points with x = y = 0 and `|z| ≤ core`.
+fn capsule(p: DVec3, d: DVec3, core: f64) -> (f64, f64) {
+    let between = |(from, to): (f64, f64)| if from < to { (from, to) } else { EMPTY };
+    let side = both(ball(p.with_z(0.0), d.with_z(0.0)), scaled_slab(p.z, d.z, core));
+    let ends = [ball(p - DVec3::Z * core, d), ball(p + DVec3::Z * core, d)];
+    // Convex: from the first of all ends to the last.
+    ends.into_iter().map(between).fold(between(side), |a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
 /// Where `|p + t·d| ≤ 1`.
 fn slab(p: f64, d: f64) -> (f64, f64) {
+    scaled_slab(p, d, 1.0)
+}
+
+/// Where `|p + t·d| ≤ half`.
+fn scaled_slab(p: f64, d: f64, half: f64) -> (f64, f64) {
     if d == 0.0 {
-        return if p.abs() <= 1.0 { WHOLE } else { EMPTY };
+        return if p.abs() <= half { WHOLE } else { EMPTY };
     }
-    let (a, b) = ((-1.0 - p) / d, (1.0 - p) / d);
+    let (a, b) = ((-half - p) / d, (half - p) / d);
     (a.min(b), a.max(b))
 }
 
@@ -169,28 +293,56 @@ fn both(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::elementary::{cos, sin};
+    use std::f64::consts::PI;
+
+    fn fraction(coverage: &Coverage) -> f64 {
+        match coverage {
+            Coverage::Nothing => 0.0,
+            Coverage::Everything => 1.0,
+            Coverage::Points(inside) => inside.iter().filter(|inside| **inside).count() as f64 / inside.len() as f64,
+        }
+    }
 
     fn tilt() -> DQuat {
         DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.8)
     }
 
+    /// Shapes, their half lengths, and their volumes where these are 1. The wide ends of the cones lie midway between
+    /// points of [`fractions_of_voxels_add_up_to_the_volume`].
+    const SHAPES: [(Shape, DVec3, f64); 6] = [
+        (Shape::Ellipsoid, HALF, 4.0 / 3.0 * PI),
+        (Shape::Cuboid, HALF, 8.0),
+        (Shape::Cylinder, HALF, 2.0 * PI),
+        (Shape::Cone { taper: 0.7 }, SMALLER, (2.0 + 2.0 / 3.0 * 0.49) * PI),
+        (Shape::Cone { taper: -1.0 }, DVec3::new(0.3, 0.2, 0.4), 8.0 / 3.0 * PI),
+        (Shape::Capsule { core: 0.6 }, SMALLER, (4.0 / 3.0 + 1.2) * PI),
+    ];
+    const HALF: DVec3 = DVec3::new(0.5, 0.3, 0.7);
+    const SMALLER: DVec3 = DVec3::new(0.3, 0.2, 0.42);
+
+    /// Each shape as it is and turned.
     fn solids() -> Vec<Solid> {
-        let (centre, half) = (DVec3::new(0.2, -0.15, 0.1), DVec3::new(0.5, 0.3, 0.7));
-        let shapes = [Shape::Ellipsoid, Shape::Cuboid, Shape::Cylinder];
-        shapes
-            .into_iter()
-            .flat_map(|s| [Solid::new(s, 0.8, centre, half), Solid::new(s, 0.8, centre, half).rotated(tilt())])
-            .collect()
+        let solid = |(shape, half, _)| Solid::new(shape, 0.8, DVec3::new(0.2, -0.15, 0.1), half);
+        SHAPES.into_iter().map(solid).flat_map(|solid| [solid, solid.rotated(tilt())]).collect()
     }
 
+    /// A fan of rays, some along the axes of the world, and some along the side of a cone.
     fn rays() -> Vec<Ray> {
         let source = DVec3::new(4.0, -2.5, 0.3);
-        (0..60)
-            .map(|i| {
-                let target = DVec3::new(0.0, 0.03 * i as f64 - 0.9, 0.8 - 0.027 * i as f64);
-                Ray { origin: source, direction: (target - source).normalize() }
+        let fan = (0..60).map(|i| {
+            let target = DVec3::new(0.0, 0.03 * i as f64 - 0.9, 0.8 - 0.027 * i as f64);
+            (source, target - source)
+        });
+        let along = [DVec3::X, DVec3::NEG_Y, DVec3::Z, DVec3::new(0.3, 0.0, 0.4), DVec3::new(0.0, -0.2, -0.4)];
+        let straight = along.into_iter().flat_map(|direction| {
+            let aside = direction.normalize().any_orthonormal_pair();
+            (0..5).map(move |i| {
+                let shift = aside.0 * (0.1 * f64::from(i) - 0.2) + aside.1 * 0.07;
+                (DVec3::new(0.2, -0.15, 0.1) + shift - direction.normalize() * 4.0, direction)
             })
-            .collect()
+        });
+        fan.chain(straight).map(|(origin, way)| Ray { origin, direction: way.normalize() }).collect()
     }
 
     #[test]
@@ -208,6 +360,11 @@ mod tests {
                     (exact - expected).abs() <= 0.8 * 2.0 * length / n as f64,
                     "{exact} instead of {expected}: {solid:?}"
                 );
+                let chord = solid.chord(&ray).map_or(0.0, |(from, to)| {
+                    assert!(solid.contains(ray.origin + ray.direction * (0.5 * (from + to))));
+                    to - from
+                });
+                assert!((0.8 * chord - exact).abs() < 1e-14);
             }
         }
         assert!(solids().iter().all(|s| rays().iter().filter(|r| s.line_integral(r) > 0.1).count() > 10));
@@ -238,14 +395,13 @@ mod tests {
 
     #[test]
     fn fractions_of_voxels_add_up_to_the_volume() {
-        let volumes = [4.0 / 3.0 * std::f64::consts::PI, 8.0, 2.0 * std::f64::consts::PI];
         for (i, solid) in solids().into_iter().enumerate() {
             let (n, half) = (24, DVec3::new(1.0, 1.0, 1.0) / 24.0);
             let mut total = 0.0;
             let mut partial = 0;
             for (x, y, z) in (0..n * n * n).map(|k| (k / n / n, k / n % n, k % n)) {
                 let centre = DVec3::NEG_ONE + half + DVec3::new(x as f64, y as f64, z as f64) * half * 2.0;
-                let fraction = solid.fraction(centre, half, 6);
+                let fraction = fraction(&solid.coverage(centre, half, 6));
                 // The bounds must never decide against the samples.
                 let places = (0..216).map(|k| DVec3::new((k / 36) as f64, (k / 6 % 6) as f64, (k % 6) as f64));
                 let inside = places.filter(|p| solid.contains(centre + half * ((p * 2.0 + 1.0) / 6.0 - 1.0)));
@@ -253,7 +409,8 @@ mod tests {
                 partial += usize::from(fraction > 0.0 && fraction < 1.0);
                 total += fraction * 8.0 * half.element_product();
             }
-            let exact = volumes[i / 2] * 0.5 * 0.3 * 0.7;
+            let (_, half, volume) = SHAPES[i / 2];
+            let exact = volume * half.element_product();
             assert!((total / exact - 1.0).abs() < 4e-3, "{total} instead of {exact}: {solid:?}");
             assert!(partial > 100, "no surface found: {solid:?}");
         }
@@ -262,9 +419,21 @@ mod tests {
     #[test]
     fn the_reach_holds_the_solid_but_not_much_more() {
         for solid in solids() {
-            let reach = solid.reach();
-            let outside = |axis: DVec3| !solid.contains(solid.centre() + axis * reach * 1.001);
-            assert!([DVec3::X, DVec3::Y, DVec3::Z].into_iter().all(outside));
+            // Points of the surface, by bisection along directions all around.
+            let mut reach = DVec3::ZERO;
+            for i in 0..20_000 {
+                let height = 1.0 - (2 * i + 1) as f64 / 20_000.0;
+                let (turn, around) = (2.399_963 * i as f64, (1.0 - height * height).sqrt());
+                let direction = DVec3::new(around * cos(turn), around * sin(turn), height);
+                let inside = |length: &f64| solid.contains(solid.centre() + direction * *length);
+                let length = (0..30).fold(0.0, |low, k| {
+                    let longer = low + 2.0 / f64::from(1 << k);
+                    if inside(&longer) { longer } else { low }
+                });
+                reach = reach.max((direction * length).abs());
+            }
+            let ratio = reach / solid.reach();
+            assert!(ratio.max_element() < 1.0 + 1e-9 && ratio.min_element() > 0.97, "{ratio}: {solid:?}");
         }
     }
 }

@@ -1,6 +1,6 @@
-//! The phantoms that have a name.
+//! Phantoms for tests and first looks: they stand for nothing but themselves.
 
-use super::solid::{Shape, Solid};
+use super::super::solid::{Shape, Solid};
 use crate::numeric::elementary::{cos, pow, sin};
 use crate::numeric::rng::{Purpose, stream};
 use glam::{DQuat, DVec3};
@@ -12,7 +12,7 @@ const BUBBLES: usize = 300;
 
 /// The head phantom in three dimensions: ellipsoids as in A. C. Kak and M. Slaney, *Principles of Computerized
 /// Tomographic Imaging*, 1988, with the stronger contrasts that P. Toft gave it in 1996.
-pub(super) fn shepp_logan() -> Vec<Solid> {
+pub(in super::super) fn shepp_logan() -> Vec<Solid> {
     // Density, centre, semi-axes, rotation about z in degrees.
     const ELLIPSOIDS: [(f64, [f64; 3], [f64; 3], f64); 10] = [
         (1.0, [0.0, 0.0, 0.0], [0.69, 0.92, 0.9], 0.0),
@@ -34,7 +34,7 @@ pub(super) fn shepp_logan() -> Vec<Solid> {
 }
 
 /// A different bar on each axis and a ball of another density in each octant.
-pub(super) fn axes() -> Vec<Solid> {
+pub(in super::super) fn axes() -> Vec<Solid> {
     let mut solids = vec![
         Solid::new(Shape::Cuboid, 1.0, DVec3::new(0.45, 0.0, 0.0), DVec3::new(0.45, 0.08, 0.05)),
         Solid::new(Shape::Cylinder, 0.7, DVec3::new(0.0, 0.4, 0.0), DVec3::new(0.06, 0.06, 0.3))
@@ -51,7 +51,7 @@ pub(super) fn axes() -> Vec<Solid> {
 }
 
 /// A chest: soft tissue 0.45, lungs 0.1 with vessels, heart 0.55, bones up to 0.9. The back is at +y.
-pub(super) fn torso() -> Vec<Solid> {
+pub(in super::super) fn torso() -> Vec<Solid> {
     let ellipsoid =
         |density, centre: [f64; 3], half: [f64; 3]| Solid::new(Shape::Ellipsoid, density, centre.into(), half.into());
     let cylinder =
@@ -97,7 +97,7 @@ pub(super) fn torso() -> Vec<Solid> {
 }
 
 /// A ball of density 0.8 with empty bubbles that neither touch each other nor the surface.
-pub(super) fn foam(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn foam(seed: u64) -> Vec<Solid> {
     const BALL: f64 = 0.92;
     let mut bubbles: Vec<(DVec3, f64)> = Vec::with_capacity(BUBBLES);
     for i in 0..BUBBLES {
