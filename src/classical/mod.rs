@@ -2,8 +2,10 @@
 
 pub mod algebraic;
 pub mod fdk;
+pub mod pseudo_truth;
 mod resample;
 pub mod voxel_projector;
 
 pub use fdk::{Turn, Window, fdk};
+pub use pseudo_truth::with_pseudo_truth;
 pub use voxel_projector::{RayModel, VoxelProjector};

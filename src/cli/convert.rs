@@ -1,5 +1,6 @@
 //! `trgs convert`: from one format to another, by the names of the files.
 
+use super::protocol::Protocol;
 use super::{Answer, interrupt};
 use clap::Args;
 use serde::Serialize;
@@ -14,6 +15,7 @@ use trgs::{Error, Result};
   trgs convert run/volume.npy volume.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
   trgs convert chest.pickle scan
+  trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
 
 Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, and .raw with size and type in its name. They are written as f32,
 axes in the order of the file. Scans: a pickle of NAF or a folder, written as a folder in scene units.")]
@@ -27,6 +29,8 @@ pub(super) struct Convert {
     /// Scan whose grid gives a volume its spacing and origin, in scene units
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
+    #[command(flatten)]
+    protocol: Protocol,
 }
 
 /// What was converted.
@@ -39,6 +43,8 @@ struct Converted<'a> {
     spacing: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
 }
 
 impl Convert {
@@ -58,12 +64,17 @@ impl Convert {
         }
         let dataset = Dataset::read(&self.source)?;
         warn(&self.source, &dataset.oddities);
+        let dataset = self.protocol.apply(dataset)?;
         interrupt::shielded(|| dataset.write(&self.out))?;
-        let shape = dataset.scanner.grid.shape;
-        Ok(Answer::list(&Converted { out: &self.out, kind: "dataset", shape, spacing: None, origin: None }))
+        let (shape, notes) = (dataset.scanner.grid.shape, dataset.notes);
+        Ok(Answer::list(&Converted { out: &self.out, kind: "dataset", shape, spacing: None, origin: None, notes }))
     }
 
     fn volume(&self) -> Result<Answer> {
+        if let Some(flag) = self.protocol.flag() {
+            let expected = "a scan, a folder or a pickle, to choose views of";
+            return Err(Error::invalid(flag, self.source.display(), expected, "leave the flag out"));
+        }
         let mut volume = volume_file::read(&self.source)?;
         warn(&self.source, &volume.oddities);
         let shape: [usize; 3] = volume.values.dim().into();
@@ -78,7 +89,8 @@ impl Convert {
         }
         volume_file::write(&self.out, &volume)?;
         let [spacing, origin] = [volume.spacing, volume.origin].map(|vector| vector.map(|vector| vector.to_array()));
-        Ok(Answer::list(&Converted { out: &self.out, kind: "volume", shape, spacing, origin }))
+        let notes = Vec::new();
+        Ok(Answer::list(&Converted { out: &self.out, kind: "volume", shape, spacing, origin, notes }))
     }
 }
 

@@ -15,6 +15,7 @@ mod inspect;
 mod interrupt;
 mod messages;
 mod oracle;
+mod protocol;
 mod reconstruct;
 mod render;
 mod run_folder;

@@ -28,6 +28,8 @@ pub enum Purpose {
     Recycling = 9,
     /// Position of the wavelet block; step = iteration.
     Wavelet = 10,
+    /// Choice of test views among those of a scan.
+    TestViews = 11,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -25,6 +25,7 @@
 mod meta;
 mod naf;
 mod pickle;
+mod subsample;
 
 use super::arrays::{Projections, Volume};
 use super::geometry::Scanner;
