@@ -15,7 +15,6 @@ mod inspect;
 mod interrupt;
 mod messages;
 mod oracle;
-mod protocol;
 mod reconstruct;
 mod render;
 mod run_folder;

@@ -1,7 +1,7 @@
 //! Few views of a measured scan, and a truth to compare with: flags of `trgs convert`.
 
-use super::arguments::seed;
-use super::check_size;
+use crate::cli::arguments::seed;
+use crate::cli::check_size;
 use clap::Args;
 use trgs::Result;
 use trgs::classical::with_pseudo_truth;

@@ -1,0 +1,20 @@
+//! From one format of scans to R²-Gaussian's folder.
+
+use super::{Convert, Converted, warn};
+use crate::cli::{Answer, interrupt};
+use trgs::scene::Dataset;
+use trgs::{Error, Result};
+
+pub(super) fn convert(command: &Convert) -> Result<Answer> {
+    let (source, out) = (&command.source, &command.out);
+    if command.scanner.is_some() {
+        let expected = "no --scanner: a scan has its own";
+        return Err(Error::invalid("--scanner", source.display(), expected, "leave the flag out"));
+    }
+    let dataset = Dataset::read(source)?;
+    warn(source, &dataset.oddities);
+    let dataset = command.protocol.apply(dataset)?;
+    interrupt::shielded(|| dataset.write(out))?;
+    let (shape, notes) = (dataset.scanner.grid.shape, dataset.notes);
+    Ok(Answer::list(&Converted { out, kind: "dataset", shape, spacing: None, origin: None, notes }))
+}

@@ -1,0 +1,30 @@
+//! From one format of volumes to another.
+
+use super::{Convert, Converted, warn};
+use crate::cli::Answer;
+use trgs::scene::dataset::read_scanner;
+use trgs::scene::volume_file;
+use trgs::{Error, Result};
+
+pub(super) fn convert(command: &Convert) -> Result<Answer> {
+    if let Some(flag) = command.protocol.flag() {
+        let expected = "a scan, a folder or a pickle, to choose views of";
+        return Err(Error::invalid(flag, command.source.display(), expected, "leave the flag out"));
+    }
+    let (source, out) = (&command.source, &command.out);
+    let mut volume = volume_file::read(source)?;
+    warn(source, &volume.oddities);
+    let shape: [usize; 3] = volume.values.dim().into();
+    if let Some(path) = &command.scanner {
+        let grid = read_scanner(path)?.grid;
+        if grid.shape != shape {
+            let expected = format!("{:?}, the grid of {}", grid.shape, path.display());
+            let remedy = "give the scan that it was made from";
+            return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
+        }
+        (volume.spacing, volume.origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
+    }
+    volume_file::write(out, &volume)?;
+    let [spacing, origin] = [volume.spacing, volume.origin].map(|vector| vector.map(|vector| vector.to_array()));
+    Ok(Answer::list(&Converted { out, kind: "volume", shape, spacing, origin, notes: Vec::new() }))
+}
