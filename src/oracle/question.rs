@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::primitives::{Activation, Group, Kernel, Parameters, Primitives, activation::Interval};
 use crate::projector::Projection;
 use crate::scene::Scanner;
-use crate::scene::dataset::parse_scanner;
+use crate::scene::dataset::Description;
 use ndarray::{Array, ArrayD, Dimension};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ impl Question {
         for (role, file) in &case.inputs {
             let (bytes, path) = (vectors.bytes(file)?, vectors.path(file));
             if role == "scanner" {
-                scanner = Some(parse_scanner(&bytes, &path)?);
+                scanner = Some(Description::parse(&bytes, &path)?.scanner);
             } else {
                 arrays.insert(role.clone(), decode(&bytes, &path)?);
             }

@@ -11,14 +11,25 @@ use std::path::Path;
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file or the first unusable value.
 pub fn read(path: &Path) -> Result<Primitives> {
-    let npz = Npz::read(path)?;
+    interpret(&Npz::read(path)?, path)
+}
+
+/// Reads the content of a model's file; `path` names it in errors.
+///
+/// # Errors
+/// [`Error::Format`] for a damaged file or the first unusable value.
+pub fn parse(content: &[u8], path: &Path) -> Result<Primitives> {
+    interpret(&Npz::parse(content, path)?, path)
+}
+
+fn interpret(npz: &Npz, path: &Path) -> Result<Primitives> {
     let density: Array1<f64> = npz.get("density", "[M]")?;
     let nu: Array1<f64> =
         if npz.entry("nu").is_some() { npz.get("nu", "[M]")? } else { Array1::from_elem(density.len(), f64::INFINITY) };
     Primitives::new(Parameters {
-        mean: rows(path, &npz, Group::Mean)?,
-        scale: rows(path, &npz, Group::Scale)?,
-        quaternion: rows(path, &npz, Group::Quaternion)?,
+        mean: rows(path, npz, Group::Mean)?,
+        scale: rows(path, npz, Group::Scale)?,
+        quaternion: rows(path, npz, Group::Quaternion)?,
         density: density.to_vec(),
         nu: nu.to_vec(),
     })

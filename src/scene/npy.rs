@@ -76,6 +76,14 @@ pub fn read(path: &Path) -> Result<Npy> {
     decode(file, length, path, "file")
 }
 
+/// Reads the content of a file; `path` names it in errors.
+///
+/// # Errors
+/// [`Error::Format`] for anything but a complete array of numbers.
+pub fn parse(content: &[u8], path: &Path) -> Result<Npy> {
+    decode(content, content.len() as u64, path, "file")
+}
+
 /// Reads an array with as many axes as `D` has, in single precision; `axes` names them in the error, as in `[x, y, z]`.
 ///
 /// # Errors

@@ -8,7 +8,7 @@ use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek};
+use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
@@ -32,6 +32,14 @@ impl Npz {
     pub fn read(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|source| Error::read(path, source))?;
         Self::decode(BufReader::new(file), path)
+    }
+
+    /// Reads the content of an archive; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for anything but a complete archive of arrays of numbers.
+    pub fn parse(content: &[u8], path: &Path) -> Result<Self> {
+        Self::decode(Cursor::new(content), path)
     }
 
     /// [`Self::read`] from memory or an open file; `path` names it in errors.

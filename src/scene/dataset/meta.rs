@@ -208,6 +208,11 @@ impl ScannerMeta {
         }
     }
 
+    /// First view and span of all, radians.
+    pub(super) fn arc(&self) -> Option<(f64, f64)> {
+        Some((self.start_angle.unwrap_or(0.0).to_radians(), self.total_angle?.to_radians()))
+    }
+
     /// The scanner in scene units, checked.
     pub(super) fn interpret(&self) -> Result<Interpreted> {
         let mut oddities = Vec::new();

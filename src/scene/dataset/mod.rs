@@ -65,21 +65,76 @@ pub struct Dataset {
     pub oddities: Vec<String>,
 }
 
+/// What a `meta_data.json` says before any projection is read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Description {
+    /// The scanner, scene units.
+    pub scanner: Scanner,
+    /// Scene units per unit of length of the files.
+    pub scale: f64,
+    /// Rotation of the training views that it lists, radians.
+    pub listed: Vec<f64>,
+    /// First view and span of all, radians.
+    pub arc: Option<(f64, f64)>,
+    /// What is unusual, a sentence each.
+    pub oddities: Vec<String>,
+}
+
+impl Description {
+    /// Reads a description; `path` is a dataset's folder, its `meta_data.json`, or a `.pickle` of NAF.
+    ///
+    /// # Errors
+    /// [`Error::Read`] or [`Error::Format`].
+    pub fn read(path: &Path) -> Result<Self> {
+        if naf::is_pickle(path) {
+            let Dataset { scanner, scale, train, oddities, .. } = naf::read(path)?;
+            return Ok(Self { scanner, scale, listed: train.angles, arc: None, oddities });
+        }
+        let path = meta_path(path);
+        Self::of(&Meta::read(&path)?, &path)
+    }
+
+    /// The content of a `meta_data.json`; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Format`].
+    pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
+        Self::of(&Meta::parse(text, path)?, path)
+    }
+
+    fn of(meta: &Meta, path: &Path) -> Result<Self> {
+        let meta::Interpreted { scanner, scale, oddities, .. } = meta.interpret(path)?;
+        let listed = meta.proj_train.iter().map(|view| view.angle).collect();
+        Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities })
+    }
+
+    /// Rotation of each of so many views, radians: as listed, or if none is evenly over the arc, whose end is excluded.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where another number is listed, or nothing is said.
+    pub fn angles(&self, views: usize) -> Result<Vec<f64>> {
+        let got = match (self.listed.len(), self.arc) {
+            (n, _) if n == views => return Ok(self.listed.clone()),
+            (0, Some((start, span))) => return Ok(Scanner::uniform_angles(views, start, span)),
+            (0, None) => "neither proj_train nor totalAngle".into(),
+            (n, _) => format!("{n} views in proj_train"),
+        };
+        let expected = format!("an angle for each of {views} views, or totalAngle and startAngle in degrees");
+        Err(Error::invalid(
+            "angles",
+            got,
+            expected,
+            "add them to the scanner's description or give the angles themselves",
+        ))
+    }
+}
+
 /// Reads the scanner of a dataset in scene units, without any projection; `path` is the folder or its `meta_data.json`.
 ///
 /// # Errors
 /// [`Error::Read`] or [`Error::Format`].
 pub fn read_scanner(path: &Path) -> Result<Scanner> {
-    if naf::is_pickle(path) {
-        return Ok(naf::read(path)?.scanner);
-    }
-    let path = meta_path(path);
-    Ok(Meta::read(&path)?.interpret(&path)?.scanner)
-}
-
-/// The scanner in the text of a `meta_data.json`; `path` names it in errors.
-pub(crate) fn parse_scanner(text: &[u8], path: &Path) -> Result<Scanner> {
-    Ok(Meta::parse(text, path)?.interpret(path)?.scanner)
+    Ok(Description::read(path)?.scanner)
 }
 
 impl Dataset {
@@ -105,10 +160,7 @@ impl Dataset {
         if meta.vol.is_none() && meta.ct.is_some() {
             oddities.push("the volume is listed as `ct`; R²-Gaussian's own reader only knows `vol`".into());
         }
-        let largest = meta.proj_train.iter().chain(&meta.proj_test).map(|view| view.angle.abs()).fold(0.0, f64::max);
-        if largest > LARGEST_USUAL_ANGLE {
-            oddities.push(format!("angles reach {largest}: they are read as radians, but look like degrees"));
-        }
+        oddities.extend(look_like_degrees(meta.proj_train.iter().chain(&meta.proj_test).map(|view| view.angle)));
 
         let train = read_views(folder, &meta_path, &meta.proj_train, &scanner, scale)?;
         let test = match meta.proj_test.as_slice() {
@@ -129,6 +181,14 @@ impl Dataset {
             notes: meta.notes,
             oddities,
         })
+    }
+
+    /// Reads a scan from the content of a pickle of NAF; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for anything but the data of a scan.
+    pub fn parse_pickle(content: &[u8], path: &Path) -> Result<Self> {
+        naf::parse(content, path)
     }
 
     /// Writes the dataset in scene units as the folder `folder`, which appears as a whole or not at all (see
@@ -173,6 +233,13 @@ impl Dataset {
         meta.write(&at("meta_data.json"))?;
         staged.commit()
     }
+}
+
+/// A remark on angles that are too large.
+pub(super) fn look_like_degrees(angles: impl Iterator<Item = f64>) -> Option<String> {
+    let largest = angles.map(f64::abs).fold(0.0, f64::max);
+    let remark = || format!("angles reach {largest}: they are read as radians, but look like degrees");
+    (largest > LARGEST_USUAL_ANGLE).then(remark)
 }
 
 /// The description of a dataset that is given by its folder or by the description itself.

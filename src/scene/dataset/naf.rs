@@ -26,7 +26,12 @@ pub(super) fn is_pickle(path: &Path) -> bool {
 
 /// Reads a scan from a pickle.
 pub(super) fn read(path: &Path) -> Result<Dataset> {
-    interpret(&pickle::read(path)?, path)
+    parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+}
+
+/// Reads a scan from the content of a pickle.
+pub(super) fn parse(content: &[u8], path: &Path) -> Result<Dataset> {
+    interpret(&pickle::parse(content, path)?, path)
 }
 
 fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
@@ -137,8 +142,7 @@ mod tests {
     }
 
     fn parsed(content: &[u8]) -> Result<Dataset> {
-        let path = Path::new("scan.pickle");
-        interpret(&pickle::parse(content, path)?, path)
+        parse(content, Path::new("scan.pickle"))
     }
 
     #[test]

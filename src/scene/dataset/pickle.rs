@@ -90,16 +90,10 @@ struct Unfinished {
 
 type Parsed<T> = std::result::Result<T, String>;
 
-/// Reads a pickle.
+/// Reads the pickle `content` of the file `path`.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Format`] for the first byte that is not the data that this reader knows.
-pub(super) fn read(path: &Path) -> Result<Value> {
-    let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-    parse(&content, path)
-}
-
-/// Reads the pickle `content` of the file `path`.
+/// [`Error::Format`] for the first byte that is not the data that this reader knows.
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<Value> {
     let mut machine = Machine {
         content,
