@@ -65,7 +65,7 @@ pub(super) struct Simulate {
 struct ObjectArgs {
     #[arg(long, value_name = "NAME", help = phantom_help())]
     phantom: Option<String>,
-    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii, .nii.gz or .raw
+    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii, .nii.gz, .tif or .raw
     #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
 }

@@ -1,10 +1,8 @@
 //! Numbers in bytes.
 
-use crate::error::{Error, Result};
 use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use ndarray::Array3;
 use std::io::Read;
-use std::path::Path;
 
 /// A byte of deflated data stands for at most so many.
 const MOST_INFLATION: usize = 1032;
@@ -85,16 +83,22 @@ impl Element {
         }
     }
 
-    /// A volume `[x, y, z]` from bytes with x fastest. No more memory is asked for than the bytes can stand for.
+    /// Bytes of an array that has a number, or what is wrong with its shape.
+    pub(super) fn size(self, shape: [usize; 3]) -> std::result::Result<usize, String> {
+        let voxels = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
+        let size = voxels.and_then(|voxels| voxels.checked_mul(self.number.size())).filter(|&size| size > 0);
+        size.ok_or_else(|| format!("shape {shape:?}"))
+    }
+
+    /// A volume `[x, y, z]` from bytes with x fastest, in which order it stays in memory. No more memory is asked for than
+    /// the bytes can stand for.
     pub(super) fn volume(
         self,
         bytes: &[u8],
         encoding: Encoding,
         shape: [usize; 3],
     ) -> std::result::Result<Array3<f32>, String> {
-        let voxels = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
-        let size = voxels.and_then(|voxels| voxels.checked_mul(self.number.size())).filter(|&size| size > 0);
-        let Some(size) = size else { return Err(format!("shape {shape:?}")) };
+        let size = self.size(shape)?;
         let unpacked;
         let bytes = match encoding {
             Encoding::Raw => bytes,
@@ -115,8 +119,7 @@ impl Element {
         }
         let [x, y, z] = shape;
         let values = self.numbers(&bytes[..size]);
-        let volume = Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes();
-        Ok(volume.as_standard_layout().into_owned())
+        Ok(Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes())
     }
 }
 
@@ -125,28 +128,6 @@ pub(super) fn unpack(packed: impl Read, size: usize) -> std::result::Result<Vec<
     let mut bytes = Vec::new();
     packed.take(size as u64).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     Ok(bytes)
-}
-
-/// Size and type that the name of a `.raw` tells.
-pub(super) fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
-    let sides = |part: &str| -> Option<[usize; 3]> {
-        let sides: Option<Vec<usize>> = part.split('x').map(|n| n.parse().ok()).collect();
-        sides?.try_into().ok()
-    };
-    let element = |part: &str| {
-        let (name, big_endian) = match part.strip_suffix("be") {
-            Some(name) => (name, true),
-            None => (part.strip_suffix("le").unwrap_or(part), false),
-        };
-        Number::named(name).map(|number| Element { number, big_endian })
-    };
-    let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
-    let (Some(shape), Some(element)) = found else {
-        let expected = "size and type in it: name_256x256x256_uint8.raw, with be behind the type for big-endian";
-        return Err(Error::invalid("name of the file", path.display(), expected, "rename it"));
-    };
-    Ok((shape, element))
 }
 
 /// The bytes of a volume `[x, y, z]` with x fastest, f32, little-endian.

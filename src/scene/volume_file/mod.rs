@@ -6,7 +6,11 @@
 //! | `.mha`, `.mhd` | MetaImage, x fastest | spacing, origin |
 //! | `.nrrd`, `.nhdr` | NRRD, x fastest | spacing, origin |
 //! | `.nii`, `.nii.gz` | NIfTI-1, x fastest | spacing, origin |
+//! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | nothing |
 //! | `.raw` | numbers alone, x fastest | size and type by name: `name_256x256x256_uint8.raw`, `_uint16be` for big-endian |
+//! | `.raw`, `.raw.json` | the same, described by a file beside it: see [`SideFile`] | size, type, spacing, origin |
+//! | folder of `.tif` | one page each, in natural order of the names: `s2.tif` before `s10.tif` | nothing |
+//! | folder of DICOM slices, `.dcm` | a series, in order of the slices' places; needs the feature `dicom` | spacing, origin |
 //!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or turned. Spacing and origin (of
 //! the centre of the first voxel) are along these axes, in the file's unit; a direction matrix other than the identity is
@@ -14,15 +18,21 @@
 //!
 //! Sizes in a header are believed only as far as the file has the bytes for them.
 
+#[cfg(feature = "dicom")]
+mod dicom;
 mod elements;
+mod folder;
 mod meta_image;
 mod nifti;
 mod nrrd;
+mod raw;
+mod tiff;
+
+pub use raw::SideFile;
 
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
-use elements::{Element, Encoding, Number};
 use glam::DVec3;
 use ndarray::{Array3, Ix3};
 use std::io::Write;
@@ -41,12 +51,28 @@ pub struct VolumeFile {
     pub oddities: Vec<String>,
 }
 
+impl VolumeFile {
+    /// Values and nothing else.
+    fn bare(values: Array3<f32>) -> Self {
+        Self { values, spacing: None, origin: None, oddities: Vec::new() }
+    }
+
+    /// With z the fastest in memory.
+    fn in_order(self) -> Self {
+        let values =
+            if self.values.is_standard_layout() { self.values } else { self.values.as_standard_layout().into_owned() };
+        Self { values, ..self }
+    }
+}
+
 #[derive(Clone, Copy)]
 enum Format {
     Npy,
     MetaImage,
     Nrrd,
     Nifti,
+    Tiff,
+    Dicom,
     Raw,
 }
 
@@ -61,6 +87,9 @@ impl Format {
             (".nhdr", Self::Nrrd),
             (".nii", Self::Nifti),
             (".nii.gz", Self::Nifti),
+            (".tif", Self::Tiff),
+            (".tiff", Self::Tiff),
+            (".dcm", Self::Dicom),
             (".raw", Self::Raw),
         ];
         known.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| format).ok_or_else(|| {
@@ -70,27 +99,54 @@ impl Format {
     }
 }
 
+/// Whether the name is that of a format of this page.
+pub fn is_volume(path: &Path) -> bool {
+    Format::of(path).is_ok()
+}
+
 /// Reads a volume; what it is follows from the name.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first thing that does not fit.
 pub fn read(path: &Path) -> Result<VolumeFile> {
-    let format = Format::of(path)?;
-    if let Format::Npy = format {
-        let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
-        return Ok(VolumeFile { values, spacing: None, origin: None, oddities: Vec::new() });
+    read_in_any_order(path).map(VolumeFile::in_order)
+}
+
+/// [`read`] without the copy that brings z to the end: the array has the right axes, but x may be the fastest in memory.
+pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
+    if path.is_dir() {
+        return folder::read(path);
+    }
+    if let Format::Npy = Format::of(path)? {
+        return npy::read_f32::<Ix3>(path, "[x, y, z]").map(VolumeFile::bare);
     }
     let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-    match format {
-        Format::Npy => unreachable!("read above"),
-        Format::MetaImage => meta_image::parse(&content, path),
-        Format::Nrrd => nrrd::parse(&content, path),
-        Format::Nifti => nifti::parse(&content, path),
-        Format::Raw => {
-            let (shape, element) = elements::of_name(path)?;
-            let values = element.volume(&content, Encoding::Raw, shape).map_err(|found| damaged(path, &found))?;
-            Ok(VolumeFile { values, spacing: None, origin: None, oddities: Vec::new() })
+    parse_in_any_order(&content, path)
+}
+
+/// Reads a volume from the content of a file; `path` tells what it is, and where a header's numbers or a side file are.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+    parse_in_any_order(content, path).map(VolumeFile::in_order)
+}
+
+fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
+    match Format::of(path)? {
+        Format::Npy => {
+            let values = npy::parse(content, path)?.numbers.into_f32();
+            npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]").map(VolumeFile::bare)
         }
+        Format::MetaImage => meta_image::parse(content, path),
+        Format::Nrrd => nrrd::parse(content, path),
+        Format::Nifti => nifti::parse(content, path),
+        Format::Tiff => tiff::parse(content, path),
+        #[cfg(feature = "dicom")]
+        Format::Dicom => dicom::parse(content, path),
+        #[cfg(not(feature = "dicom"))]
+        Format::Dicom => Err(no_dicom(path)),
+        Format::Raw => raw::parse(content, path),
     }
 }
 
@@ -108,13 +164,13 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
         Format::MetaImage => meta_image::header(path, shape, spacing, origin)?,
         Format::Nrrd => nrrd::header(path, shape, spacing, origin)?,
         Format::Nifti => return nifti::write(path, volume, spacing, origin),
+        Format::Tiff => return tiff::write(path, &volume.values),
+        Format::Dicom => {
+            let expected = "another format: DICOM is read but not written";
+            return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
+        }
         Format::Raw => {
-            let expected = elements::of_name(path)?;
-            if expected != (shape, Element { number: Number::F32, big_endian: false }) {
-                let [x, y, z] = shape;
-                let remedy = format!("end it with _{x}x{y}x{z}_float32.raw");
-                return Err(Error::invalid("name of the file", path.display(), "its size and type", remedy));
-            }
+            raw::check_name(path, shape)?;
             Vec::new()
         }
     };
@@ -124,8 +180,17 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     })
 }
 
-/// An error about the content of a file.
+/// What a build without the feature says.
+#[cfg(not(feature = "dicom"))]
+fn no_dicom(path: &Path) -> Error {
+    let expected = "a build that reads DICOM";
+    Error::invalid("DICOM", path.display(), expected, "build with `cargo build --release --features dicom`")
+}
+
+/// An error about the content of a file. What a library found may be as long as the file.
 fn damaged(path: &Path, found: &str) -> Error {
+    const LONGEST: usize = 400;
+    let found: String = found.chars().take(LONGEST).collect();
     Error::format(path, "volume", found, "a whole file with one number per voxel", "get the file again")
 }
 

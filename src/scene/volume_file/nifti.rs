@@ -65,8 +65,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     if !straight {
         oddities.push("the axes have directions of their own; they are read as x, y and z".into());
     }
-    let values = values.reversed_axes().as_standard_layout().into_owned();
-    Ok(VolumeFile { values, spacing: Some(spacing.abs()), origin, oddities })
+    Ok(VolumeFile { values: values.reversed_axes(), spacing: Some(spacing.abs()), origin, oddities })
 }
 
 /// Types of one number per voxel.

@@ -1,4 +1,7 @@
 use super::*;
+use ::tiff::encoder::colortype::{ColorType, Gray8, Gray16, Gray32, Gray32Float, Gray64Float, GrayI16, RGB8};
+use ::tiff::encoder::{Compression, DeflateLevel, TiffEncoder, TiffValue};
+use ndarray::Axis;
 use std::path::PathBuf;
 use tempfile::TempDir;
 
@@ -17,10 +20,10 @@ fn folder() -> (TempDir, impl Fn(&str) -> PathBuf) {
 #[test]
 fn what_is_written_is_read_again() {
     let (_folder, at) = folder();
-    for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a.npy", "a_3x4x5_float32.raw"] {
+    for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a.npy", "a.tif", "a.TIFF", "a_3x4x5_float32.raw"] {
         write(&at(name), &sample()).unwrap();
         let mut expected = sample();
-        if name.ends_with("npy") || name.ends_with("raw") {
+        if ["npy", "raw", "tif", "TIFF"].iter().any(|ending| name.ends_with(ending)) {
             (expected.spacing, expected.origin) = (None, None);
         }
         assert_eq!(read(&at(name)).unwrap(), expected, "{name}");
@@ -30,7 +33,7 @@ fn what_is_written_is_read_again() {
 #[test]
 fn the_same_volume_gives_the_same_bytes() {
     let (_folder, at) = folder();
-    for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"] {
+    for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a.tif"] {
         let bytes = || {
             write(&at(name), &sample()).unwrap();
             std::fs::read(at(name)).unwrap()
@@ -58,6 +61,188 @@ fn types_orders_and_files_beside_are_understood() {
     std::fs::write(at("v.nhdr"), header).unwrap();
     let found = read(&at("v.nhdr")).unwrap();
     assert_eq!((found.values, found.spacing), (expected, Some(DVec3::new(1.0, 2.0, 3.0))));
+}
+
+/// A page of 2 rows and 3 columns: 0, 1, … as numbers of one kind.
+fn page<C: ColorType<Inner: From<u8>>>(compression: Compression) -> Vec<u8>
+where
+    [C::Inner]: TiffValue,
+{
+    let mut content = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut content).unwrap().with_compression(compression);
+    let values: Vec<C::Inner> = (0..6_u8).map(C::Inner::from).collect();
+    encoder.write_image::<C>(3, 2, &values).unwrap();
+    content.into_inner()
+}
+
+#[test]
+fn pages_of_every_type_and_packing_are_columns_rows_and_slices() {
+    let expected = Array3::from_shape_fn((3, 2, 1), |(x, y, _)| (3 * y + x) as f32);
+    let pages = [
+        page::<Gray8>(Compression::Packbits),
+        page::<Gray16>(Compression::Lzw),
+        page::<Gray32>(Compression::Uncompressed),
+        page::<GrayI16>(Compression::Deflate(DeflateLevel::Balanced)),
+        page::<Gray32Float>(Compression::Lzw),
+        page::<Gray64Float>(Compression::Uncompressed),
+    ];
+    for (i, content) in pages.iter().enumerate() {
+        let found = parse(content, Path::new("a.tif")).unwrap();
+        assert_eq!(found.values, expected, "{i}");
+        assert!(found.values.is_standard_layout());
+    }
+    let colour = {
+        let mut content = std::io::Cursor::new(Vec::new());
+        TiffEncoder::new(&mut content).unwrap().write_image::<RGB8>(1, 1, &[1, 2, 3]).unwrap();
+        content.into_inner()
+    };
+    assert!(parse(&colour, Path::new("a.tif")).unwrap_err().to_string().contains("RGB(8) instead of grey"));
+}
+
+/// Memory that reading a damaged file took, and what was said.
+fn cost(content: &[u8], name: &str) -> (u64, String) {
+    let mut message = String::new();
+    let memory = allocation_counter::measure(|| message = parse(content, Path::new(name)).unwrap_err().to_string());
+    (memory.bytes_max, message)
+}
+
+#[test]
+fn counts_and_tiles_that_a_tiff_has_no_room_for_are_given_no_memory() {
+    let valid = page::<Gray32Float>(Compression::Uncompressed);
+    let width = valid.windows(4).position(|part| part == [0, 1, 4, 0]).unwrap();
+    let mut content = valid.clone();
+    content[width + 4..width + 8].copy_from_slice(&0x7f00_0000_u32.to_le_bytes());
+    let (memory, message) = cost(&content, "a.tif");
+    assert!(memory < 1 << 16 && message.contains("2130706432 values of tag 256"), "{memory}: {message}");
+    // A row of a tile is held whole where a predictor works on it.
+    let entries: [(u16, u32); 12] = [
+        (256, 1),
+        (257, 1),
+        (258, 32),
+        (259, 1),
+        (262, 1),
+        (277, 1),
+        (317, 3),
+        (322, 0x1000_0000),
+        (323, 1),
+        (324, 8),
+        (325, 64),
+        (339, 3),
+    ];
+    let mut content = [&b"II*\0\x08\0\0\0"[..], &(entries.len() as u16).to_le_bytes()].concat();
+    for (tag, value) in entries {
+        content.extend([&tag.to_le_bytes()[..], &[4, 0, 1, 0, 0, 0], &value.to_le_bytes()].concat());
+    }
+    content.extend([0; 4]);
+    let (memory, message) = cost(&content, "a.tif");
+    assert!(memory < 1 << 16 && message.contains("tiles of (268435456, 1) pixels"), "{memory}: {message}");
+    // A chain of directories that bites its tail has an end.
+    let end = content.len() - 4;
+    content[end..].copy_from_slice(&8_u32.to_le_bytes());
+    assert!(cost(&content, "a.tif").0 < 1 << 16);
+}
+
+#[test]
+fn messages_of_libraries_are_cut() {
+    // A sample format for each of 600 samples, all unknown.
+    let mut content = [&b"II*\0\x08\0\0\0\x06\0"[..]].concat();
+    for (tag, count, value) in
+        [(256_u16, 1_u32, 1_u32), (257, 1, 1), (258, 1, 8), (262, 1, 1), (277, 1, 1), (339, 600, 10)]
+    {
+        content.extend([&tag.to_le_bytes()[..], &[3, 0], &count.to_le_bytes(), &value.to_le_bytes()].concat());
+    }
+    content.extend([0; 4]);
+    content.extend([9; 1300]);
+    let (_, message) = cost(&content, "a.tif");
+    assert!((400..600).contains(&message.len()), "{} bytes: {message}", message.len());
+}
+
+#[test]
+fn a_folder_of_pages_is_read_in_natural_order() {
+    let (_folder, at) = folder();
+    std::fs::create_dir(at("pages")).unwrap();
+    let page = |name: &str, value: f32, depth: usize| {
+        let values = Array3::from_elem((3, 2, depth), value);
+        write(&at("pages").join(name), &VolumeFile { values, ..sample() }).unwrap();
+    };
+    for (name, value) in [("s10.tif", 3.0), ("s9.tif", 2.0), ("s1.tif", 1.0), ("s011.tif", 4.0)] {
+        page(name, value, 1);
+    }
+    std::fs::write(at("pages/notes.txt"), "no page").unwrap();
+    std::fs::write(at("pages/.hidden.tif"), "no page").unwrap();
+    let found = read(&at("pages")).unwrap().values;
+    assert_eq!(found.dim(), (3, 2, 4));
+    assert_eq!(found.index_axis(Axis(0), 2).row(1).to_vec(), [1.0, 2.0, 3.0, 4.0]);
+    page("s12.tif", 5.0, 2);
+    assert!(read(&at("pages")).unwrap_err().to_string().contains("s12.tif: file in a folder: got 2 pages"));
+    write(&at("pages/s12.tif"), &sample()).unwrap();
+    assert!(read(&at("pages")).unwrap_err().to_string().contains("a page of 4 rows and 3 columns after 4 of (2, 3)"));
+    std::fs::create_dir(at("empty")).unwrap();
+    assert!(read(&at("empty")).unwrap_err().to_string().contains("got 0 files, expected pages .tif"));
+}
+
+#[cfg(not(feature = "dicom"))]
+#[test]
+fn a_build_without_dicom_says_how_to_get_it() {
+    let (_folder, at) = folder();
+    std::fs::write(at("a.dcm"), "").unwrap();
+    for path in [at("a.dcm"), at("a.dcm").parent().unwrap().to_owned()] {
+        assert!(read(&path).unwrap_err().to_string().contains("--features dicom"));
+    }
+}
+
+#[test]
+fn a_file_beside_raw_numbers_describes_them() {
+    let (_folder, at) = folder();
+    let numbers: Vec<u8> = (0..8_u16).flat_map(|n| (n * 300).to_be_bytes()).collect();
+    std::fs::write(at("v.raw"), [&b"head"[..], &numbers].concat()).unwrap();
+    let described = |text: &str| {
+        std::fs::write(at("v.raw.json"), text).unwrap();
+        read(&at("v.raw"))
+    };
+    let whole = r#"{"shape": [4, 1, 2], "type": "uint16", "byte_order": "big", "spacing": [0.5, 1, 2],
+        "origin": [1, 2, -3.5], "skip_bytes": 4}"#;
+    let found = described(whole).unwrap();
+    assert_eq!(found.values, Array3::from_shape_fn((4, 1, 2), |(x, _, z)| (300 * (x + 4 * z)) as f32));
+    assert_eq!((found.spacing, found.origin), (Some(DVec3::new(0.5, 1.0, 2.0)), Some(DVec3::new(1.0, 2.0, -3.5))));
+    let found = described(r#"{"shape": [5, 2, 2], "type": "uint8"}"#).unwrap();
+    assert_eq!((found.values[[4, 0, 0]], found.spacing), (0.0, None));
+    for (text, part) in [
+        (r#"{"shape": [4, 1, 2], "type": "uint16"}"#, "20 bytes behind the first 0, 16 expected"),
+        (r#"{"shape": [4, 1, 2], "type": "uint16", "skip_bytes": 99}"#, "0 bytes behind the first 99"),
+        (r#"{"shape": [4, 1, 0], "type": "uint16"}"#, "[4, 1, 0]"),
+        (r#"{"shape": [4, 1, 2], "type": "complex64"}"#, "complex64"),
+        (r#"{"shape": [4, 1], "type": "uint16"}"#, "v.raw.json"),
+        (r#"{"shape": [4, 1, 2], "type": "uint16", "order": "big"}"#, "order"),
+        (r#"{"shape": [4, 1, 2], "type": "uint16", "spacing": [1, 0, 1]}"#, "spacing"),
+    ] {
+        let message = described(text).unwrap_err().to_string();
+        assert!(message.contains(part), "{message}");
+    }
+    // Nor may it be left behind when its numbers are replaced.
+    std::fs::write(at("a_3x4x5_float32.raw.json"), whole).unwrap();
+    assert!(write(&at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("remove it"));
+}
+
+#[test]
+fn headers_of_numbers_elsewhere_stay_in_their_folder() {
+    let (_folder, at) = folder();
+    std::fs::create_dir(at("inner")).unwrap();
+    std::fs::write(at("secret.raw"), [7]).unwrap();
+    std::fs::write(at("inner/v.raw"), [5]).unwrap();
+    let absolute = at("secret.raw").to_str().unwrap().to_owned();
+    for (name, is_inside) in [("v.raw", true), ("../secret.raw", false), (absolute.as_str(), false), ("./v.raw", false)]
+    {
+        let mhd = format!("NDims = 3\nDimSize = 1 1 1\nElementType = MET_UCHAR\nElementDataFile = {name}\n");
+        let nhdr = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nencoding: raw\ndata file: {name}\n");
+        for (header, text) in [("inner/a.mhd", mhd), ("inner/a.nhdr", nhdr)] {
+            std::fs::write(at(header), text).unwrap();
+            match read(&at(header)) {
+                Ok(found) => assert!(is_inside && found.values[[0, 0, 0]] == 5.0, "{header} {name}"),
+                Err(error) => assert!(!is_inside && error.to_string().contains("in this folder"), "{error}"),
+            }
+        }
+    }
 }
 
 #[test]

@@ -1,0 +1,164 @@
+//! Whether the lengths in a DICOM file can be true. The library that reads it asks for as much memory as they claim, so
+//! nothing may be left to it that this page understands in another way.
+
+use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
+use dicom_core::{Tag, VR};
+use dicom_object::StandardDataDictionary;
+
+/// What stands behind the first 128 bytes.
+pub(super) const MARK: &[u8] = b"DICM";
+/// Of a length that is not told: what follows has an end of its own.
+const UNDEFINED: u32 = u32::MAX;
+const ITEM: Tag = Tag(0xFFFE, 0xE000);
+const END_OF_ITEM: Tag = Tag(0xFFFE, 0xE00D);
+const END_OF_SEQUENCE: Tag = Tag(0xFFFE, 0xE0DD);
+const PIXELS: Tag = Tag(0x7FE0, 0x0010);
+/// Sequences within sequences; real files have five.
+const DEEPEST: usize = 32;
+
+type Parsed<T> = Result<T, String>;
+
+/// Walks through a file and says what is wrong with it.
+pub(super) fn check(content: &[u8]) -> Parsed<()> {
+    let rest = content.get(128..).and_then(|rest| rest.strip_prefix(MARK)).ok_or("no DICM behind 128 bytes")?;
+    // The file's own group: its length, then its elements, among them how the others are written.
+    let mut walk = Walk { rest, explicit: true };
+    let (tag, _, length) = walk.header()?;
+    if (tag, length) != (Tag(2, 0), 4) {
+        return Err(format!("{tag} of {length} bytes instead of the length of group 2"));
+    }
+    let length = walk.number()?;
+    let mut group = Walk { rest: walk.take(length)?, explicit: true };
+    let mut syntax = Vec::new();
+    while !group.rest.is_empty() {
+        let (tag, _, length) = group.header()?;
+        let value = group.take(length)?;
+        if tag == Tag(2, 0x10) {
+            syntax = value.to_vec();
+        }
+    }
+    walk.explicit = match String::from_utf8_lossy(&syntax).trim_end_matches(['\0', ' ']) {
+        "1.2.840.10008.1.2" => false,
+        "1.2.840.10008.1.2.1" => true,
+        other => {
+            return Err(format!(
+                "the transfer syntax {other:?} instead of plain little-endian pixels (convert with gdcmconv --raw or dcmdjpeg)"
+            ));
+        }
+    };
+    walk.elements(false, 0)
+}
+
+struct Walk<'a> {
+    rest: &'a [u8],
+    /// Whether elements tell the type of their values.
+    explicit: bool,
+}
+
+impl<'a> Walk<'a> {
+    fn take(&mut self, count: u32) -> Parsed<&'a [u8]> {
+        let (taken, rest) = self
+            .rest
+            .split_at_checked(count as usize)
+            .ok_or_else(|| format!("an element of {count} bytes where {} are left", self.rest.len()))?;
+        self.rest = rest;
+        Ok(taken)
+    }
+
+    fn short(&mut self) -> Parsed<u16> {
+        Ok(u16::from_le_bytes(self.take(2)?.try_into().expect("two bytes")))
+    }
+
+    fn number(&mut self) -> Parsed<u32> {
+        Ok(u32::from_le_bytes(self.take(4)?.try_into().expect("four bytes")))
+    }
+
+    /// Tag, type and length of an element.
+    fn header(&mut self) -> Parsed<(Tag, VR, u32)> {
+        let tag = Tag(self.short()?, self.short()?);
+        if tag.group() == ITEM.group() {
+            return Ok((tag, VR::UN, self.number()?));
+        }
+        if !self.explicit {
+            let known = StandardDataDictionary.by_tag(tag).map(|entry| entry.vr().relaxed());
+            return Ok((tag, known.unwrap_or(VR::UN), self.number()?));
+        }
+        let kind = VR::from_binary(self.take(2)?.try_into().expect("two bytes")).unwrap_or(VR::UN);
+        let is_long = matches!(
+            kind,
+            VR::OB
+                | VR::OD
+                | VR::OF
+                | VR::OL
+                | VR::OV
+                | VR::OW
+                | VR::SQ
+                | VR::SV
+                | VR::UC
+                | VR::UN
+                | VR::UR
+                | VR::UT
+                | VR::UV
+        );
+        let length = if is_long {
+            self.short()?;
+            self.number()?
+        } else {
+            self.short()?.into()
+        };
+        Ok((tag, kind, length))
+    }
+
+    /// Elements up to the end, or up to the end of an item.
+    fn elements(&mut self, in_item: bool, depth: usize) -> Parsed<()> {
+        if depth > DEEPEST {
+            return Err(format!("sequences within sequences, more than {DEEPEST} deep"));
+        }
+        while !self.rest.is_empty() {
+            match self.header()? {
+                (END_OF_ITEM, _, _) if in_item => return Ok(()),
+                (tag, _, _) if tag.group() == ITEM.group() => return Err(format!("{tag} outside of a sequence")),
+                (PIXELS, _, UNDEFINED) => return Err("packed pixels".into()),
+                (_, _, UNDEFINED) => self.items(true, depth)?,
+                (_, VR::SQ, length) => {
+                    let rest = self.take(length)?;
+                    Walk { rest, explicit: self.explicit }.items(false, depth)?;
+                }
+                // Of numbers cut in two the library leaves the rest, and goes on with that as the next element.
+                (tag, kind, length) if length % size(kind) != 0 => {
+                    return Err(format!("{length} bytes of {tag} with numbers of {}", size(kind)));
+                }
+                (_, _, length) => {
+                    self.take(length)?;
+                }
+            }
+        }
+        if in_item { Err("an item without an end".into()) } else { Ok(()) }
+    }
+
+    /// Items up to the end, or up to the end of the sequence.
+    fn items(&mut self, in_sequence: bool, depth: usize) -> Parsed<()> {
+        while !self.rest.is_empty() {
+            match self.header()? {
+                (ITEM, _, UNDEFINED) => self.elements(true, depth + 1)?,
+                (ITEM, _, length) => {
+                    let rest = self.take(length)?;
+                    Walk { rest, explicit: self.explicit }.elements(false, depth + 1)?;
+                }
+                (END_OF_SEQUENCE, _, _) if in_sequence => return Ok(()),
+                (tag, _, _) => return Err(format!("{tag} where an item of a sequence should be")),
+            }
+        }
+        if in_sequence { Err("a sequence without an end".into()) } else { Ok(()) }
+    }
+}
+
+/// Bytes of a number of a type, 1 for texts and bytes.
+fn size(kind: VR) -> u32 {
+    match kind {
+        VR::OW | VR::SS | VR::US => 2,
+        VR::AT | VR::FL | VR::OF | VR::OL | VR::SL | VR::UL => 4,
+        VR::FD | VR::OD | VR::OV | VR::SV | VR::UV => 8,
+        _ => 1,
+    }
+}

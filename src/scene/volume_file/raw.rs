@@ -1,0 +1,149 @@
+//! Numbers alone: what they are is said by the file's name or by a file beside it.
+
+use super::elements::{Element, Encoding, Number};
+use super::{VolumeFile, damaged};
+use crate::error::{Error, Result};
+use glam::DVec3;
+use serde::Deserialize;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// What `name.raw.json` says about `name.raw`:
+///
+/// ```json
+/// { "shape": [256, 256, 100], "type": "uint16", "byte_order": "little",
+///   "spacing": [0.5, 0.5, 1.0], "origin": [0.0, 0.0, 0.0], "skip_bytes": 0 }
+/// ```
+///
+/// Only `shape` and `type` are needed. The numbers fill the rest of the file, to its last byte.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SideFile {
+    /// `[x, y, z]`, x fastest in the file.
+    shape: [usize; 3],
+    /// NumPy's name: uint8, int8, uint16, int16, uint32, int32, float32 or float64.
+    #[serde(rename = "type")]
+    kind: String,
+    /// Which end of a number comes first.
+    #[serde(default)]
+    byte_order: ByteOrder,
+    /// Distance of voxels along x, y, z.
+    spacing: Option<[f64; 3]>,
+    /// Centre of voxel (0, 0, 0).
+    origin: Option<[f64; 3]>,
+    /// Bytes before the first number.
+    #[serde(default)]
+    skip_bytes: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum ByteOrder {
+    #[default]
+    Little,
+    Big,
+}
+
+impl SideFile {
+    /// The content of a side file; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for anything but the fields above.
+    pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
+        let wrong = |got: String| {
+            let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …) and perhaps byte_order, spacing, \
+                            origin, skip_bytes";
+            Error::format(path, "side file", got, expected, "compare it with the one in `trgs convert --help`")
+        };
+        let side: Self = serde_json::from_slice(text).map_err(|error| wrong(error.to_string()))?;
+        if Number::named(&side.kind).is_none() {
+            return Err(wrong(format!("type {:?}", side.kind)));
+        }
+        let is_sound = side.spacing.iter().flatten().all(|side| *side > 0.0 && side.is_finite())
+            && side.origin.iter().flatten().all(|position| position.is_finite());
+        if !is_sound {
+            return Err(wrong(format!("spacing {:?}, origin {:?}", side.spacing, side.origin)));
+        }
+        Ok(side)
+    }
+
+    /// The volume that the content of the file `path` is.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the content has another length.
+    pub fn volume(&self, content: &[u8], path: &Path) -> Result<VolumeFile> {
+        let number = Number::named(&self.kind).expect("checked when it was read");
+        let element = Element { number, big_endian: self.byte_order == ByteOrder::Big };
+        let [spacing, origin] = [self.spacing, self.origin].map(|vector| vector.map(DVec3::from_array));
+        Ok(VolumeFile { spacing, origin, ..volume(content, self.skip_bytes, element, self.shape, path)? })
+    }
+}
+
+/// The volume in the content of a file, described by the file beside it or else by its name.
+pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+    let side_path = side_path(path);
+    match std::fs::read(&side_path) {
+        Ok(text) => SideFile::parse(&text, &side_path)?.volume(content, path),
+        Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => {
+            let (shape, element) = of_name(path)?;
+            volume(content, 0, element, shape, path)
+        }
+        Err(error) => Err(Error::read(&side_path, error)),
+    }
+}
+
+/// All numbers behind `skip` bytes.
+fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path: &Path) -> Result<VolumeFile> {
+    let size = element.size(shape).map_err(|found| damaged(path, &found))?;
+    let numbers = content.get(skip..).unwrap_or_default();
+    if numbers.len() != size {
+        let found = format!("{} bytes behind the first {skip}, {size} expected for shape {shape:?}", numbers.len());
+        return Err(damaged(path, &found));
+    }
+    let values = element.volume(numbers, Encoding::Raw, shape).map_err(|found| damaged(path, &found))?;
+    Ok(VolumeFile::bare(values))
+}
+
+/// `name.raw.json`.
+fn side_path(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".json");
+    name.into()
+}
+
+/// Refuses the name of a file to write that does not tell what will be in it.
+pub(super) fn check_name(path: &Path, shape: [usize; 3]) -> Result<()> {
+    let [x, y, z] = shape;
+    let remedy = format!("end it with _{x}x{y}x{z}_float32.raw");
+    if side_path(path).exists() {
+        let expected = "none: the name will say what is in the file";
+        return Err(Error::invalid("file to write", side_path(path).display(), expected, "remove it"));
+    }
+    if of_name(path)? != (shape, Element { number: Number::F32, big_endian: false }) {
+        return Err(Error::invalid("name of the file", path.display(), "its size and type", remedy));
+    }
+    Ok(())
+}
+
+/// Size and type that the name of a `.raw` tells.
+fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let sides = |part: &str| -> Option<[usize; 3]> {
+        let sides: Option<Vec<usize>> = part.split('x').map(|n| n.parse().ok()).collect();
+        sides?.try_into().ok()
+    };
+    let element = |part: &str| {
+        let (name, big_endian) = match part.strip_suffix("be") {
+            Some(name) => (name, true),
+            None => (part.strip_suffix("le").unwrap_or(part), false),
+        };
+        Number::named(name).map(|number| Element { number, big_endian })
+    };
+    let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
+    let (Some(shape), Some(element)) = found else {
+        let expected = "size and type in it: name_256x256x256_uint8.raw, with be behind the type for big-endian";
+        let remedy = "rename it, or describe it in a file beside it with .json behind the name";
+        return Err(Error::invalid("name of the file", path.display(), expected, remedy));
+    };
+    Ok((shape, element))
+}
