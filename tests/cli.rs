@@ -2,11 +2,14 @@
 
 mod program;
 
+use ndarray::{Array2, Array3};
 use program::{Sandbox, stderr};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use trgs::scene::npy;
+use trgs::numeric::elementary::exp;
 use trgs::scene::npz::Npz;
+use trgs::scene::volume_file::VolumeFile;
+use trgs::scene::{npy, volume_file};
 
 const COMMANDS: [&str; 11] = [
     "demo",
@@ -289,7 +292,7 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
 #[test]
 fn volumes_and_scans_change_their_format() {
     let sandbox = Sandbox::with_scan();
-    for name in ["v.mha", "v.nrrd", "v.nii.gz"] {
+    for name in ["v.mha", "v.nrrd", "v.nii.gz", "v.tif"] {
         let found = sandbox.done(&format!("convert scan/vol_gt.npy {name} --scanner scan"));
         assert_eq!(found["kind"], "volume");
         let n = found["shape"][0].as_f64().unwrap();
@@ -307,6 +310,93 @@ fn volumes_and_scans_change_their_format() {
     assert_eq!(sandbox.done("inspect of_naf")["kind"], "dataset");
     sandbox.done(&format!("reconstruct {pickle} --out run --method cgls --iterations 3"));
     assert!(sandbox.refused(&format!("convert {pickle} other --scanner scan")).contains("--scanner"));
+}
+
+/// The training views of `scan` as readings of a detector: TIFFs of frames, of three flat fields and of one dark field.
+fn write_readings(sandbox: &Sandbox) {
+    let images: Vec<_> =
+        (0..4).map(|view| image(sandbox, &format!("scan/proj_train/proj_train_000{view}.npy"))).collect();
+    let (rows, columns) = images[0].dim();
+    let dark = |v: usize, u: usize| (90 + v + 2 * u) as f32;
+    let flat = |v: usize, u: usize| (20_000 + 300 * v + 100 * u) as f32;
+    let write = |name: &str, count: usize, reading: &dyn Fn(usize, usize, usize) -> f32| {
+        let values = Array3::from_shape_fn((columns, rows, count), |(u, v, frame)| reading(frame, v, u));
+        let volume = VolumeFile { values, spacing: None, origin: None, oddities: Vec::new() };
+        volume_file::write(&sandbox.path(name), &volume).unwrap();
+    };
+    write("darks.tif", 1, &|_, v, u| dark(v, u));
+    write("flats.tif", 3, &|frame, v, u| flat(v, u) + 40.0 * (frame as f32 - 1.0));
+    write("frames.tif", 4, &|view, v, u| {
+        let transmission = exp(-f64::from(images[view][[v, u]])) as f32;
+        dark(v, u) + (flat(v, u) - dark(v, u)) * transmission
+    });
+}
+
+fn image(sandbox: &Sandbox, name: &str) -> Array2<f32> {
+    npy::read_f32(&sandbox.path(name), "[v, u]").unwrap()
+}
+
+#[test]
+fn readings_of_a_detector_become_a_scan() {
+    let sandbox = Sandbox::with_scan();
+    write_readings(&sandbox);
+    let found = sandbox.done("convert frames.tif own --scanner scan --flat flats.tif --dark darks.tif");
+    assert_eq!((&found["kind"], &found["views"], &found["clamped"]), (&json!("dataset"), &json!(4), &json!(0)));
+    for view in 0..4 {
+        let [own, scan] =
+            ["own", "scan"].map(|at| image(&sandbox, &format!("{at}/proj_train/proj_train_000{view}.npy")));
+        // Transmissions, readings and line integrals are rounded to 2⁻²⁴ of themselves.
+        let worst = (own - scan).iter().fold(0.0_f32, |worst, difference| worst.max(difference.abs()));
+        assert!(worst < 1e-6, "view {view}: {worst}");
+    }
+    assert_eq!(sandbox.done("inspect own")["train"]["views"], 4);
+    // The scanner's lengths in another unit scale the line integrals, and only totalAngle says where the views are.
+    sandbox.edit("scan/meta_data.json", |meta| {
+        for key in ["DSD", "DSO"] {
+            meta["scanner"][key] = json!(10.0 * meta["scanner"][key].as_f64().unwrap());
+        }
+        for key in ["sDetector", "dDetector", "sVoxel", "dVoxel", "offOrigin", "offDetector"] {
+            let values: Vec<f64> = serde_json::from_value(meta["scanner"][key].clone()).unwrap();
+            meta["scanner"][key] = json!(values.iter().map(|value| 10.0 * value).collect::<Vec<_>>());
+        }
+        (meta["proj_train"], meta["bbox"]) = (json!([]), Value::Null);
+    });
+    sandbox.write("meta.json", sandbox.read("scan/meta_data.json"));
+    sandbox.done("convert frames.tif scaled --scanner meta.json --flat flats.tif --dark darks.tif");
+    let [own, scaled] = ["own", "scaled"].map(|at| image(&sandbox, &format!("{at}/proj_train/proj_train_0001.npy")));
+    assert_eq!(own.mapv(|value| (f64::from(value) * 0.1) as f32), scaled);
+    let angle = |at: &str| {
+        serde_json::from_str::<Value>(&sandbox.text(&format!("{at}/meta_data.json"))).unwrap()["proj_train"][1]["angle"]
+            .as_f64()
+    };
+    assert!((angle("own").unwrap() - angle("scaled").unwrap()).abs() < 1e-12);
+    sandbox.write("angles.txt", "0 10 20 30");
+    let line_integrals =
+        "convert frames.tif given --scanner meta.json --line-integrals --angles angles.txt --degrees --clockwise";
+    sandbox.done(line_integrals);
+    assert!((angle("given").unwrap() + 10_f64.to_radians()).abs() < 1e-12);
+
+    let warned = |arguments: &str| {
+        let output = sandbox.run(&format!("convert frames.tif other --scanner meta.json {arguments}"));
+        assert!(output.status.success(), "{}", stderr(&output));
+        stderr(&output)
+    };
+    assert!(warned("--normalise frame").contains("contradict each other"));
+    assert!(warned("").contains("no flat field"));
+    assert!(warned("--white 24000 --dark darks.tif --air 0,0,2,15").is_empty());
+    for (arguments, part) in [
+        ("frames.tif other", "add --scanner"),
+        ("frames.tif other.mha --scanner meta.json --flat flats.tif", "--flat"),
+        ("scan other --clockwise", "--clockwise"),
+        ("frames.tif other --scanner meta.json --white 5 --flat flats.tif", "cannot be used with"),
+        ("frames.tif other --scanner meta.json --air 0,0,99,3", "14 rows and 15 columns"),
+        ("darks.tif other --scanner meta.json --angles angles.txt", "one for each of 1 frames"),
+        ("frames.tif other --scanner meta.json --flat scan/vol_gt.npy", "flat field: got shape [12, 12]"),
+    ] {
+        let output = sandbox.run(&format!("convert {arguments}"));
+        let message = stderr(&output);
+        assert!(output.status.code() == Some(2) && message.contains(part), "{arguments}: {message}");
+    }
 }
 
 #[test]

@@ -28,6 +28,7 @@ mod nrrd;
 mod raw;
 mod tiff;
 
+pub(super) use folder::{files, with_extension};
 pub use raw::SideFile;
 
 use super::npy;

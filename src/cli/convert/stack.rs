@@ -1,0 +1,167 @@
+//! From a stack of projections to R²-Gaussian's folder.
+
+use super::{Convert, warn};
+use crate::cli::arguments::finite;
+use crate::cli::{Answer, interrupt};
+use clap::{Args, ValueEnum};
+use ndarray::{Array2, Array3};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trgs::scene::dataset::Description;
+use trgs::scene::intensities::{Air, Corrected, Correction, White, mean_frame};
+use trgs::scene::stack::{self, Orientation};
+use trgs::{Error, Result};
+
+/// Flags that only a stack of projections has.
+#[derive(Args)]
+#[command(next_help_heading = "Stacks of projections")]
+pub(super) struct StackArgs {
+    /// Angles of the views, radians: numbers in a text, or .npy
+    #[arg(long, value_name = "FILE")]
+    angles: Option<PathBuf>,
+    /// The angles are degrees
+    #[arg(long, requires = "angles")]
+    degrees: bool,
+    /// Frames without an object, whose mean is used: any stack, or one image
+    #[arg(long, value_name = "STACK", conflicts_with_all = ["normalise", "white", "line_integrals"])]
+    flat: Option<PathBuf>,
+    /// Frames without X-rays, whose mean is used: any stack, or one image
+    #[arg(long, value_name = "STACK", conflicts_with = "line_integrals")]
+    dark: Option<PathBuf>,
+    /// What stands for a flat field: the brightest pixel (of a thousand) of the stack, or of every frame, which is a trap
+    #[arg(long, value_enum, value_name = "OVER", conflicts_with_all = ["white", "line_integrals"])]
+    normalise: Option<Normalise>,
+    /// Reading of a pixel without an object, in place of a flat field
+    #[arg(long, value_name = "I0", conflicts_with = "line_integrals", value_parser = finite)]
+    white: Option<f64>,
+    /// Region that sees air in every frame, ends excluded: its mean takes out the drift of the source
+    #[arg(long, value_name = "ROW0,COL0,ROW1,COL1", conflicts_with = "line_integrals")]
+    air: Option<Air>,
+    /// The stack holds line integrals, in units of the scanner's lengths
+    #[arg(long)]
+    line_integrals: bool,
+    /// Row 0 is at the bottom; here it is on top
+    #[arg(long)]
+    flip_rows: bool,
+    /// Column 0 is at the other side
+    #[arg(long)]
+    flip_columns: bool,
+    /// Angles are counted clockwise, seen from +z
+    #[arg(long)]
+    clockwise: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Normalise {
+    /// The stack's.
+    Global,
+    /// Each frame's.
+    Frame,
+}
+
+/// What was made of a stack.
+#[derive(Serialize)]
+struct Measured<'a> {
+    out: &'a Path,
+    kind: &'static str,
+    views: usize,
+    detector: [usize; 2],
+    shape: [usize; 3],
+    /// Scene units per unit of length of the description.
+    scale: f64,
+    #[serde(flatten)]
+    correction: Option<Summary>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
+}
+
+/// What was done to intensities.
+#[derive(Serialize)]
+struct Summary {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    white: Option<f64>,
+    clamped: usize,
+    dead_pixels: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    air: Option<[f64; 2]>,
+}
+
+impl StackArgs {
+    /// A flag that was given, if any was.
+    pub(super) fn first_flag(&self) -> Option<&'static str> {
+        let given = [
+            ("--angles", self.angles.is_some()),
+            ("--flat", self.flat.is_some()),
+            ("--dark", self.dark.is_some()),
+            ("--normalise", self.normalise.is_some()),
+            ("--white", self.white.is_some()),
+            ("--air", self.air.is_some()),
+            ("--line-integrals", self.line_integrals),
+            ("--flip-rows", self.flip_rows),
+            ("--flip-columns", self.flip_columns),
+            ("--clockwise", self.clockwise),
+        ];
+        given.into_iter().find(|(_, given)| *given).map(|(flag, _)| flag)
+    }
+
+    /// Intensities as line integrals.
+    fn correct(&self, readings: &Array3<f32>) -> Result<Corrected> {
+        let white = match (&self.flat, self.white, self.normalise) {
+            (Some(flat), _, _) => White::Flat(field("flat field", flat)?),
+            (None, Some(reading), _) => White::Reading(reading),
+            (None, None, Some(Normalise::Frame)) => White::OfFrame,
+            (None, None, _) => White::OfStack,
+        };
+        let dark = self.dark.as_deref().map(|dark| field("dark field", dark)).transpose()?;
+        Correction { dark, white, air: self.air.clone() }.apply(readings)
+    }
+}
+
+fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
+    mean_frame(what, &stack::read(path)?).map_err(|error| error.in_file(path))
+}
+
+pub(super) fn convert(command: &Convert) -> Result<Answer> {
+    let Convert { source, out, scanner, protocol, stack: arguments } = command;
+    let Some(scanner) = scanner else {
+        let expected = "the description of beam, detector and volume, for a stack of projections";
+        let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz or the like to write a volume";
+        return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
+    };
+    let description = Description::read(scanner)?;
+    let frames = stack::read(source)?;
+    let angles = match &arguments.angles {
+        Some(path) => stack::read_angles(path, arguments.degrees)?,
+        None => description.angles(frames.dim().0).map_err(|error| error.in_file(scanner))?,
+    };
+    let orientation = Orientation {
+        flip_rows: arguments.flip_rows,
+        flip_columns: arguments.flip_columns,
+        clockwise: arguments.clockwise,
+    };
+    let (line_integrals, correction) = if arguments.line_integrals {
+        (frames, None)
+    } else {
+        let corrected = arguments.correct(&frames).map_err(|error| error.in_file(source))?;
+        warn(source, &corrected.remarks);
+        let Corrected { line_integrals, white, clamped, dead, drift, .. } = corrected;
+        (line_integrals, Some(Summary { white, clamped, dead_pixels: dead, air: drift }))
+    };
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let dataset = stack::scan(&name, &description, line_integrals, angles, orientation);
+    let dataset = dataset.map_err(|error| error.in_file(source))?;
+    warn(scanner, &dataset.oddities);
+    let dataset = protocol.apply(dataset)?;
+    interrupt::shielded(|| dataset.write(out))?;
+    let detector = dataset.scanner.detector;
+    Ok(Answer::list(&Measured {
+        out,
+        kind: "dataset",
+        views: dataset.train.len(),
+        detector: [detector.rows, detector.columns],
+        shape: dataset.scanner.grid.shape,
+        scale: dataset.scale,
+        correction,
+        notes: dataset.notes,
+    }))
+}

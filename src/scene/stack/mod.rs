@@ -1,0 +1,154 @@
+//! Projections of any origin: a stack of images and the angles they were taken at.
+//!
+//! | stack | frames |
+//! |---|---|
+//! | `.npy` | `[view, v, u]`; `[v, u]` is one frame |
+//! | folder of `.npy` | `[v, u]` each, in natural order of the names |
+//! | anything that [`super::volume_file`] reads | z is the view, y is v, x is u: a page of a TIFF is a view, its rows are v |
+
+use super::arrays::Projections;
+use super::dataset::{Dataset, Description, look_like_degrees};
+use super::noise::Noise;
+use super::npy;
+use super::volume_file::{self, files, with_extension};
+use crate::error::{Error, Result};
+use ndarray::{Array3, Axis, Ix1, Ix2, Ix3};
+use std::path::Path;
+
+/// How the frames of a detector lie on that of the geometry page: row 0 on top, columns along u, angles counter-clockwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Orientation {
+    /// Row 0 is at the bottom.
+    pub flip_rows: bool,
+    /// Column 0 is at the other side.
+    pub flip_columns: bool,
+    /// Angles are counted clockwise, seen from +z.
+    pub clockwise: bool,
+}
+
+/// Reads a stack `[view, v, u]`.
+///
+/// # Errors
+/// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first thing that does not fit.
+pub fn read(path: &Path) -> Result<Array3<f32>> {
+    if path.is_dir() {
+        let files = files(path)?;
+        let frames = with_extension(&files, &["npy"]);
+        if !frames.is_empty() {
+            return read_frames(&frames);
+        }
+    } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
+        let values = npy::read(path)?.numbers.into_f32();
+        let values = if values.ndim() == 2 { values.insert_axis(Axis(0)) } else { values };
+        return npy::with_axes::<f32, Ix3>(values, path, "stack", "[view, v, u]");
+    }
+    let values = volume_file::read_in_any_order(path)?.values.reversed_axes();
+    Ok(if values.is_standard_layout() { values } else { values.as_standard_layout().into_owned() })
+}
+
+fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
+    let (mut shape, mut values) = ((0, 0), Vec::new());
+    for (view, path) in paths.iter().enumerate() {
+        let frame = npy::read_f32::<Ix2>(path, "[v, u]")?;
+        if view == 0 {
+            shape = frame.dim();
+        }
+        if frame.dim() != shape {
+            let expected = format!("{shape:?}, that of the first file");
+            return Err(Error::format(path, "frame", format!("shape {:?}", frame.shape()), expected, "take it out"));
+        }
+        values.extend(frame);
+    }
+    Ok(Array3::from_shape_vec((paths.len(), shape.0, shape.1), values).expect("every frame has the shape of the first"))
+}
+
+/// Reads angles, radians: an array `.npy` of one axis, or a text of numbers between spaces, commas or line ends, in which
+/// `#` begins a remark. `in_degrees` says what the file has.
+///
+/// # Errors
+/// [`Error::Read`], or [`Error::Format`] for the first word that is no finite number.
+pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
+    let angles = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
+        npy::read_f64::<Ix1>(path, "[view]")?.to_vec()
+    } else {
+        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        parse_angles(&text, path)?
+    };
+    Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles })
+}
+
+/// Numbers of a text; `path` names it in errors.
+///
+/// # Errors
+/// [`Error::Format`] for the first word that is no finite number.
+pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
+    const LONGEST: usize = 40;
+    let text = String::from_utf8_lossy(text);
+    let mut angles = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let numbers = line.split('#').next().unwrap_or_default();
+        for word in numbers.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|word| !word.is_empty()) {
+            let angle = word.parse().ok().filter(|angle: &f64| angle.is_finite()).ok_or_else(|| {
+                let got = word.chars().take(LONGEST).collect::<String>();
+                Error::format(path, format!("line {}", i + 1), got, "a finite number", "a remark begins with #")
+            })?;
+            angles.push(angle);
+        }
+    }
+    Ok(angles)
+}
+
+/// A scan of a stack of line integrals, pure numbers, on a scanner.
+///
+/// Lengths of the description become scene units, and line integrals with them: densities stay per unit of its lengths.
+///
+/// # Errors
+/// When frames have another shape than the detector, angles are not as many as frames, or a value is not finite.
+pub fn scan(
+    name: &str,
+    description: &Description,
+    line_integrals: Array3<f32>,
+    angles: Vec<f64>,
+    orientation: Orientation,
+) -> Result<Dataset> {
+    let Description { scanner, scale, .. } = description;
+    let (views, rows, columns) = line_integrals.dim();
+    if (rows, columns) != (scanner.detector.rows, scanner.detector.columns) {
+        let expected = format!("{} × {} = nDetector = [v, u]", scanner.detector.rows, scanner.detector.columns);
+        let remedy = "check nDetector and the order of the axes: a page is a view, its rows are v";
+        return Err(Error::invalid("frames", format!("{rows} rows × {columns} columns"), expected, remedy));
+    }
+    if angles.len() != views {
+        return Err(Error::invalid(
+            "angles",
+            angles.len(),
+            format!("one for each of {views} frames"),
+            "check the list",
+        ));
+    }
+    // Rounding once, from f64, keeps a scale of 1 exact.
+    let mut images = line_integrals.mapv_into(|value| (f64::from(value) * scale) as f32);
+    for (flip, axis) in [(orientation.flip_rows, Axis(1)), (orientation.flip_columns, Axis(2))] {
+        if flip {
+            images.invert_axis(axis);
+        }
+    }
+    let oddities = description.oddities.iter().cloned().chain(look_like_degrees(angles.iter().copied())).collect();
+    let sense = if orientation.clockwise { -1.0 } else { 1.0 };
+    let train = Projections::new(angles.into_iter().map(|angle| sense * angle).collect(), images)?;
+    Ok(Dataset {
+        name: name.into(),
+        scanner: *scanner,
+        scale: *scale,
+        noise: Noise::None,
+        train,
+        test: None,
+        truth: None,
+        initial_points: None,
+        oddities,
+        notes: Vec::new(),
+    })
+}
+
+#[cfg(test)]
+mod tests;
