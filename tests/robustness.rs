@@ -119,7 +119,7 @@ fn scans_with_any_damaged_file_are_clear_errors() {
 /// A volume in a format, by the file's name.
 fn small_volume(name: &str) -> Vec<u8> {
     let values = Array3::from_shape_fn((3, 4, 5), |(x, y, z)| (x + y * z) as f32);
-    let volume = VolumeFile { values, spacing: Some(DVec3::splat(0.5)), origin: None, oddities: Vec::new() };
+    let volume = VolumeFile { values, spacing: Some(DVec3::splat(0.5)), ..VolumeFile::default() };
     bytes_of(name, |path| volume_file::write(path, &volume).unwrap())
 }
 

@@ -20,7 +20,7 @@ fn a_stack_is_the_same_in_every_format() {
     npy::write(&at("a.npy"), frames().view()).unwrap();
     // Views are the third axis of a volume's file.
     let values = frames().reversed_axes().as_standard_layout().into_owned();
-    let volume = VolumeFile { values, spacing: None, origin: None, oddities: Vec::new() };
+    let volume = VolumeFile { values, ..VolumeFile::default() };
     for name in ["a.tif", "a.mha", "a.nii.gz", "a_5x4x3_float32.raw"] {
         volume_file::write(&at(name), &volume).unwrap();
     }

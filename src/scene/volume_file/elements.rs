@@ -23,6 +23,8 @@ pub(super) enum Number {
     I16,
     U32,
     I32,
+    U64,
+    I64,
     F32,
     F64,
 }
@@ -45,6 +47,8 @@ impl Number {
             "int16" => Self::I16,
             "uint32" => Self::U32,
             "int32" => Self::I32,
+            "uint64" => Self::U64,
+            "int64" => Self::I64,
             "float32" => Self::F32,
             "float64" => Self::F64,
             _ => return None,
@@ -57,18 +61,18 @@ impl Number {
             Self::U8 | Self::I8 => 1,
             Self::U16 | Self::I16 => 2,
             Self::U32 | Self::I32 | Self::F32 => 4,
-            Self::F64 => 8,
+            Self::U64 | Self::I64 | Self::F64 => 8,
         }
     }
 }
 
 impl Element {
-    fn numbers(self, bytes: &[u8]) -> Vec<f32> {
+    fn numbers(self, bytes: &[u8], means: impl Fn(f64) -> f64) -> Vec<f32> {
         macro_rules! read {
             ($kind:ty) => {{
                 let (chunks, _) = bytes.as_chunks();
                 let from = if self.big_endian { <$kind>::from_be_bytes } else { <$kind>::from_le_bytes };
-                chunks.iter().map(|chunk| from(*chunk) as f32).collect()
+                chunks.iter().map(|chunk| means(from(*chunk) as f64) as f32).collect()
             }};
         }
         match self.number {
@@ -78,6 +82,8 @@ impl Element {
             Number::I16 => read!(i16),
             Number::U32 => read!(u32),
             Number::I32 => read!(i32),
+            Number::U64 => read!(u64),
+            Number::I64 => read!(i64),
             Number::F32 => read!(f32),
             Number::F64 => read!(f64),
         }
@@ -90,13 +96,14 @@ impl Element {
         size.ok_or_else(|| format!("shape {shape:?}"))
     }
 
-    /// A volume `[x, y, z]` from bytes with x fastest, in which order it stays in memory. No more memory is asked for than
-    /// the bytes can stand for.
+    /// A volume `[x, y, z]` from bytes with x fastest, in which order it stays in memory; `means` is what a stored number
+    /// stands for. No more memory is asked for than the bytes can stand for.
     pub(super) fn volume(
         self,
         bytes: &[u8],
         encoding: Encoding,
         shape: [usize; 3],
+        means: impl Fn(f64) -> f64,
     ) -> std::result::Result<Array3<f32>, String> {
         let size = self.size(shape)?;
         let unpacked;
@@ -118,7 +125,7 @@ impl Element {
             return Err(format!("{} bytes for shape {shape:?} of {} bytes each", bytes.len(), self.number.size()));
         }
         let [x, y, z] = shape;
-        let values = self.numbers(&bytes[..size]);
+        let values = self.numbers(&bytes[..size], means);
         Ok(Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes())
     }
 }

@@ -1,22 +1,26 @@
 //! MetaImage, of ITK: a text header, then or elsewhere the numbers.
 
 use super::elements::{Element, Encoding, Number};
-use super::{VolumeFile, damaged, three};
+use super::{VolumeFile, damaged, numbers};
 use crate::error::{Error, Result};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use std::path::Path;
 
 /// A header is not longer.
 const HEADER: usize = 1 << 16;
 
 /// ITK's names of types.
-const TYPES: [(&str, Number); 8] = [
+const TYPES: [(&str, Number); 12] = [
     ("MET_UCHAR", Number::U8),
     ("MET_CHAR", Number::I8),
     ("MET_USHORT", Number::U16),
     ("MET_SHORT", Number::I16),
     ("MET_UINT", Number::U32),
     ("MET_INT", Number::I32),
+    ("MET_ULONG", Number::U32),
+    ("MET_LONG", Number::I32),
+    ("MET_ULONG_LONG", Number::U64),
+    ("MET_LONG_LONG", Number::I64),
     ("MET_FLOAT", Number::F32),
     ("MET_DOUBLE", Number::F64),
 ];
@@ -26,7 +30,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         Error::format(path, key, shown(got), expected, "write it again as a plain 3-D image, for example with ITK")
     };
     let (mut shape, mut element, mut encoding, mut big) = (None, None, Encoding::Raw, false);
-    let (mut spacing, mut origin, mut oddities) = (None, None, Vec::new());
+    let (mut spacing, mut origin, mut axes) = (None, None, None);
     let mut at = 0;
     loop {
         let rest = &content[at..content.len().min(HEADER)];
@@ -41,23 +45,22 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
             "NDims" if value != "3" => return Err(wrong(key, value, "3")),
             "ElementNumberOfChannels" if value != "1" => return Err(wrong(key, value, "1")),
             "BinaryData" if !is_true => return Err(wrong(key, value, "True")),
-            "DimSize" => shape = Some(three::<usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
+            "DimSize" => shape = Some(numbers::<3, usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
             "ElementType" => {
                 let known = TYPES.iter().find(|(name, _)| *name == value);
-                element = Some(known.ok_or_else(|| wrong(key, value, "a number type of up to 32 bits, or double"))?.1);
+                element = Some(known.ok_or_else(|| wrong(key, value, "a type of one number"))?.1);
             }
             "ElementSpacing" | "ElementSize" => {
-                let read = three(value).ok_or_else(|| wrong(key, value, "three lengths"))?;
+                let read = numbers(value).ok_or_else(|| wrong(key, value, "three lengths"))?;
                 spacing = spacing.filter(|_| key == "ElementSize").or(Some(DVec3::from_array(read)));
             }
             "Offset" | "Position" | "Origin" => {
-                origin = Some(DVec3::from_array(three(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
+                origin = Some(DVec3::from_array(numbers(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
             }
             "TransformMatrix" | "Rotation" | "Orientation" => {
-                let identity = "1 0 0 0 1 0 0 0 1".split(' ').map(|n| n.parse::<f64>());
-                if !value.split_whitespace().map(str::parse::<f64>).eq(identity) {
-                    oddities.push(format!("the axes have the directions {value}; they are read as x, y and z"));
-                }
+                // One axis after the other.
+                let read = numbers::<9, f64>(value).ok_or_else(|| wrong(key, value, "nine numbers"))?;
+                axes = Some([0, 3, 6].map(|i| DVec3::from_slice(&read[i..])));
             }
             "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => big = is_true,
             "CompressedData" if is_true => encoding = Encoding::Zlib,
@@ -75,8 +78,8 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                     })?;
                     &elsewhere
                 };
-                let values = element.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
-                return Ok(VolumeFile { values, spacing, origin, oddities });
+                let values = element.volume(bytes, encoding, shape, |x| x).map_err(|found| damaged(path, &found))?;
+                return Ok(VolumeFile::new(values, spacing, origin, axes));
             }
             _ => {}
         }
@@ -102,15 +105,22 @@ pub(super) fn shown(text: &str) -> String {
     format!("{beginning:?}{rest}")
 }
 
-pub(super) fn header(path: &Path, shape: [usize; 3], spacing: DVec3, origin: DVec3) -> Result<Vec<u8>> {
+pub(super) fn header(
+    path: &Path,
+    shape: [usize; 3],
+    spacing: DVec3,
+    origin: DVec3,
+    directions: DMat3,
+) -> Result<Vec<u8>> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mhd")) {
         return Err(Error::invalid("file to write", path.display(), "one file", "end it with .mha"));
     }
     let [x, y, z] = shape;
     let (s, o) = (spacing, origin);
+    let axes = directions.to_cols_array().map(|x| x.to_string()).join(" ");
     Ok(format!(
         "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n\
-         TransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = {} {} {}\nElementSpacing = {} {} {}\nDimSize = {x} {y} {z}\n\
+         TransformMatrix = {axes}\nOffset = {} {} {}\nElementSpacing = {} {} {}\nDimSize = {x} {y} {z}\n\
          ElementType = MET_FLOAT\nElementDataFile = LOCAL\n",
         o.x, o.y, o.z, s.x, s.y, s.z
     )

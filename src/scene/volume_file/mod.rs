@@ -12,9 +12,18 @@
 //! | folder of `.tif` | one page each, in natural order of the names: `s2.tif` before `s10.tif` | nothing |
 //! | folder of DICOM slices, `.dcm` | a series, in order of the slices' places; needs the feature `dicom` | spacing, origin |
 //!
+//! # Axes
+//!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or turned. Spacing and origin (of
-//! the centre of the first voxel) are along these axes, in the file's unit; a direction matrix other than the identity is
-//! reported and otherwise left alone. What is written has the identity.
+//! the centre of the first voxel) are in the file's unit. What else a file says about its axes, their directions, is
+//! reported, carried on to the file that is written, and does not turn the array.
+//!
+//! Where a voxel lies is told in the coordinates of ITK: x grows to the patient's left, y to the back, z to the head (LPS).
+//! A MetaImage, and a NRRD whose space is LPS or has no name, state them as they are. NIfTI is defined in coordinates that
+//! grow to the right, the front and the head (RAS), and so are NRRDs whose space says so: of these x and y change their
+//! sign, on reading and on writing. So one volume has one place in all formats: ITK, which does the same, sees equal
+//! spacing, origin and directions in what is written here, and nibabel the affine `diag(-1,-1,1,1)` times it. The world of
+//! [`geometry`](super::geometry) has no patient in it; its x, y and z are taken as those of ITK.
 //!
 //! Sizes in a header are believed only as far as the file has the bytes for them.
 
@@ -34,13 +43,20 @@ pub use raw::SideFile;
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use ndarray::{Array3, Ix3};
 use std::io::Write;
 use std::path::Path;
 
+/// Directions of axes that run along x, y and z.
+pub const STRAIGHT: DMat3 = DMat3::IDENTITY;
+/// To coordinates that grow to the right, the front and the head, and back.
+const RAS: DVec3 = DVec3::new(-1.0, -1.0, 1.0);
+/// Directions that differ from x, y and z by less are those, rounded.
+const ROUNDING: f64 = 1e-5;
+
 /// A volume as a file has it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumeFile {
     /// `[x, y, z]`.
     pub values: Array3<f32>,
@@ -48,6 +64,8 @@ pub struct VolumeFile {
     pub spacing: Option<DVec3>,
     /// Centre of voxel (0, 0, 0), if the file says it.
     pub origin: Option<DVec3>,
+    /// Unit vectors along the axes of the array, a column each; the identity unless the file says otherwise.
+    pub directions: DMat3,
     /// What is unusual, a sentence each.
     pub oddities: Vec<String>,
 }
@@ -55,7 +73,7 @@ pub struct VolumeFile {
 impl VolumeFile {
     /// Values and nothing else.
     fn bare(values: Array3<f32>) -> Self {
-        Self { values, spacing: None, origin: None, oddities: Vec::new() }
+        Self { values, ..Self::default() }
     }
 
     /// With z the fastest in memory.
@@ -162,8 +180,8 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     let origin = volume.origin.unwrap_or(DVec3::ZERO);
     let header = match format {
         Format::Npy => return npy::write(path, volume.values.view()),
-        Format::MetaImage => meta_image::header(path, shape, spacing, origin)?,
-        Format::Nrrd => nrrd::header(path, shape, spacing, origin)?,
+        Format::MetaImage => meta_image::header(path, shape, spacing, origin, volume.directions)?,
+        Format::Nrrd => nrrd::header(path, shape, spacing, origin, volume.directions)?,
         Format::Nifti => return nifti::write(path, volume, spacing, origin),
         Format::Tiff => return tiff::write(path, &volume.values),
         Format::Dicom => {
@@ -188,6 +206,24 @@ fn no_dicom(path: &Path) -> Error {
     Error::invalid("DICOM", path.display(), expected, "build with `cargo build --release --features dicom`")
 }
 
+impl VolumeFile {
+    /// What a file says: `axes` are the steps from voxel to voxel or the directions of these, in the coordinates of ITK.
+    /// Without them it says nothing about directions.
+    fn new(values: Array3<f32>, spacing: Option<DVec3>, origin: Option<DVec3>, axes: Option<[DVec3; 3]>) -> Self {
+        // Adding 0 makes a plain zero of -0.
+        let [x, y, z] = axes.unwrap_or(STRAIGHT.to_cols_array_2d().map(DVec3::from)).map(|axis| axis.normalize() + 0.0);
+        let mut volume = Self { values, spacing, origin: origin.map(|origin| origin + 0.0), ..Self::default() };
+        let directions = DMat3::from_cols(x, y, z);
+        if !directions.is_finite() {
+            volume.oddities.push("its axes have no directions; they are read as x, y and z".into());
+        } else if !directions.abs_diff_eq(STRAIGHT, ROUNDING) {
+            volume.oddities.push(format!("its axes have the directions {x}, {y}, {z}; they are read as x, y and z"));
+            volume.directions = directions;
+        }
+        volume
+    }
+}
+
 /// An error about the content of a file. What a library found may be as long as the file.
 fn damaged(path: &Path, found: &str) -> Error {
     const LONGEST: usize = 400;
@@ -195,8 +231,8 @@ fn damaged(path: &Path, found: &str) -> Error {
     Error::format(path, "volume", found, "a whole file with one number per voxel", "get the file again")
 }
 
-/// Three numbers of a text.
-fn three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
+/// All numbers of a text, N of them.
+fn numbers<const N: usize, T: std::str::FromStr>(text: &str) -> Option<[T; N]> {
     let numbers: Option<Vec<T>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     numbers?.try_into().ok()
 }

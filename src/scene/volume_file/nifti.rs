@@ -1,14 +1,13 @@
 //! NIfTI-1, packed by gzip or not.
 
-use super::elements::unpack;
-use super::{VolumeFile, damaged};
+use super::elements::{Element, Encoding, Number, unpack};
+use super::{RAS, VolumeFile, damaged};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use flate2::read::MultiGzDecoder;
-use glam::DVec3;
-use ndarray::Array3;
+use glam::{DMat3, DQuat, DVec3};
 use nifti::writer::WriterOptions;
-use nifti::{InMemNiftiVolume, NiftiHeader, NiftiType};
+use nifti::{Endianness, NiftiHeader, NiftiType};
 use std::fs::File;
 use std::io;
 use std::path::Path;
@@ -40,9 +39,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
     let shape = [x, y, z].map(usize::from);
     let kind = header.data_type().map_err(|error| broken(&error.to_string()))?;
-    if !is_real(kind) {
-        return Err(broken(&format!("numbers of type {kind:?}")));
-    }
+    let Some(number) = number(kind) else { return Err(broken(&format!("numbers of type {kind:?}"))) };
     let size = shape.iter().product::<usize>() * kind.size_of();
     let offset = header.vox_offset.max(HEADER as f32) as usize;
     let total = offset.saturating_add(size);
@@ -54,53 +51,78 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     if bytes.len() < total {
         return Err(broken(&format!("{} of {total} bytes", bytes.len())));
     }
-    let volume = InMemNiftiVolume::from_raw_data(&header, bytes[offset..].to_vec());
-    let numbers = volume.and_then(InMemNiftiVolume::into_nifti_typed_data::<f32>);
-    let numbers = numbers.map_err(|error| broken(&error.to_string()))?;
-    let [x, y, z] = shape;
-    let values = Array3::from_shape_vec((z, y, x), numbers).map_err(|error| broken(&error.to_string()))?;
-    let spacing = DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into());
-    let (origin, straight) = placement(&header);
-    let mut oddities = Vec::new();
-    if !straight {
-        oddities.push("the axes have directions of their own; they are read as x, y and z".into());
-    }
-    Ok(VolumeFile { values: values.reversed_axes(), spacing: Some(spacing.abs()), origin, oddities })
+    let element = Element { number, big_endian: header.endianness == Endianness::Big };
+    let (slope, intercept) = (f64::from(header.scl_slope), f64::from(header.scl_inter));
+    let is_scaled = slope != 0.0 && slope.is_finite() && intercept.is_finite();
+    let means = |stored: f64| if is_scaled { stored * slope + intercept } else { stored };
+    let values = element.volume(&bytes[offset..], Encoding::Raw, shape, means).map_err(|found| broken(&found))?;
+    let sides = DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into()).abs();
+    let Some((origin, axes)) = placement(&header) else {
+        return Ok(VolumeFile::new(values, Some(sides), None, None));
+    };
+    // The matrix has lengths of its own, and they count; a quaternion has none.
+    let spacing = if header.sform_code > 0 { DVec3::from(axes.map(DVec3::length)) } else { sides };
+    Ok(VolumeFile::new(values, Some(spacing), Some(origin), Some(axes)))
 }
 
 /// Types of one number per voxel.
-fn is_real(kind: NiftiType) -> bool {
-    use NiftiType as T;
-    matches!(kind, T::Uint8 | T::Int8 | T::Uint16 | T::Int16 | T::Uint32 | T::Int32 | T::Float32 | T::Float64)
+fn number(kind: NiftiType) -> Option<Number> {
+    Some(match kind {
+        NiftiType::Uint8 => Number::U8,
+        NiftiType::Int8 => Number::I8,
+        NiftiType::Uint16 => Number::U16,
+        NiftiType::Int16 => Number::I16,
+        NiftiType::Uint32 => Number::U32,
+        NiftiType::Int32 => Number::I32,
+        NiftiType::Uint64 => Number::U64,
+        NiftiType::Int64 => Number::I64,
+        NiftiType::Float32 => Number::F32,
+        NiftiType::Float64 => Number::F64,
+        _ => return None,
+    })
 }
 
-/// The first voxel's centre, and whether the axes run along x, y and z.
-fn placement(header: &NiftiHeader) -> (Option<DVec3>, bool) {
+/// The first voxel's centre and the axes in ITK's coordinates, if the header has them: its matrix, otherwise its quaternion.
+fn placement(header: &NiftiHeader) -> Option<(DVec3, [DVec3; 3])> {
     if header.sform_code > 0 {
-        let rows = [header.srow_x, header.srow_y, header.srow_z];
-        let straight = (0..3).all(|i| (0..3).all(|j| if i == j { rows[i][j] > 0.0 } else { rows[i][j] == 0.0 }));
-        return (Some(DVec3::from_array(rows.map(|row| row[3].into()))), straight);
+        let rows = [header.srow_x, header.srow_y, header.srow_z].map(|row| row.map(f64::from));
+        let column = |j: usize| DVec3::new(rows[0][j], rows[1][j], rows[2][j]) * RAS;
+        return Some((column(3), [0, 1, 2].map(column)));
     }
     if header.qform_code > 0 {
         let origin = DVec3::new(header.quatern_x.into(), header.quatern_y.into(), header.quatern_z.into());
-        let turned = [header.quatern_b, header.quatern_c, header.quatern_d].iter().any(|&part| part != 0.0);
-        return (Some(origin), !turned && header.pixdim[0] >= 0.0);
+        let [b, c, d] = [header.quatern_b, header.quatern_c, header.quatern_d].map(f64::from);
+        let rotation =
+            DMat3::from_quat(DQuat::from_xyzw(b, c, d, (1.0 - b * b - c * c - d * d).max(0.0).sqrt()).normalize());
+        let mirror = if header.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
+        let axes = [rotation.x_axis, rotation.y_axis, rotation.z_axis * mirror];
+        return Some((origin * RAS, axes.map(|axis| axis * RAS)));
     }
-    (None, true)
+    None
 }
 
 pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DVec3) -> Result<()> {
-    let (s, o) = (spacing.as_vec3(), origin.as_vec3());
+    let origin = (origin * RAS).as_vec3();
+    let axes = [0, 1, 2].map(|axis| volume.directions.col(axis) * RAS);
+    let mirror = if DMat3::from_cols_array_2d(&axes.map(Into::into)).determinant() < 0.0 { -1.0 } else { 1.0 };
+    let quaternion = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2] * mirror));
+    // Its first part is not stored, and not negative.
+    let q = if quaternion.w < 0.0 { -quaternion } else { quaternion }.as_quat();
+    let s = spacing.as_vec3();
+    let row = |i: usize| [0, 1, 2, 3].map(|j| if j < 3 { (axes[j][i] * spacing[j]) as f32 } else { origin[i] });
     let header = NiftiHeader {
-        pixdim: [1.0, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0],
+        pixdim: [mirror as f32, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0],
         sform_code: SCANNER,
         qform_code: SCANNER,
-        srow_x: [s.x, 0.0, 0.0, o.x],
-        srow_y: [0.0, s.y, 0.0, o.y],
-        srow_z: [0.0, 0.0, s.z, o.z],
-        quatern_x: o.x,
-        quatern_y: o.y,
-        quatern_z: o.z,
+        srow_x: row(0),
+        srow_y: row(1),
+        srow_z: row(2),
+        quatern_b: q.x,
+        quatern_c: q.y,
+        quatern_d: q.z,
+        quatern_x: origin.x,
+        quatern_y: origin.y,
+        quatern_z: origin.z,
         ..NiftiHeader::default()
     };
     let is_packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));

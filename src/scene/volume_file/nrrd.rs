@@ -2,9 +2,9 @@
 
 use super::elements::{Element, Encoding, Number};
 use super::meta_image::{beside, shown};
-use super::{VolumeFile, damaged, three};
+use super::{RAS, VolumeFile, damaged, numbers};
 use crate::error::{Error, Result};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use std::path::Path;
 
 /// A header is not longer.
@@ -19,6 +19,10 @@ fn number(name: &str) -> Option<Number> {
         "short" | "short int" | "signed short" | "signed short int" | "int16_t" => Number::I16,
         "uint" | "unsigned int" | "uint32_t" => Number::U32,
         "int" | "signed int" | "int32_t" => Number::I32,
+        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64_t" => Number::U64,
+        "longlong" | "long long" | "long long int" | "signed long long" | "signed long long int" | "int64_t" => {
+            Number::I64
+        }
         "float" => Number::F32,
         "double" => Number::F64,
         other => return Number::named(other),
@@ -28,7 +32,7 @@ fn number(name: &str) -> Option<Number> {
 /// `(a,b,c)`.
 fn vector(text: &str) -> Option<DVec3> {
     let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?.replace(',', " ");
-    three(&inner).map(DVec3::from_array)
+    numbers(&inner).map(DVec3::from_array)
 }
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
@@ -36,7 +40,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         Error::format(path, key, shown(got), expected, "write it again as a plain 3-D volume, for example with Slicer")
     };
     let (mut shape, mut kind, mut encoding, mut big, mut file) = (None, None, None, false, None);
-    let (mut spacing, mut origin, mut oddities) = (None, None, Vec::new());
+    let (mut spacing, mut origin, mut axes, mut signs) = (None, None, None, DVec3::ONE);
     let mut at = 0;
     loop {
         let end = content.len().min(HEADER);
@@ -55,10 +59,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         match key.to_lowercase().as_str() {
             "dimension" if value != "3" => return Err(wrong(key, value, "3")),
             "type" => {
-                kind =
-                    Some(number(value).ok_or_else(|| wrong(key, value, "a number type of up to 32 bits, or double"))?)
+                kind = Some(number(value).ok_or_else(|| wrong(key, value, "a type of one number"))?);
             }
-            "sizes" => shape = Some(three::<usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
+            "sizes" => shape = Some(numbers::<3, usize>(value).ok_or_else(|| wrong(key, value, "three counts"))?),
             "endian" => big = value == "big",
             "encoding" => {
                 encoding = Some(match value {
@@ -68,17 +71,20 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                 });
             }
             "spacings" => {
-                spacing = Some(DVec3::from_array(three(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
+                spacing = Some(DVec3::from_array(numbers(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
             }
             "space directions" => {
-                let axes: Option<Vec<DVec3>> = value.split_inclusive(')').map(vector).collect();
-                let Some(Ok(axes)) = axes.map(<[DVec3; 3]>::try_from) else {
+                let read: Option<Vec<DVec3>> = value.split_inclusive(')').map(vector).collect();
+                let Some(Ok(read)) = read.map(<[DVec3; 3]>::try_from) else {
                     return Err(wrong(key, value, "three vectors"));
                 };
-                spacing = Some(DVec3::from_array(axes.map(DVec3::length)));
-                let straight = (0..3).all(|axis| axes[axis][axis] > 0.0 && axes[axis][axis] == axes[axis].length());
-                if !straight {
-                    oddities.push(format!("the axes have the directions {value}; they are read as x, y and z"));
+                (spacing, axes) = (Some(DVec3::from_array(read.map(DVec3::length))), Some(read));
+            }
+            "space" => {
+                signs = match value.to_lowercase().as_str() {
+                    "right-anterior-superior" | "ras" => RAS,
+                    "left-anterior-superior" | "las" => DVec3::new(1.0, -1.0, 1.0),
+                    _ => DVec3::ONE,
                 }
             }
             "space origin" => origin = Some(vector(value).ok_or_else(|| wrong(key, value, "(x,y,z)"))?),
@@ -102,21 +108,29 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         }
     };
     let element = Element { number: kind, big_endian: big };
-    let values = element.volume(bytes, encoding, shape).map_err(|found| damaged(path, &found))?;
-    Ok(VolumeFile { values, spacing, origin, oddities })
+    let values = element.volume(bytes, encoding, shape, |x| x).map_err(|found| damaged(path, &found))?;
+    let (origin, axes) = (origin.map(|o| o * signs), axes.map(|axes| axes.map(|axis| axis * signs)));
+    Ok(VolumeFile::new(values, spacing, origin, axes))
 }
 
-pub(super) fn header(path: &Path, shape: [usize; 3], spacing: DVec3, origin: DVec3) -> Result<Vec<u8>> {
+pub(super) fn header(
+    path: &Path,
+    shape: [usize; 3],
+    spacing: DVec3,
+    origin: DVec3,
+    directions: DMat3,
+) -> Result<Vec<u8>> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("nhdr")) {
         return Err(Error::invalid("file to write", path.display(), "one file", "end it with .nrrd"));
     }
     let [x, y, z] = shape;
-    let (s, o) = (spacing, origin);
+    let vector = |v: DVec3| format!("({},{},{})", v.x, v.y, v.z);
+    let steps = [0, 1, 2].map(|axis| vector(directions.col(axis) * spacing[axis])).join(" ");
     Ok(format!(
-        "NRRD0004\ntype: float\ndimension: 3\nspace dimension: 3\nsizes: {x} {y} {z}\n\
-         space directions: ({},0,0) (0,{},0) (0,0,{})\nkinds: domain domain domain\nendian: little\nencoding: raw\n\
-         space origin: ({},{},{})\n\n",
-        s.x, s.y, s.z, o.x, o.y, o.z
+        "NRRD0004\ntype: float\ndimension: 3\nspace: left-posterior-superior\nsizes: {x} {y} {z}\n\
+         space directions: {steps}\nkinds: domain domain domain\nendian: little\nencoding: raw\n\
+         space origin: {}\n\n",
+        vector(origin)
     )
     .into_bytes())
 }

@@ -100,7 +100,7 @@ fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path
         let found = format!("{} bytes behind the first {skip}, {size} expected for shape {shape:?}", numbers.len());
         return Err(damaged(path, &found));
     }
-    let values = element.volume(numbers, Encoding::Raw, shape).map_err(|found| damaged(path, &found))?;
+    let values = element.volume(numbers, Encoding::Raw, shape, |x| x).map_err(|found| damaged(path, &found))?;
     Ok(VolumeFile::bare(values))
 }
 

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 fn sample() -> VolumeFile {
     let values = Array3::from_shape_fn((3, 4, 5), |(x, y, z)| (100 * x + 10 * y + z) as f32 / 8.0);
     let (spacing, origin) = (Some(DVec3::new(0.5, 0.25, 2.0)), Some(DVec3::new(-1.0, 3.0, 0.125)));
-    VolumeFile { values, spacing, origin, oddities: Vec::new() }
+    VolumeFile { values, spacing, origin, ..VolumeFile::default() }
 }
 
 fn folder() -> (TempDir, impl Fn(&str) -> PathBuf) {
@@ -28,6 +28,51 @@ fn what_is_written_is_read_again() {
         }
         assert_eq!(read(&at(name)).unwrap(), expected, "{name}");
     }
+}
+
+#[test]
+fn directions_go_through_every_format_that_has_them() {
+    let (_folder, at) = folder();
+    // A turn about an oblique axis, and the same with a mirror.
+    let turn = DMat3::from_quat(glam::DQuat::from_xyzw(0.5, -0.1, 0.7, 0.5).normalize());
+    for directions in [turn, turn * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)), DMat3::from_diagonal(-DVec3::ONE)]
+    {
+        let turned = VolumeFile { directions, ..sample() };
+        for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"] {
+            write(&at(name), &turned).unwrap();
+            let found = read(&at(name)).unwrap();
+            assert!(found.directions.abs_diff_eq(directions, 1e-6), "{name}: {}", found.directions);
+            assert!(found.spacing.unwrap().abs_diff_eq(turned.spacing.unwrap(), 1e-6), "{name}");
+            assert_eq!((found.values, found.origin), (turned.values.clone(), turned.origin), "{name}");
+            assert!(found.oddities[0].contains("directions"), "{:?}", found.oddities);
+        }
+    }
+}
+
+#[test]
+fn nifti_counts_to_the_right_and_the_front_and_the_others_to_the_left_and_the_back() {
+    let (_folder, at) = folder();
+    write(&at("a.nii"), &sample()).unwrap();
+    let header = std::fs::read(at("a.nii")).unwrap();
+    let number = |at: usize| f32::from_le_bytes(header[at..at + 4].try_into().unwrap());
+    // The rows of the matrix, and the quaternion of half a turn about z with the same origin.
+    let rows: Vec<f32> = (0..12).map(|i| number(280 + 4 * i)).collect();
+    assert_eq!(rows, [-0.5, 0.0, 0.0, 1.0, 0.0, -0.25, 0.0, -3.0, 0.0, 0.0, 2.0, 0.125]);
+    let quaternion: Vec<f32> = (0..6).map(|i| number(256 + 4 * i)).collect();
+    assert_eq!(quaternion, [0.0, 0.0, 1.0, 1.0, -3.0, 0.125]);
+    write(&at("a.mha"), &sample()).unwrap();
+    let header = std::fs::read(at("a.mha")).unwrap();
+    let header = String::from_utf8_lossy(&header);
+    assert!(header.contains("TransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = -1 3 0.125\n"), "{header}");
+    write(&at("a.nrrd"), &sample()).unwrap();
+    let mut content = std::fs::read(at("a.nrrd")).unwrap();
+    let said = b"left-posterior-superior";
+    let place = content.windows(said.len()).position(|window| window == said).unwrap();
+    content.splice(place..place + said.len(), *b"right-anterior-superior");
+    std::fs::write(at("ras.nrrd"), content).unwrap();
+    let found = read(&at("ras.nrrd")).unwrap();
+    assert_eq!(found.origin, Some(DVec3::new(1.0, -3.0, 0.125)));
+    assert_eq!(found.directions, DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0)));
 }
 
 #[test]
@@ -55,7 +100,7 @@ fn types_orders_and_files_beside_are_understood() {
     std::fs::write(at("v.mhd"), header).unwrap();
     let found = read(&at("v.mhd")).unwrap();
     assert_eq!((found.values, found.spacing), (expected.clone(), Some(DVec3::new(1.0, 2.0, 3.0))));
-    assert!(found.oddities[0].contains("directions 0 1 0"));
+    assert!(found.oddities[0].contains("directions [0, 1, 0], [1, 0, 0]"));
     let header = "NRRD0001\n# a remark\ntype: unsigned short\ndimension: 3\nsizes: 2 1 2\nspacings: 1 2 3\nendian: big\n\
                   encoding: raw\ndata file: v_2x1x2_uint16be.raw";
     std::fs::write(at("v.nhdr"), header).unwrap();

@@ -244,23 +244,20 @@ fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
     if sideways.length() > UNEVEN * gap * slices.len() as f64 {
         oddities.push(format!("slices are shifted sideways by {} mm in all: the volume is sheared", sideways.length()));
     }
-    if [first.axes[0] - DVec3::X, first.axes[1] - DVec3::Y].iter().any(|turn| turn.length() > TURNED) {
-        oddities.push(format!(
-            "rows and columns run along {} and {}; they are read as x and y",
-            first.axes[0], first.axes[1]
-        ));
-    }
     if first.modality == "CT" {
         oddities.push("values are Hounsfield units, not attenuation: air is -1000".into());
     }
     let [pitch_v, pitch_u] = first.pitch;
     let (spacing, origin) = (DVec3::new(pitch_u, pitch_v, gap), first.position);
+    let axes = [first.axes[0], first.axes[1], normal];
     let (rows, columns) = first.shape;
     let count = slices.len();
     let values = slices.into_iter().flat_map(|slice| slice.values).collect();
     let values =
         Array3::from_shape_vec((count, rows, columns), values).expect("every slice has the shape of the first");
-    Ok(VolumeFile { values: values.reversed_axes(), spacing: Some(spacing), origin: Some(origin), oddities })
+    let mut volume = VolumeFile::new(values.reversed_axes(), Some(spacing), Some(origin), Some(axes));
+    volume.oddities.extend(oddities);
+    Ok(volume)
 }
 
 #[cfg(test)]
