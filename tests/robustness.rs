@@ -19,7 +19,7 @@ use tempfile::TempDir;
 use tiff::encoder::colortype::{Gray8, Gray16, Gray32Float};
 use tiff::encoder::{Compression, DeflateLevel, Predictor, TiffEncoder};
 use trgs::config::{Config, Method};
-use trgs::primitives::{Parameters, model};
+use trgs::primitives::{Parameters, Primitives, model};
 use trgs::scene::dataset::{Dataset, Description};
 use trgs::scene::noise::Noise;
 use trgs::scene::npz::{Entry, Npz};
@@ -71,7 +71,26 @@ fn damaged_models_are_clear_errors() {
     };
     let valid = bytes_of("a.npz", |path| model::write(path, &parameters).unwrap());
     assert_reader_survives("MODEL.npz", many(), &valid, model::parse);
+    let primitives = Primitives::new(parameters).unwrap();
+    let valid = bytes_of("a.ply", |path| model::ply::write(path, &primitives, Some(&[0.0, 1.0])).unwrap());
+    assert_reader_survives("model.ply", many(), &valid, model::parse);
+    assert_reader_survives("ascii.ply", many(), ASCII_PLY, model::parse);
+    let primitives =
+        Primitives { parameters: Parameters { density: vec![0.5; 2], ..primitives.parameters }, ..primitives };
+    let valid = bytes_of("a.npz", |path| model::r2::write(path, &primitives).unwrap());
+    assert_reader_survives("point_cloud.npz", many(), &valid, model::parse);
+    assert_reader_survives("point_cloud.pickle", many(), POINT_CLOUD, model::parse);
 }
+
+/// A PLY with all kinds of properties.
+const ASCII_PLY: &[u8] = b"ply\nformat ascii 1.0\nelement edge 1\nproperty list uchar int ends\nelement vertex 2\n\
+    property float x\nproperty float y\nproperty float z\nproperty double scale_x\nproperty float scale_y\n\
+    property float scale_z\nproperty int rotation_w\nproperty char rotation_x\nproperty short rotation_y\n\
+    property int rotation_z\nproperty float density\nproperty float nu\nproperty uchar red\nend_header\n2 0 1\n\
+    1 2 3 0.5 0.25 4 1 0 0 -1 0.125 5 7\n0.1 0.2 0.3 0.5 0.25 4 1 0 0 -1 0.125 50 255\n";
+
+/// R²-Gaussian's.
+const POINT_CLOUD: &[u8] = include_bytes!("data/point_cloud.pickle");
 
 /// A small scan in a folder that disappears.
 fn scan() -> TempDir {
@@ -194,10 +213,13 @@ fn damaged_pickles_are_clear_errors() {
 fn files_that_claim_gigabytes_are_given_no_memory() {
     type Reader = fn(&[u8], &Path) -> bool;
     let volume: Reader = |bytes, path| assert_clear(volume_file::parse(bytes, path), "a.");
+    let model: Reader = |bytes, path| assert_clear(model::parse(bytes, path), "a.");
     let mut files: Vec<(&str, Vec<u8>, Reader)> = vec![
         ("a.npy", small_npy(), |bytes, path| assert_clear(npy::parse(bytes, path), "a.")),
         ("a.npz", small_npz(), |bytes, path| assert_clear(Npz::parse(bytes, path), "a.")),
         ("a.pickle", pickle(4), |bytes, path| assert_clear(Dataset::parse_pickle(bytes, path), "a.")),
+        ("a.pickle", POINT_CLOUD.into(), model),
+        ("a.ply", ASCII_PLY.into(), model),
     ];
     files.extend(["a.mha", "a.nrrd", "a.nii", "a.nii.gz"].map(|name| (name, small_volume(name), volume)));
     files.extend(small_tiffs().into_iter().map(|tiff| ("a.tif", tiff, volume)));

@@ -36,8 +36,9 @@ impl Inspect {
             Some("json") => dataset(path)?,
             Some("npz") => archive(path)?,
             Some("npy") => array(path)?,
+            Some("ply") => of_model(&model::read(path)?),
             _ => {
-                let expected = "a folder with meta_data.json or provenance.json, or a file .json, .npz or .npy";
+                let expected = "a folder with meta_data.json or provenance.json, or a file .json, .npz, .npy or .ply";
                 std::fs::metadata(path).map_err(|source| Error::read(path, source))?;
                 return Err(Error::invalid("path to inspect", path.display(), expected, "check the path"));
             }
@@ -110,6 +111,9 @@ fn archive(path: &Path) -> Result<Value> {
                 "oddities": [format!("not usable as a model: {error}")],
             }),
         });
+    }
+    if keys.contains(&"xyz") && keys.contains(&"rotation") {
+        return Ok(of_model(&model::read(path)?));
     }
     Ok(json!({ "kind": "archive", "arrays": arrays(&npz) }))
 }

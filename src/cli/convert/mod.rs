@@ -1,5 +1,6 @@
 //! `trgs convert`: from one format to another, by the names of the files.
 
+mod model;
 mod protocol;
 mod scan;
 mod stack;
@@ -9,14 +10,18 @@ use crate::cli::Answer;
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use trgs::{Error, Result};
 
-/// Convert volumes, scans and raw projections between formats
+/// Convert volumes, models, scans and raw projections between formats
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs convert run/volume.npy volume.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
+  trgs convert run/model.npz model.ply --scanner scan
+  trgs convert run/model.npz point_cloud.npz --r2
+  trgs convert point_cloud.pickle model.npz
   trgs convert chest.pickle scan
   trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
@@ -24,8 +29,9 @@ use trgs::{Error, Result};
 Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif, a folder of .tif or of the slices of a DICOM series (read
 only, in builds with --features dicom), and .raw with size and type in its name or in a file name.raw.json beside it:
 {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5, 1], \"origin\": [0, 0, 0],
-\"skip_bytes\": 0}, of which shape and type are needed. They are written as f32, axes in the order of the file. Scans: a
-pickle of NAF or a folder, written as a folder in scene units.
+\"skip_bytes\": 0}, of which shape and type are needed. They are written as f32, axes in the order of the file. Models: .npz,
+.ply (physical values, coloured by confidence or nu), R²-Gaussian's point_cloud.pickle (of which no code is run) or its arrays
+as .npz. Scans: a pickle of NAF or a folder, written as a folder in scene units.
 
 A stack of projections (.npy [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, x = u) becomes
 a scan when OUT is a name without an extension. It holds intensities, which become line integrals p = -ln((I - D)/(F - D))
@@ -38,19 +44,33 @@ object fills the detector) its line integrals are too small by a constant of tha
 other and no volume explains them all. So without a flat field one value stands for it in all frames. A source that drifts
 is followed by --air, a region that sees air in every frame.")]
 pub(super) struct Convert {
-    /// Volume, scan or stack of projections to read
+    /// Volume, model, scan or stack of projections to read
     #[arg(value_name = "IN")]
     source: PathBuf,
     /// File or folder to write
     #[arg(value_name = "OUT")]
     out: PathBuf,
-    /// Scan whose grid gives a volume its spacing and origin, in scene units; scanner of a stack
+    /// Scan whose grid gives a volume its spacing and origin, in scene units, and whose views give a .ply its confidence;
+    /// scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
+    /// Write a model as R²-Gaussian's arrays, values before activation
+    #[arg(long)]
+    r2: bool,
     #[command(flatten)]
     protocol: Protocol,
     #[command(flatten)]
     stack: stack::StackArgs,
+}
+
+/// What a path holds, by its name.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Scan,
+    Model,
+    Volume,
+    /// Projections without a description; written, a scan.
+    Stack,
 }
 
 /// What was converted.
@@ -69,24 +89,74 @@ struct Converted<'a> {
 
 impl Convert {
     pub(super) fn run(&self) -> Result<Answer> {
-        let is_scan =
-            self.source.join("meta_data.json").exists() || has_extension(&self.source, &["pickle", "pkl", "json"]);
-        let is_stack = !is_scan && self.out.extension().is_none();
-        match self.stack.first_flag().filter(|_| !is_stack) {
-            Some(flag) => {
-                let expected = "a stack of projections to read and a folder to write, a name without an extension";
-                let got = format!("{} to {}", self.source.display(), self.out.display());
-                Err(Error::invalid(flag, got, expected, "leave the flag out or change the names"))
+        let out = kind(&self.out);
+        let source = match extension(&self.source) {
+            _ if self.source.join("meta_data.json").exists() => Kind::Scan,
+            "json" => Kind::Scan,
+            // NAF's scans and R²-Gaussian's point clouds: only the name of what is written tells which.
+            "pickle" | "pkl" if out == Kind::Model => Kind::Model,
+            "pickle" | "pkl" => Kind::Scan,
+            _ if kind(&self.source) == Kind::Model => Kind::Model,
+            _ if out == Kind::Scan => Kind::Stack,
+            _ => Kind::Volume,
+        };
+        let refuse = |flag: &str, expected: &str| {
+            let got = format!("{} to {}", self.source.display(), self.out.display());
+            Err(Error::invalid(flag, got, expected, "leave the flag out or change the names"))
+        };
+        match (self.stack.first_flag(), self.protocol.flag()) {
+            (Some(flag), _) if source != Kind::Stack => {
+                return refuse(
+                    flag,
+                    "a stack of projections to read and a folder to write, a name without an extension",
+                );
             }
-            None if is_scan => scan::convert(self),
-            None if is_stack => stack::convert(self),
-            None => volume::convert(self),
+            (_, Some(flag)) if out != Kind::Scan => {
+                return refuse(flag, "a scan to choose views of, and a folder to write, a name without an extension");
+            }
+            _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
+                return refuse("--r2", "a model to read and a .npz to write");
+            }
+            _ => {}
         }
+        match (source, out) {
+            (Kind::Scan, Kind::Scan) => scan::convert(self),
+            (Kind::Stack, _) => stack::convert(self),
+            (Kind::Model, Kind::Model) => model::convert(self),
+            // Names that are those of no format are told which there are.
+            (Kind::Volume, Kind::Volume) => volume::convert(self),
+            _ => Err(self.impossible(source, out)),
+        }
+    }
+
+    /// What does not become another by writing it differently, and the command that makes it.
+    fn impossible(&self, source: Kind, out: Kind) -> Error {
+        let (got, expected, remedy) = match (source, out) {
+            (Kind::Model, Kind::Volume) => {
+                ("a volume of a model", "a model, .npz or .ply", "trgs voxelize makes volumes")
+            }
+            (Kind::Model, _) => ("a scan of a model", "a model, .npz or .ply", "trgs render makes projections"),
+            (Kind::Volume, _) => {
+                ("a model of a volume", "a volume", "trgs simulate and trgs reconstruct find primitives")
+            }
+            (_, Kind::Model) => ("a model of a scan", "a folder", "trgs reconstruct finds primitives"),
+            _ => ("a volume of a scan", "a folder", "trgs reconstruct finds volumes; the true one is vol_gt.npy"),
+        };
+        Error::invalid(format!("OUT {}", self.out.display()), got, expected, remedy)
     }
 }
 
-fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    path.extension().is_some_and(|extension| extensions.iter().any(|known| extension == *known))
+/// What a path is the name of.
+fn kind(path: &Path) -> Kind {
+    match path.extension().and_then(OsStr::to_str) {
+        None => Kind::Scan,
+        Some("npz" | "ply") => Kind::Model,
+        Some(_) => Kind::Volume,
+    }
+}
+
+fn extension(path: &Path) -> &str {
+    path.extension().and_then(OsStr::to_str).unwrap_or_default()
 }
 
 fn warn(path: &Path, oddities: &[String]) {

@@ -7,10 +7,6 @@ use trgs::scene::volume_file;
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Answer> {
-    if let Some(flag) = command.protocol.flag() {
-        let expected = "a scan, a folder or a pickle, to choose views of";
-        return Err(Error::invalid(flag, command.source.display(), expected, "leave the flag out"));
-    }
     let (source, out) = (&command.source, &command.out);
     let mut volume = volume_file::read(source)?;
     warn(source, &volume.oddities);
@@ -23,6 +19,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
             return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
         }
         (volume.spacing, volume.origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
+        volume.directions = volume_file::STRAIGHT;
     }
     volume_file::write(out, &volume)?;
     let [spacing, origin] = [volume.spacing, volume.origin].map(|vector| vector.map(|vector| vector.to_array()));

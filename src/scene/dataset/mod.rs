@@ -24,7 +24,7 @@
 
 mod meta;
 mod naf;
-mod pickle;
+pub(crate) mod pickle;
 mod subsample;
 
 use super::arrays::{Projections, Volume};

@@ -35,6 +35,10 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<Dataset> {
 }
 
 fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
+    if data.get("xyz").is_some() {
+        let remedy = "trgs convert makes a model of it: name a .npz or .ply to write";
+        return Err(Error::format(path, "pickle", "a point cloud of R²-Gaussian", "a scan", remedy));
+    }
     let Interpreted { scanner, scale, mut oddities, .. } =
         scanner_fields(data).and_then(|meta| meta.interpret()).map_err(|error| error.in_file(path))?;
     let train = data.get("train").ok_or_else(|| missing(path, "train"))?;

@@ -19,7 +19,7 @@ const MOST_AXES: usize = 8;
 
 /// What a pickle holds.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Value {
+pub(crate) enum Value {
     None,
     Bool(bool),
     Integer(i64),
@@ -35,10 +35,10 @@ pub(super) enum Value {
 
 /// A NumPy array of numbers.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Array {
-    pub(super) shape: Vec<usize>,
+pub(crate) struct Array {
+    pub(crate) shape: Vec<usize>,
     /// In C order.
-    pub(super) values: Vec<f64>,
+    pub(crate) values: Vec<f64>,
 }
 
 /// What lies on the stack. Lists and dictionaries are filled after they are remembered, hence shared.
@@ -94,7 +94,7 @@ type Parsed<T> = std::result::Result<T, String>;
 ///
 /// # Errors
 /// [`Error::Format`] for the first byte that is not the data that this reader knows.
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<Value> {
+pub(crate) fn parse(content: &[u8], path: &Path) -> Result<Value> {
     let mut machine = Machine {
         content,
         at: 0,
@@ -533,13 +533,13 @@ impl Number {
 
 impl Value {
     /// The value of a key of a dictionary.
-    pub(super) fn get(&self, key: &str) -> Option<&Self> {
+    pub(crate) fn get(&self, key: &str) -> Option<&Self> {
         let Self::Dictionary(pairs) = self else { return None };
         pairs.iter().rev().find(|(name, _)| matches!(name, Self::Text(name) if name == key)).map(|(_, value)| value)
     }
 
     /// A number of any kind.
-    pub(super) fn number(&self) -> Option<f64> {
+    pub(crate) fn number(&self) -> Option<f64> {
         match self {
             Self::Integer(value) => Some(*value as f64),
             Self::Float(value) => Some(*value),
@@ -549,7 +549,7 @@ impl Value {
     }
 
     /// Numbers of a list, a tuple or an array of one axis.
-    pub(super) fn numbers(&self) -> Option<Vec<f64>> {
+    pub(crate) fn numbers(&self) -> Option<Vec<f64>> {
         match self {
             Self::List(values) => values.iter().map(Self::number).collect(),
             Self::Array(array) if array.shape.len() == 1 => Some(array.values.clone()),

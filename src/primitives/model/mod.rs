@@ -1,35 +1,51 @@
-//! MODEL.npz and GRAD.npz: `mean [M,3]`, `scale [M,3]`, `quaternion [M,4]`, `density [M]`, `nu [M]`, physical values.
+//! Files of primitives. What one is follows from its name, and of an archive from its keys:
+//!
+//! | file | content |
+//! |---|---|
+//! | MODEL.npz, GRAD.npz | `mean [M,3]`, `scale [M,3]`, `quaternion [M,4]`, `density [M]`, `nu [M]`, physical values |
+//! | `.ply` | the same as properties of vertices, and a colour: [`ply`] |
+//! | R²-Gaussian's `.pickle`, or its arrays as `.npz` | `xyz`, `density`, `scale`, `rotation`, `scale_bound`, raw values: [`r2`] |
+
+pub mod ply;
+pub mod r2;
 
 use super::{Group, Parameters, Primitives};
 use crate::error::{Error, Result};
 use crate::scene::npz::{self, Entry, Npz};
 use ndarray::{Array1, Array2, ArrayView, IxDyn};
+use std::ffi::OsStr;
 use std::path::Path;
 
-/// Reads a model. Without `nu`, or with infinite ones, the kernel is Gaussian.
+/// Reads a model in any of the formats. Without `nu`, or with infinite ones, the kernel is Gaussian.
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file or the first unusable value.
 pub fn read(path: &Path) -> Result<Primitives> {
-    interpret(&Npz::read(path)?, path)
+    let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    parse(&content, path)
 }
 
-/// Reads the content of a model's file; `path` names it in errors.
+/// Reads the content of a model's file; `path` tells the format, and names it in errors.
 ///
 /// # Errors
 /// [`Error::Format`] for a damaged file or the first unusable value.
 pub fn parse(content: &[u8], path: &Path) -> Result<Primitives> {
-    interpret(&Npz::parse(content, path)?, path)
-}
-
-fn interpret(npz: &Npz, path: &Path) -> Result<Primitives> {
+    match path.extension().and_then(OsStr::to_str) {
+        Some("ply") => return ply::parse(content, path).map(|(primitives, _)| primitives),
+        Some("pickle" | "pkl") => return r2::parse_pickle(content, path),
+        _ => {}
+    }
+    let npz = Npz::parse(content, path)?;
+    if npz.entry("mean").is_none() && npz.entry("xyz").is_some() {
+        return r2::of_archive(path, &npz);
+    }
     let density: Array1<f64> = npz.get("density", "[M]")?;
     let nu: Array1<f64> =
         if npz.entry("nu").is_some() { npz.get("nu", "[M]")? } else { Array1::from_elem(density.len(), f64::INFINITY) };
     Primitives::new(Parameters {
-        mean: rows(path, npz, Group::Mean)?,
-        scale: rows(path, npz, Group::Scale)?,
-        quaternion: rows(path, npz, Group::Quaternion)?,
+        mean: rows(path, &npz, Group::Mean)?,
+        scale: rows(path, &npz, Group::Scale)?,
+        quaternion: rows(path, &npz, Group::Quaternion)?,
         density: density.to_vec(),
         nu: nu.to_vec(),
     })

@@ -1,0 +1,66 @@
+//! Models: archives, PLY, R²-Gaussian's point clouds.
+
+use super::{Convert, extension};
+use crate::cli::{Answer, interrupt};
+use serde::Serialize;
+use std::path::Path;
+use trgs::confidence::{Coverage, Settings, Spread};
+use trgs::primitives::{Kernel, Primitives, model};
+use trgs::scene::Dataset;
+use trgs::{Error, Result};
+
+/// What was converted.
+#[derive(Serialize)]
+struct Converted<'a> {
+    out: &'a Path,
+    kind: &'static str,
+    kernel: &'static str,
+    primitives: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    confidence: Option<Spread>,
+}
+
+pub(super) fn convert(command: &Convert) -> Result<Answer> {
+    let to_ply = extension(&command.out) == "ply";
+    let refuse = |flag: &str, expected: &str| {
+        Err(Error::invalid(flag, format!("OUT {}", command.out.display()), expected, "change either"))
+    };
+    if command.r2 && to_ply {
+        return refuse("--r2", "a .npz");
+    }
+    if command.scanner.is_some() && !to_ply {
+        return refuse("--scanner", "a .ply: only it holds confidences, or the command trgs confidence");
+    }
+    let (primitives, known) = match extension(&command.source) {
+        "ply" => model::ply::read(&command.source)?,
+        _ => (model::read(&command.source)?, None),
+    };
+    let confidence = match &command.scanner {
+        Some(scanner) => Some(confidence(&primitives, scanner)?),
+        None => known.filter(|_| to_ply),
+    };
+    interrupt::shielded(|| match (to_ply, command.r2) {
+        (true, _) => model::ply::write(&command.out, &primitives, confidence.as_deref()),
+        (_, true) => model::r2::write(&command.out, &primitives),
+        _ => model::write(&command.out, &primitives.parameters),
+    })?;
+    let is_student = primitives.kernel == Kernel::StudentT;
+    if command.r2 && is_student {
+        tracing::warn!(
+            "R²-Gaussian does not know nu and will take the primitives for Gaussians: it sees another field"
+        );
+    }
+    Ok(Answer::list(&Converted {
+        out: &command.out,
+        kind: "model",
+        kernel: if is_student { "student-t" } else { "gaussian" },
+        primitives: primitives.len(),
+        confidence: confidence.and_then(|c| Spread::of(&c)),
+    }))
+}
+
+/// How well the training views of a scan cover each primitive, with the settings that runs begin from.
+fn confidence(primitives: &Primitives, scan: &Path) -> Result<Vec<f64>> {
+    let Dataset { scanner, train, .. } = Dataset::read(scan)?;
+    Ok(Coverage::new(Settings::default()).confidence(primitives, &scanner, &train.angles))
+}

@@ -1,0 +1,262 @@
+//! Files that others write and read: SimpleITK, nibabel, plyfile and NumPy see what trgs wrote, and trgs what they did.
+//!
+//! Needs Python with these (`reference/formats/requirements.txt`): `python3`, or what `TRGS_PYTHON` says. Without them
+//! nothing is checked, which the output says aloud; a build server must have them.
+
+mod program;
+
+use glam::{DMat3, DVec3};
+use program::Sandbox;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
+use trgs::primitives::{Group, Kernel, Parameters, Primitives, model};
+use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scene::{dataset, npy};
+
+/// Places in a NIfTI are stored in single precision.
+const SINGLE: f64 = 1e-6;
+
+/// The script with a Python that has what it needs, or `None` and a loud remark.
+fn others(arguments: &[&Path], command: &str) -> Option<Value> {
+    let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
+    let has_all = Command::new(&program).args(["-c", "import nibabel, numpy, plyfile, SimpleITK"]).output();
+    if !has_all.is_ok_and(|out| out.status.success()) {
+        assert!(std::env::var_os("CI").is_none(), "{program} lacks packages; set TRGS_PYTHON");
+        let remark =
+            format!("SKIPPED: {program} lacks packages of reference/formats/requirements.txt; set TRGS_PYTHON\n");
+        std::io::stderr().write_all(remark.as_bytes()).unwrap();
+        return None;
+    }
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/reference/formats/others.py");
+    let output = Command::new(program).arg(script).arg(command).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).unwrap_or(Value::Null))
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap_or_else(|| panic!("{value}")).iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+fn assert_close(found: &[f64], expected: &[f64], tolerance: f64, what: &str) {
+    let close = |(a, b): (&f64, &f64)| (a - b).abs() <= tolerance;
+    let all = found.len() == expected.len() && found.iter().zip(expected).all(close);
+    assert!(all, "{what}: {found:?} instead of {expected:?}");
+}
+
+/// What somebody else sees in a volume against what it is.
+fn assert_seen(found: &Value, expected: &VolumeFile, what: &str) {
+    let shape: [usize; 3] = expected.values.dim().into();
+    assert_eq!(found["shape"], json!(shape), "{what}");
+    let values: Vec<f64> = expected.values.iter().map(|&value| value.into()).collect();
+    assert_close(&numbers(&found["values"]), &values, 0.0, what);
+    assert_close(&numbers(&found["spacing"]), &expected.spacing.unwrap().to_array(), SINGLE, what);
+    assert_close(&numbers(&found["origin"]), &expected.origin.unwrap().to_array(), SINGLE, what);
+    assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), SINGLE, what);
+}
+
+/// A scanner with a grid of which no axis is like another, away from the origin.
+fn lopsided() -> Value {
+    json!({ "scanner": {
+        "mode": "cone", "DSD": 7.0, "DSO": 5.0, "nDetector": [6, 8], "sDetector": [4.0, 4.0], "nVoxel": [5, 4, 7],
+        "sVoxel": [1.5, 0.9, 2.0], "offOrigin": [0.1, -0.7, 0.3], "offDetector": [0.0, 0.0]
+    } })
+}
+
+/// A model without any symmetry.
+fn primitives() -> Primitives {
+    let rows = |i: f64| [0.3 - 0.2 * i, 0.1 + 0.25 * i, -0.4 + 0.3 * i];
+    Primitives::new(Parameters {
+        mean: vec![rows(0.0), rows(1.0), rows(2.0)],
+        scale: vec![[0.1, 0.2, 0.3], [0.05, 0.2, 0.1], [0.02, 0.01, 0.4]],
+        quaternion: vec![[1.0, 0.2, -0.3, 0.4], [0.1, -0.7, 0.3, 2.0], [0.0, 1.0, 0.0, 0.5]],
+        density: vec![0.5, 0.1, 2.0],
+        nu: vec![3.0, 50.0, 7.0],
+    })
+    .unwrap()
+}
+
+#[test]
+fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
+    let sandbox = Sandbox::new();
+    sandbox.write("meta_data.json", lopsided().to_string());
+    let values = ndarray::Array3::from_shape_fn((5, 4, 7), |(x, y, z)| (100 * x + 10 * y + z) as f32);
+    npy::write(&sandbox.path("v.npy"), values.view()).unwrap();
+    let grid = dataset::read_scanner(&sandbox.path("meta_data.json")).unwrap().grid;
+    let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
+    let expected = VolumeFile { values, spacing, origin, ..VolumeFile::default() };
+    assert_close(&grid.min.to_array(), &[-0.65, -1.15, -0.7], 1e-12, "the test's grid");
+    let names = ["v.nii", "v.nii.gz", "v.mha", "v.nrrd"];
+    for name in names {
+        sandbox.done(&format!("convert v.npy {name} --scanner meta_data.json"));
+        let found = volume_file::read(&sandbox.path(name)).unwrap();
+        assert_eq!((&found.values, found.directions, &found.oddities), (&expected.values, DMat3::IDENTITY, &vec![]));
+        for (found, expected) in [(found.spacing, expected.spacing), (found.origin, expected.origin)] {
+            assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), SINGLE, name);
+        }
+    }
+    let paths = names.map(|name| sandbox.path(name));
+    let Some(seen) = others(&paths.each_ref().map(|path| path.as_path()), "see") else { return };
+    let points = [[-0.5, -0.8, -0.2], [0.1, -0.4, 0.9], [0.35, -1.1, 0.3]];
+    let at_points = points.map(|point| {
+        let index = (DVec3::from(point) - grid.min) / grid.spacing;
+        f64::from(expected.values[[0, 1, 2].map(|axis| index[axis] as usize)])
+    });
+    for path in &paths {
+        let seen = seen[path.to_str().unwrap()].as_object().unwrap();
+        assert_eq!(seen.contains_key("nibabel"), path.to_string_lossy().contains(".nii"));
+        for (who, found) in seen {
+            let what = format!("{who}, {}", path.display());
+            assert_seen(found, &expected, &what);
+            assert_close(&numbers(&found["at_points"]), &at_points, 0.0, &what);
+            assert!(found["qform_is_sform"].as_bool().unwrap_or(true), "{what}");
+        }
+    }
+}
+
+#[test]
+fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
+    let sandbox = Sandbox::new();
+    if others(&[&sandbox.path("")], "make").is_none() {
+        return;
+    }
+    let expected: Value = serde_json::from_str(&sandbox.text("expected.json")).unwrap();
+    let expected = expected.as_object().unwrap();
+    assert!(expected.len() > 50, "{} files", expected.len());
+    for (name, expected) in expected {
+        let found = volume_file::read(&sandbox.path(name)).unwrap();
+        assert_seen(expected, &found, name);
+        let straight = found.directions == DMat3::IDENTITY;
+        assert_eq!(found.oddities.is_empty(), straight, "{name}: {:?}", found.oddities);
+        assert_eq!(
+            ["turned", "mirrored", "right", "oblique", "qform", "sform"].iter().any(|w| name.contains(w)),
+            !straight
+        );
+    }
+    // Directions that are not those of x, y and z go from format to format.
+    let mut written = Vec::new();
+    for source in ["itk_turned.mha", "itk_turned.nrrd", "itk_mirrored.nii", "itk_mirrored.mha", "nibabel_qform.nii"] {
+        for ending in ["mha", "nrrd", "nii.gz"] {
+            let name = format!("{}.again.{ending}", source.replace('.', "_"));
+            sandbox.done(&format!("convert {source} {name}"));
+            written.push((source, sandbox.path(&name)));
+        }
+    }
+    let paths: Vec<&Path> = written.iter().map(|(_, path)| path.as_path()).collect();
+    let seen = others(&paths, "see").unwrap();
+    for (source, path) in &written {
+        let original = volume_file::read(&sandbox.path(source)).unwrap();
+        for (who, found) in seen[path.to_str().unwrap()].as_object().unwrap() {
+            assert_seen(found, &original, &format!("{who}, {}", path.display()));
+        }
+    }
+}
+
+#[test]
+fn a_ply_holds_the_model_its_confidence_and_colours() {
+    let sandbox = Sandbox::with_scan();
+    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    let found = sandbox.done("convert model.npz model.ply --scanner scan");
+    assert_eq!(
+        (&found["kind"], &found["kernel"], &found["primitives"]),
+        (&json!("model"), &json!("student-t"), &json!(3))
+    );
+    sandbox.done("confidence model.npz --scanner scan --out c.npz");
+    sandbox.done("convert model.ply back.npz");
+    assert_eq!(sandbox.read("back.npz"), sandbox.read("model.npz"));
+    // What a PLY knows of confidence it keeps.
+    sandbox.done("convert model.ply again.ply");
+    assert_eq!(sandbox.read("again.ply"), sandbox.read("model.ply"));
+    let paths = [sandbox.path("model.ply"), sandbox.path("c.npz")];
+    let Some(seen) = others(&paths.each_ref().map(|path| path.as_path()), "see") else { return };
+    let [ply, c] = paths.map(|path| seen[path.to_str().unwrap()].clone());
+    let p = primitives().parameters;
+    let column =
+        |group: Group, k: usize| p.group(group).iter().copied().skip(k).step_by(group.width()).collect::<Vec<_>>();
+    let names = [
+        (Group::Mean, vec!["x", "y", "z"]),
+        (Group::Scale, vec!["scale_x", "scale_y", "scale_z"]),
+        (Group::Quaternion, vec!["rotation_w", "rotation_x", "rotation_y", "rotation_z"]),
+        (Group::Density, vec!["density"]),
+        (Group::Nu, vec!["nu"]),
+    ];
+    for (group, names) in names {
+        for (k, name) in names.into_iter().enumerate() {
+            assert_close(&numbers(&ply[name]), &column(group, k), 0.0, name);
+        }
+    }
+    assert_eq!(ply["confidence"], c["c"]);
+    for colour in ["red", "green", "blue"] {
+        assert!(numbers(&ply[colour]).iter().all(|value| (0.0..256.0).contains(value)), "{ply}");
+    }
+}
+
+#[test]
+fn point_clouds_of_r2_gaussian_come_and_go() {
+    let sandbox = Sandbox::new();
+    if others(&[&sandbox.path("")], "make").is_none() {
+        return;
+    }
+    let physical: Value = serde_json::from_str(&sandbox.text("physical.json")).unwrap();
+    for name in ["point_cloud", "unbounded"] {
+        for protocol in 2..=5 {
+            let pickle = format!("{name}_{protocol}.pickle");
+            sandbox.done(&format!("convert {pickle} {pickle}.npz"));
+            let found = model::read(&sandbox.path(&format!("{pickle}.npz"))).unwrap();
+            assert_eq!((found.kernel, found.len()), (Kernel::Gaussian, 6));
+            for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
+                let unbounded = group == Group::Scale && name == "unbounded";
+                let key = if unbounded { "unbounded_scale" } else { group.key() };
+                assert_close(
+                    found.parameters.group(group),
+                    &numbers(&physical[key]),
+                    1e-14,
+                    &format!("{pickle}, {key}"),
+                );
+            }
+        }
+    }
+    sandbox.done("convert point_cloud_4.pickle.npz cloud.npz --r2");
+    sandbox.done("convert cloud.npz again.ply");
+    let before = model::read(&sandbox.path("point_cloud_4.pickle.npz")).unwrap();
+    let after = model::read(&sandbox.path("again.ply")).unwrap();
+    for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
+        assert_close(after.parameters.group(group), before.parameters.group(group), 1e-14, group.key());
+    }
+    let path = sandbox.path("cloud.npz");
+    let seen = others(&[&path], "see").unwrap();
+    let keys: Vec<&String> = seen[path.to_str().unwrap()].as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["xyz", "density", "scale", "rotation", "scale_bound"]);
+}
+
+#[test]
+fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
+    let sandbox = Sandbox::new();
+    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    let output = sandbox.run("convert model.npz cloud.npz --r2");
+    assert!(program::stderr(&output).contains("does not know nu"), "{}", program::stderr(&output));
+    let back = model::read(&sandbox.path("cloud.npz")).unwrap();
+    assert_eq!((back.kernel, back.parameters.nu), (Kernel::StudentT, primitives().parameters.nu));
+    sandbox.done("voxelize cloud.npz --grid 4,5,6 --out v.npy");
+    assert!(sandbox.refused("convert model.npz cloud.ply --r2").contains("--r2"));
+}
+
+#[test]
+fn impossible_pairs_are_told_which_command_does_it() {
+    let sandbox = Sandbox::with_scan();
+    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    for (arguments, remedy) in [
+        ("model.npz v.nii.gz", "trgs voxelize"),
+        ("model.npz folder", "trgs render"),
+        ("scan/vol_gt.npy model.ply", "trgs reconstruct"),
+        ("scan model.npz", "trgs reconstruct"),
+        ("scan v.mha", "trgs reconstruct"),
+        ("model.npz other.npz --scanner scan", "trgs confidence"),
+        ("scan/vol_gt.npy v.mha --r2", "--r2"),
+        ("scan copy --r2", "--r2"),
+    ] {
+        let message = sandbox.refused(&format!("convert {arguments}"));
+        assert!(message.contains(remedy), "{arguments}: {message}");
+    }
+}
