@@ -22,6 +22,7 @@
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
 //! | [`oracle`] | conformance vectors for other implementations: handed out, and answers judged | |
 //! | [`config`], [`report`], [`provenance`], [`output`] | what a run is told, shows and leaves behind | |
+//! | [`memory`] | what a run will need, before it starts | |
 //! | [`numeric`] | the ground: scalars, lanes, sums, random numbers, threads | |
 //!
 //! Equation tags: `[Eq. n]` are the paper's; `[X1]` is the exact cone-beam projection, `[X2]` the support of a
@@ -34,6 +35,7 @@ pub mod density;
 pub mod error;
 pub mod evaluation;
 pub mod loss;
+pub mod memory;
 pub mod numeric;
 pub mod optim;
 pub mod oracle;

@@ -4,6 +4,7 @@
 //! is what this page is there to show. It holds no time and no name of a machine.
 
 use crate::error::{Error, Result};
+use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -26,6 +27,9 @@ pub struct Provenance {
     pub debug_assertions: bool,
     /// Worker threads. No result depends on them.
     pub threads: usize,
+    /// Bytes of memory that the run was estimated to need at most, where there is an estimate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory: Option<u64>,
     /// The command line, program name first.
     pub command: Vec<String>,
     /// Every seed by its purpose.
@@ -46,6 +50,7 @@ impl Provenance {
             target_features: target_features(),
             debug_assertions: cfg!(debug_assertions),
             threads,
+            memory: None,
             command: command.into_iter().collect(),
             seeds: BTreeMap::new(),
             inputs: BTreeMap::new(),
@@ -62,6 +67,7 @@ impl Provenance {
             ("command", self.command.join(" ")),
             ("built for", format!("{}, {}", self.target, self.target_features.join(" "))),
             ("threads", self.threads.to_string()),
+            ("memory, estimated", self.memory.map_or(String::new(), |bytes| ByteSize(bytes).to_string())),
             ("seeds", seeds.join(", ")),
         ];
         facts.into_iter().filter(|(_, value)| !value.is_empty()).map(|(label, value)| (label.into(), value)).collect()
@@ -102,7 +108,12 @@ pub fn digest_file(path: &Path) -> Result<String> {
 
 /// SHA-256 of bytes, 64 hexadecimal digits.
 pub fn digest_bytes(bytes: &[u8]) -> String {
-    hex(Sha256::new_with_prefix(bytes))
+    digest_parts(&[bytes])
+}
+
+/// [`digest_bytes`] of parts one after the other.
+pub fn digest_parts(parts: &[&[u8]]) -> String {
+    hex(parts.iter().fold(Sha256::new(), |hasher, part| hasher.chain_update(part)))
 }
 
 /// SHA-256 of the bits of some numbers, little-endian: two arrays have the same digest if and only if they are equal

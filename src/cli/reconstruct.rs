@@ -5,6 +5,7 @@ use super::evaluate::evaluate;
 use super::messages::Progress;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Answer, Global, check_size, interrupt};
+use bytesize::ByteSize;
 use clap::Args;
 use serde_json::json;
 use std::ops::ControlFlow;
@@ -13,8 +14,10 @@ use std::time::Instant;
 use trgs::classical::algebraic::{Pass, asd_pocs, cgls, sart};
 use trgs::classical::{VoxelProjector, fdk};
 use trgs::config::{Config, Method, Precision, Preset};
-use trgs::numeric::Real;
+use trgs::memory::Estimate;
+use trgs::numeric::{Real, threads};
 use trgs::projector::Projection;
+use trgs::scene::dataset::Survey;
 use trgs::scene::{Dataset, Volume};
 use trgs::train::{Checkpoint, Checkpoints, Reconstruction, Record, train};
 use trgs::{Error, Result};
@@ -30,6 +33,7 @@ use trgs::{Error, Result};
   trgs reconstruct data/torso --out out/r2 --method r2-gaussian
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
   trgs reconstruct data/torso --out out/torso --resume
+  trgs reconstruct data/torso --out out/torso --max-memory 3GB
 
 A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise the method's default.
 The config.toml of any run has all keys with their documentation."
@@ -71,6 +75,9 @@ pub(super) struct Reconstruct {
     /// Any key of the configuration, as in loss.tv=0.1; may be given more than once
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Refuse to start if the run may need more memory, as in 3GB or 512MiB
+    #[arg(long, value_name = "SIZE")]
+    max_memory: Option<ByteSize>,
     /// Go on from the last checkpoint of RUN, to the same result as if never stopped
     #[arg(long)]
     resume: bool,
@@ -80,6 +87,7 @@ impl Reconstruct {
     pub(super) fn run(&self, global: &Global) -> Result<Answer> {
         let checkpoint = self.checkpoint()?;
         let config = self.config(checkpoint.as_ref())?;
+        self.check_memory(&self.estimate(&config)?)?;
         let mut dataset = Dataset::read(&self.dataset)?;
         for oddity in &dataset.oddities {
             tracing::warn!("{}: {oddity}", self.dataset.display());
@@ -90,12 +98,28 @@ impl Reconstruct {
         if let Some(n) = self.views {
             dataset.train = dataset.train.select(&evenly_spaced(n, dataset.train.len())?);
         }
+        // Again, for what only reading tells.
+        self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
         tracing::info!("wrote {}, with a page to look at", report.display());
         let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
         Ok(outcome.evaluation.answer(context))
+    }
+
+    /// What the run needs, as far as that can be known without reading the scan.
+    fn estimate(&self, config: &Config) -> Result<Estimate> {
+        let Some(scan) = Survey::read(&self.dataset)? else {
+            let file = std::fs::metadata(&self.dataset).map_err(|source| Error::read(&self.dataset, source))?;
+            return Ok(Estimate::of_file(file.len()));
+        };
+        let views = self.views.map_or(scan.train, |n| n.min(scan.train));
+        Ok(Estimate::new(&scan, views, config, threads::count()))
+    }
+
+    fn check_memory(&self, estimate: &Estimate) -> Result<()> {
+        self.max_memory.map_or(Ok(()), |limit| estimate.check(limit.as_u64()))
     }
 
     /// The checkpoint to go on from. Without one a resumed run begins at the beginning, so that the same command can
@@ -151,7 +175,12 @@ pub(super) fn reconstruct(
 ) -> Result<Outcome> {
     check_size("volume", &dataset.scanner.grid.shape)?;
     interrupt::shielded(|| {
-        let folder = RunFolder::begin(out, source, config)?;
+        let estimate = Estimate::new(&Survey::of(dataset), dataset.train.len(), config, threads::count());
+        let folder = RunFolder::begin(out, source, config, estimate.peak())?;
+        tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
+        if let Some(installed) = installed_memory().filter(|&installed| installed < estimate.peak()) {
+            tracing::warn!("this machine has {} of memory: the run may be slow or be stopped", ByteSize(installed));
+        }
         let began = Instant::now();
         let mut progress = Progress::new(config.iterations, global);
         let mut passes = Vec::new();
@@ -198,6 +227,13 @@ fn algebraic<R: Real>(
         Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, observe),
         _ => sart::<R>(&projector, &dataset.train, &config.sart(), observe),
     }
+}
+
+/// Bytes of memory of this machine, where the system says it in a file.
+fn installed_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let kibibytes: u64 = text.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok()?;
+    Some(kibibytes << 10)
 }
 
 /// `n` of `len` indices, the first among them.

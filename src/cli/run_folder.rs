@@ -73,12 +73,13 @@ impl Outcome {
 }
 
 impl RunFolder {
-    /// Begins the folder of a run of `config` on the dataset at `source`. An older run of the same kind will be
+    /// Begins the folder of a run of `config` on the dataset at `source`, estimated to need so many bytes. An older run of the same kind will be
     /// replaced, anything else is refused now and not after hours of work.
-    pub(super) fn begin(folder: &Path, source: &Path, config: &Config) -> Result<Self> {
+    pub(super) fn begin(folder: &Path, source: &Path, config: &Config, memory: u64) -> Result<Self> {
         check_replaceable(folder, config.method)?;
         let mut provenance = Provenance::new(threads::count(), std::env::args());
         provenance.seeds.insert("reconstruct".into(), config.seed);
+        provenance.memory = Some(memory);
         provenance.add_input(match source.parent() {
             // The description of a scan: its folder, which has no name if it is the current one.
             Some(parent) if source.is_file() && parent.as_os_str().is_empty() => Path::new("."),

@@ -30,7 +30,10 @@ pub struct Point {
 /// # Errors
 /// When fewer than four voxels are above the threshold.
 pub fn bright_voxels(volume: &Volume, threshold: f64, n: usize, seed: u64) -> Result<Vec<Point>> {
-    let bright: Vec<_> = volume.values.indexed_iter().filter(|(_, value)| f64::from(**value) > threshold).collect();
+    let values = volume.values.as_slice().expect("volumes are in standard layout");
+    let is_bright = |voxel: &usize| f64::from(values[*voxel]) > threshold;
+    let mut bright = Vec::with_capacity((0..values.len()).filter(is_bright).count());
+    bright.extend((0..values.len()).filter(is_bright));
     if bright.len() < 4 {
         return Err(Error::invalid(
             "initialisation.threshold",
@@ -43,8 +46,9 @@ pub fn bright_voxels(volume: &Volume, threshold: f64, n: usize, seed: u64) -> Re
     let mut chosen = index::sample(&mut random, bright.len(), n.min(bright.len())).into_vec();
     chosen.sort_unstable();
     let point = |i: usize| {
-        let ((x, y, z), density) = bright[i];
-        Point { position: volume.grid.centre([x, y, z]), density: f64::from(*density) }
+        let (voxel, [_, ny, nz]) = (bright[i], volume.grid.shape);
+        let index = [voxel / (ny * nz), voxel / nz % ny, voxel % nz];
+        Point { position: volume.grid.centre(index), density: f64::from(values[voxel]) }
     };
     Ok(chosen.into_iter().map(point).collect())
 }

@@ -34,6 +34,18 @@ use ndarray::{Array3, ArrayView3, Axis};
 use shape::{Shape, ShapeGradient};
 use std::marker::PhantomData;
 
+/// Bytes of a primitive in each role, for the estimate of a run's memory.
+pub(crate) mod bytes {
+    /// In a field.
+    pub(crate) const FIELD: usize = size_of::<super::Shape>();
+    /// In its gradient.
+    pub(crate) const GRADIENT: usize = size_of::<super::ShapeGradient>();
+    /// In a view.
+    pub(crate) const VIEW: usize = size_of::<super::footprint::Footprint>();
+    /// On a grid.
+    pub(crate) const GRID: usize = size_of::<super::voxelizer::Solid>();
+}
+
 /// How a cone beam's rays are taken through a primitive. In a parallel beam both are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]

@@ -37,7 +37,7 @@ impl Volume {
             ));
         }
         check_finite("volume", &values)?;
-        Ok(Self { grid, values: values.as_standard_layout().into_owned() })
+        Ok(Self { grid, values: in_standard_layout(values) })
     }
 }
 
@@ -59,7 +59,7 @@ impl Projections {
             return Err(Error::invalid("angle", bad, "a finite number of radians", "check meta_data.json"));
         }
         check_finite("projections", &images)?;
-        Ok(Self { angles, images: images.as_standard_layout().into_owned() })
+        Ok(Self { angles, images: in_standard_layout(images) })
     }
 
     /// Number of views.
@@ -81,6 +81,11 @@ impl Projections {
     pub fn select(&self, views: &[usize]) -> Self {
         Self { angles: views.iter().map(|&i| self.angles[i]).collect(), images: self.images.select(Axis(0), views) }
     }
+}
+
+/// The array in C order, itself if it has that already: a scan must not be in memory twice.
+fn in_standard_layout(array: Array3<f32>) -> Array3<f32> {
+    if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
 /// An error that names the first value that is not finite.

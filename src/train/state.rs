@@ -7,11 +7,10 @@ use crate::density::{Successor, succeed};
 use crate::error::{Error, Result};
 use crate::output::{create_folder, write_atomically};
 use crate::primitives::{Activation, Parameters};
-use crate::provenance::digest_bytes;
+use crate::provenance::digest_parts;
 use crate::scene::Dataset;
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Changes with the meaning of the file.
@@ -169,10 +168,7 @@ impl Checkpoint {
         let folders = path.ancestors().skip(1).take_while(|folder| !folder.as_os_str().is_empty());
         let missing: Vec<&Path> = folders.take_while(|folder| !folder.exists()).collect();
         let written = path.parent().map_or(Ok(()), create_folder).and_then(|()| {
-            write_atomically(path, |file| {
-                let bytes = rmp_serde::to_vec(self).map_err(std::io::Error::other)?;
-                file.write_all(&bytes)
-            })
+            write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
         });
         if written.is_err() {
             // Empty ones only: the others are somebody's by now.
@@ -219,9 +215,8 @@ impl Checkpoint {
 /// Digest of all that a run takes from its dataset.
 pub(super) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
-    let mut bytes = format!("{:?} {:?}", dataset.scanner, dataset.train.angles).into_bytes();
-    bytes.extend_from_slice(cast_slice(projections.as_slice().expect("standard layout")));
-    digest_bytes(&bytes)
+    let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
+    digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }
 
 #[cfg(test)]

@@ -122,7 +122,7 @@ fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
 }
 
 pub(super) fn convert(command: &Convert) -> Result<Answer> {
-    let Convert { source, out, scanner, protocol, stack: arguments } = command;
+    let Convert { source, out, scanner, protocol, stack: arguments, .. } = command;
     let Some(scanner) = scanner else {
         let expected = "the description of beam, detector and volume, for a stack of projections";
         let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz or the like to write a volume";

@@ -26,6 +26,9 @@ mod meta;
 mod naf;
 pub(crate) mod pickle;
 mod subsample;
+mod survey;
+
+pub use survey::Survey;
 
 use super::arrays::{Projections, Volume};
 use super::geometry::Scanner;
@@ -265,6 +268,10 @@ fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner,
         // Rounding once, from f64, keeps a scale of 1 exact.
         let image = image.mapv(|value| (f64::from(value) * scale) as f32);
         check_finite(&path, "projection", image.view())?;
+        if values.is_empty() {
+            // The first file has what the detector promised.
+            values.reserve_exact(views.len() * rows * columns);
+        }
         values.extend(image);
     }
     let images =

@@ -1,0 +1,61 @@
+//! How large a scan is, found out without reading a number of it.
+
+use super::meta::Meta;
+use super::{Dataset, find_points, meta_path, naf};
+use crate::error::Result;
+use crate::scene::geometry::Scanner;
+use ndarray::Array2;
+use std::path::Path;
+
+/// Bytes of an initial point in the smallest type that files have.
+const POINT: u64 = 16;
+
+/// The sizes of a scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Survey {
+    /// Detector and grid.
+    pub scanner: Scanner,
+    /// Training views.
+    pub train: usize,
+    /// Test views.
+    pub test: usize,
+    /// Whether it has a true volume.
+    pub has_truth: bool,
+    /// Initial points, or more.
+    pub points: usize,
+}
+
+impl Survey {
+    /// Of a dataset that is in memory.
+    pub fn of(dataset: &Dataset) -> Self {
+        Self {
+            scanner: dataset.scanner,
+            train: dataset.train.len(),
+            test: dataset.test.as_ref().map_or(0, |views| views.len()),
+            has_truth: dataset.truth.is_some(),
+            points: dataset.initial_points.as_ref().map_or(0, Array2::nrows),
+        }
+    }
+
+    /// Of the dataset at `path`, a folder or its `meta_data.json`; `None` for a file that has to be read to know.
+    ///
+    /// # Errors
+    /// As [`Dataset::read`], for the description.
+    pub fn read(path: &Path) -> Result<Option<Self>> {
+        if naf::is_pickle(path) {
+            return Ok(None);
+        }
+        let path = meta_path(path);
+        let meta = Meta::read(&path)?;
+        let scanner = meta.interpret(&path)?.scanner;
+        let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let points = find_points(folder, "", &mut Vec::new())?.and_then(|file| std::fs::metadata(file).ok());
+        Ok(Some(Self {
+            scanner,
+            train: meta.proj_train.len(),
+            test: meta.proj_test.len(),
+            has_truth: meta.vol.or(meta.ct).is_some(),
+            points: points.map_or(0, |file| (file.len() / POINT) as usize),
+        }))
+    }
+}

@@ -1,0 +1,154 @@
+//! The estimate of a run's memory against the largest resident set of the run itself, and the refusal that rests on it.
+//!
+//! The resident set is Linux's `VmHWM`, watched while the program runs; elsewhere nothing is measured, which the output
+//! says aloud.
+
+mod program;
+
+use ndarray::Array3;
+use program::{Sandbox, stderr};
+use serde_json::Value;
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Projections, Scanner, Volume};
+
+const MIB: f64 = (1 << 20) as f64;
+/// An estimate may be below what was measured by so much: what the system gives to any program.
+const BASE: f64 = 8.0 * MIB;
+
+/// A ball of radius 0.8 in parallel rays: all views are one image, so that a large scan is quickly made.
+fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: usize) -> Dataset {
+    let pitch = |n: usize| 2.4 / n as f64;
+    let (pitch_v, pitch_u) = (pitch(rows), pitch(columns));
+    let detector = Detector { rows, columns, pitch_v, pitch_u, offset_u: 0.0, offset_v: 0.0 };
+    let scanner = Scanner { beam: Beam::Parallel { dso: 5.0 }, detector, grid: Grid::cube(voxels) };
+    let projections = |n: usize, start: f64| {
+        let images = Array3::from_shape_fn((n, rows, columns), |(_, row, column)| {
+            let (u, v) = detector.position(row as f64, column as f64);
+            2.0 * (0.64 - u * u - v * v).max(0.0).sqrt() as f32
+        });
+        Projections::new(Scanner::uniform_angles(n, start, std::f64::consts::TAU), images).unwrap()
+    };
+    let inside = |(x, y, z)| if scanner.grid.centre([x, y, z]).length() < 0.8 { 1.0 } else { 0.0 };
+    let truth = Volume::new(scanner.grid, Array3::from_shape_fn((voxels, voxels, voxels), inside)).unwrap();
+    Dataset {
+        name: "ball".into(),
+        scanner,
+        scale: 1.0,
+        noise: Noise::None,
+        train: projections(views, 0.0),
+        test: (test_views > 0).then(|| projections(test_views, 0.1)),
+        truth: Some(truth),
+        initial_points: None,
+        oddities: Vec::new(),
+    }
+}
+
+/// Runs a reconstruction: its estimate and its largest resident set, bytes.
+fn measured(sandbox: &Sandbox, arguments: &str, out: &str) -> (f64, f64) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_trgs"))
+        .args(["reconstruct", "scan", "--threads", "2", "--quiet", "--out", out])
+        .args(arguments.split_whitespace())
+        .current_dir(sandbox.path(""))
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut largest = 0.0_f64;
+    let outcome = loop {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        if let Some(line) = text.lines().find_map(|line| line.strip_prefix("VmHWM:")) {
+            largest = largest.max(1024.0 * line.trim().trim_end_matches(" kB").parse::<f64>().unwrap());
+        }
+        if let Some(outcome) = child.try_wait().unwrap() {
+            break outcome;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    assert!(outcome.success(), "{arguments}");
+    let provenance: Value = serde_json::from_str(&sandbox.text(&format!("{out}/provenance.json"))).unwrap();
+    (provenance["memory"].as_f64().unwrap(), largest)
+}
+
+/// Holds the estimate against the measurement. Where data dominates it must not be above twice as much.
+fn assert_honest(sandbox: &Sandbox, name: &str, arguments: &str, dominated: bool) {
+    let (estimate, measured) = measured(sandbox, arguments, name);
+    eprintln!("{name}: estimate {:.0} MiB, measured {:.0} MiB", estimate / MIB, measured / MIB);
+    assert!(estimate >= measured - BASE, "{name}: {:.1} MiB for {:.1}", estimate / MIB, measured / MIB);
+    if dominated {
+        assert!(measured > 80.0 * MIB, "{name}: {:.1} MiB are too few", measured / MIB);
+        assert!(estimate <= 2.0 * measured, "{name}: {:.1} MiB for {:.1}", estimate / MIB, measured / MIB);
+    }
+}
+
+fn is_linux() -> bool {
+    if cfg!(target_os = "linux") {
+        return true;
+    }
+    std::io::stderr().write_all(b"SKIPPED: the resident set is measured on Linux only\n").unwrap();
+    false
+}
+
+fn with(scan: &Dataset) -> Sandbox {
+    let sandbox = Sandbox::new();
+    scan.write(&sandbox.path("scan")).unwrap();
+    sandbox
+}
+
+#[test]
+fn methods_on_voxels_need_what_was_said() {
+    if !is_linux() {
+        return;
+    }
+    let (small, views, voxels) =
+        (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 512, 640, 40, 8)), with(&ball(224, 40, 48, 3, 1)));
+    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls"] {
+        let steps = if method == "fdk" { "" } else { "--iterations 1" };
+        for (what, sandbox, dominated) in [("small", &small, false), ("views", &views, true), ("voxels", &voxels, true)]
+        {
+            assert_honest(sandbox, &format!("{method}-{what}"), &format!("--method {method} {steps}"), dominated);
+        }
+    }
+}
+
+#[test]
+fn training_needs_what_was_said() {
+    if !is_linux() {
+        return;
+    }
+    let (small, views) = (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 512, 640, 40, 4)));
+    let many = with(&ball(72, 64, 64, 6, 2));
+    for method in ["tr-gs", "r2-gaussian"] {
+        let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2";
+        assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {cap}"), false);
+        assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
+        let crowd = "--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap=95000";
+        assert_honest(&many, &format!("{method}-many"), &format!("--method {method} {crowd}"), true);
+    }
+    assert_honest(&many, "double", "--precision f64 --points 90000 --iterations 2", true);
+}
+
+#[test]
+fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
+    let sandbox = Sandbox::with_scan();
+    let message = sandbox.refused("reconstruct scan --out run --max-memory 1MB");
+    assert!(message.contains("--max-memory") && message.contains("MiB") && message.contains("--points"), "{message}");
+    // Nothing is read before: the projections need not even exist.
+    std::fs::remove_dir_all(sandbox.path("scan/proj_train")).unwrap();
+    let huge = "reconstruct scan --out run --iterations 30000 --set density_control.cap=10000000 --max-memory 2GiB";
+    let message = sandbox.refused(huge);
+    assert!(message.contains("got 2.0 GiB") && message.contains("at least 1"), "{message}");
+    assert!(!stderr(&sandbox.run("reconstruct scan --out run --max-memory much")).is_empty());
+    let pickle = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
+    assert!(sandbox.refused(&format!("reconstruct {pickle} --out run --max-memory 3kB")).contains("--max-memory"));
+}
+
+#[test]
+fn a_run_that_fits_runs_and_says_what_it_needs() {
+    let sandbox = Sandbox::with_scan();
+    let output = sandbox.run("reconstruct scan --out run --method fdk --max-memory 500MB");
+    assert!(output.status.success() && stderr(&output).contains("needs at most"), "{}", stderr(&output));
+    let provenance: Value = serde_json::from_str(&sandbox.text("run/provenance.json")).unwrap();
+    assert!(provenance["memory"].as_u64().unwrap() > 1 << 20);
+}
