@@ -42,6 +42,7 @@ fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: us
         truth: Some(truth),
         initial_points: None,
         oddities: Vec::new(),
+        notes: Vec::new(),
     }
 }
 

@@ -2,13 +2,12 @@
 //! error of one clear line, and no memory for what a header merely claims.
 //!
 //! `cargo fuzz` would look further, but needs a nightly compiler; this is proptest on bytes with a fixed seed, see
-//! `tests/common/damage.rs`. `.ci/run` asks for 100,000 cases per format. DICOM is in `src/scene/volume_file/dicom`, extreme
-//! numbers are in `tests/extremes.rs`.
+//! `tests/common/damage.rs`. DICOM is in `src/scene/volume_file/dicom`, extreme numbers are in `tests/extremes.rs`.
 
 #[path = "common/damage.rs"]
 mod damage;
 
-use damage::{MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all, many};
+use damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
 use proptest::collection::vec;
@@ -46,7 +45,7 @@ fn small_npy() -> Vec<u8> {
 
 #[test]
 fn damaged_arrays_are_clear_errors() {
-    assert_reader_survives("array.npy", many(), &small_npy(), npy::parse);
+    assert_reader_survives("array.npy", MANY, &small_npy(), npy::parse);
 }
 
 fn small_npz() -> Vec<u8> {
@@ -57,7 +56,7 @@ fn small_npz() -> Vec<u8> {
 
 #[test]
 fn damaged_archives_are_clear_errors() {
-    assert_reader_survives("archive.npz", many(), &small_npz(), Npz::parse);
+    assert_reader_survives("archive.npz", MANY, &small_npz(), Npz::parse);
 }
 
 #[test]
@@ -70,16 +69,16 @@ fn damaged_models_are_clear_errors() {
         nu: vec![3.0, 50.0],
     };
     let valid = bytes_of("a.npz", |path| model::write(path, &parameters).unwrap());
-    assert_reader_survives("MODEL.npz", many(), &valid, model::parse);
+    assert_reader_survives("MODEL.npz", MANY, &valid, model::parse);
     let primitives = Primitives::new(parameters).unwrap();
     let valid = bytes_of("a.ply", |path| model::ply::write(path, &primitives, Some(&[0.0, 1.0])).unwrap());
-    assert_reader_survives("model.ply", many(), &valid, model::parse);
-    assert_reader_survives("ascii.ply", many(), ASCII_PLY, model::parse);
+    assert_reader_survives("model.ply", MANY, &valid, model::parse);
+    assert_reader_survives("ascii.ply", MANY, ASCII_PLY, model::parse);
     let primitives =
         Primitives { parameters: Parameters { density: vec![0.5; 2], ..primitives.parameters }, ..primitives };
     let valid = bytes_of("a.npz", |path| model::r2::write(path, &primitives).unwrap());
-    assert_reader_survives("point_cloud.npz", many(), &valid, model::parse);
-    assert_reader_survives("point_cloud.pickle", many(), POINT_CLOUD, model::parse);
+    assert_reader_survives("point_cloud.npz", MANY, &valid, model::parse);
+    assert_reader_survives("point_cloud.pickle", MANY, POINT_CLOUD, model::parse);
 }
 
 /// A PLY with all kinds of properties.
@@ -110,12 +109,12 @@ fn scan() -> TempDir {
 fn damaged_descriptions_of_scanners_are_clear_errors() {
     let folder = scan();
     let valid = std::fs::read(folder.path().join("scan/meta_data.json")).unwrap();
-    assert_reader_survives("meta_data.json", many(), &valid, Description::parse);
+    assert_reader_survives("meta_data.json", MANY, &valid, Description::parse);
 }
 
 #[test]
 fn damaged_lists_of_angles_are_clear_errors() {
-    assert_reader_survives("angles.txt", many(), b"# degrees\n0, 45.5, 90\n135;-180 # end\n", parse_angles);
+    assert_reader_survives("angles.txt", MANY, b"# degrees\n0, 45.5, 90\n135;-180 # end\n", parse_angles);
 }
 
 #[test]
@@ -145,12 +144,12 @@ fn small_volume(name: &str) -> Vec<u8> {
 #[test]
 fn damaged_volumes_of_every_format_are_clear_errors() {
     for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"] {
-        assert_reader_survives(name, many(), &small_volume(name), volume_file::parse);
+        assert_reader_survives(name, MANY, &small_volume(name), volume_file::parse);
     }
     let detached = b"NDims = 3\nDimSize = 2 2 1\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n1234";
-    assert_reader_survives("a.mhd", many(), detached, volume_file::parse);
+    assert_reader_survives("a.mhd", MANY, detached, volume_file::parse);
     // Of numbers alone nothing but the length can be wrong.
-    assert_reader_survives("a_3x4x5_float32.raw", many(), &small_volume("a_3x4x5_float32.raw"), volume_file::parse);
+    assert_reader_survives("a_3x4x5_float32.raw", MANY, &small_volume("a_3x4x5_float32.raw"), volume_file::parse);
 }
 
 #[test]
@@ -158,7 +157,7 @@ fn damaged_side_files_are_clear_errors() {
     let valid = br#"{"shape": [2, 3, 4], "type": "uint16", "byte_order": "big", "spacing": [0.5, 1, 2],
         "origin": [0, -1.5, 1e3], "skip_bytes": 2}"#;
     let numbers = [7_u8; 50];
-    assert_reader_survives("a.raw", many(), valid, |text, path| SideFile::parse(text, path)?.volume(&numbers, path));
+    assert_reader_survives("a.raw", MANY, valid, |text, path| SideFile::parse(text, path)?.volume(&numbers, path));
 }
 
 /// Two pages of each kind of number and packing.
@@ -192,7 +191,7 @@ fn small_tiffs() -> Vec<Vec<u8>> {
 #[test]
 fn damaged_tiffs_are_clear_errors() {
     for valid in small_tiffs() {
-        assert_reader_survives("pages.tif", many() / 4, &valid, volume_file::parse);
+        assert_reader_survives("pages.tif", MANY / 4, &valid, volume_file::parse);
     }
 }
 
@@ -203,7 +202,7 @@ fn pickle(protocol: u32) -> Vec<u8> {
 #[test]
 fn damaged_pickles_are_clear_errors() {
     for protocol in 2..=5 {
-        assert_reader_survives("scan.pickle", many() / 4, &pickle(protocol), Dataset::parse_pickle);
+        assert_reader_survives("scan.pickle", MANY / 4, &pickle(protocol), Dataset::parse_pickle);
     }
 }
 
