@@ -43,7 +43,7 @@ def project(p, scanner, angle, exact):  # [Eq. 4] [Eq. 5] [X1] one primitive in 
     if cone and centre[2].real <= scanner["DSO"] / 100:  # "near": left out
         return np.zeros((rows, columns))
     u = (np.arange(columns) + 0.5 - columns / 2) * width / columns + scanner["offDetector"][0]
-    v = (np.arange(rows) + 0.5 - rows / 2) * height / rows + scanner["offDetector"][1]
+    v = (np.arange(rows) + 0.5 - rows / 2) * height / rows - scanner["offDetector"][1]
     pixel = np.stack(np.broadcast_arrays(u, v[:, None], 0), -1)
     offset = pixel * (centre[2] / scanner["DSD"] if cone else 1) - centre * [1, 1, 0]  # from the centre
     direction = pixel + [0, 0, scanner["DSD"]] if exact else centre  # affine: all rays run like the centre's

@@ -133,11 +133,11 @@ def model_arrays(primitives):
 
 
 def meta_data(s):
-    """meta_data.json as R2-Gaussian writes it."""
+    """meta_data.json as R2-Gaussian writes it: there the offset along v counts upwards, towards +z."""
     low = [o - size / 2 for o, size in zip(s.off_origin, s.s_voxel)]
     high = [o + size / 2 for o, size in zip(s.off_origin, s.s_voxel)]
     assert max(s.s_voxel) == 2, "the scene scale must be 1"
     return {"scanner": {"mode": s.mode, "DSO": s.dso, "DSD": s.dsd, "nDetector": s.n_detector, "sDetector": s.s_detector,
                         "nVoxel": s.n_voxel, "sVoxel": s.s_voxel, "offOrigin": s.off_origin,
-                        "offDetector": s.off_detector, "totalAngle": 360.0, "startAngle": 0.0},
+                        "offDetector": (s.off_detector[0], 0.0 - s.off_detector[1]), "totalAngle": 360.0, "startAngle": 0.0},
             "bbox": [low, high]}

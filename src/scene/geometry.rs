@@ -26,6 +26,9 @@
 //! perpendicular to `w` at distance `dsd` from the source. In a parallel beam all rays run along `w`,
 //! the detector has the size of its own shadow, and `dsd` means nothing.
 //!
+//! Files of R²-Gaussian and NAF count the offset of the detector along v upwards, towards +z, as TIGRE does: it changes
+//! its sign on reading and writing.
+//!
 //! A projection value is the integral of the density along the whole ray, in scene units of true length.
 
 use crate::error::{Error, Result};
@@ -283,7 +286,7 @@ impl Scanner {
                 "detector offset",
                 format!("[{}, {}]", d.offset_u, d.offset_v),
                 "finite lengths",
-                "check offDetector = [u, v]",
+                "check offDetector = [u, upwards]",
             ));
         }
         Grid::new(self.grid.shape, self.grid.min, self.grid.max())?;
@@ -350,7 +353,7 @@ impl Scanner {
             "detector",
             format!("offset [{}, {}], half size [{half_u}, {half_v}] along [u, v]", d.offset_u, d.offset_v),
             "a detector that the volume's shadow reaches in some view",
-            "check offDetector = [u, v], sDetector = [v, u] and offOrigin, all in the same unit of length",
+            "check offDetector = [u, upwards], sDetector = [v, u] and offOrigin, all in the same unit of length",
         ))
     }
 }

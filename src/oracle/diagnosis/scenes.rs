@@ -17,7 +17,7 @@ use std::f64::consts::PI;
 /// A change of a question.
 type Change = fn(&mut Question) -> Result<()>;
 
-const OF_VIEWS: [(&str, Change); 14] = [
+const OF_VIEWS: [(&str, Change); 15] = [
     ("a half-pixel shift in u towards lower columns", |q| detector(q, |d| d.offset_u += 0.5 * d.pitch_u)),
     ("a half-pixel shift in u towards higher columns", |q| detector(q, |d| d.offset_u -= 0.5 * d.pitch_u)),
     ("a half-pixel shift in v towards lower rows", |q| detector(q, |d| d.offset_v += 0.5 * d.pitch_v)),
@@ -32,7 +32,10 @@ const OF_VIEWS: [(&str, Change); 14] = [
     ("the detector's offset with the opposite sign", |q| {
         detector(q, |d| (d.offset_u, d.offset_v) = (-d.offset_u, -d.offset_v))
     }),
-    ("the detector's offset read as [v, u]", |q| detector(q, |d| (d.offset_u, d.offset_v) = (d.offset_v, d.offset_u))),
+    ("the detector's offset along v counted down the rows", |q| detector(q, |d| d.offset_v = -d.offset_v)),
+    ("the detector's offset read as [v, u]", |q| {
+        detector(q, |d| (d.offset_u, d.offset_v) = (-d.offset_v, -d.offset_u))
+    }),
     ("the pixel sizes of u and v exchanged", |q| detector(q, |d| (d.pitch_u, d.pitch_v) = (d.pitch_v, d.pitch_u))),
     ("the opposite sense of rotation", |q| angles(q, |angle| -angle)),
     ("source and detector on each other's side", |q| angles(q, |angle| angle + PI)),

@@ -83,7 +83,8 @@ pub(super) struct ScannerMeta {
     /// Centre of the volume, `[x, y, z]`.
     #[serde(rename = "offOrigin")]
     off_origin: Option<Vec<f64>>,
-    /// Shift of the detector, `[u, v]`, along the axes of the geometry page: v points down the rows.
+    /// Shift of the detector, `[u, upwards]`: the format hands it to TIGRE, which moves the detector towards +z, against
+    /// the geometry page's v. R²-Gaussian stores rows from the top, but does not change the sign of this.
     #[serde(rename = "offDetector")]
     off_detector: Option<Vec<f64>>,
     /// Step of an interpolating projector in voxels. Other readers ask for it.
@@ -196,7 +197,7 @@ impl ScannerMeta {
             s_voxel: grid.size().to_array().to_vec(),
             d_voxel: Some(grid.spacing.to_array().to_vec()),
             off_origin: Some((grid.min + grid.size() / 2.0).to_array().to_vec()),
-            off_detector: Some(vec![d.offset_u, d.offset_v]),
+            off_detector: Some(vec![d.offset_u, opposite(d.offset_v)]),
             accuracy: Some(0.5),
             total_angle: Some(if uniform { (n * gap).to_degrees() } else { 360.0 }),
             start_angle: Some(first.to_degrees()),
@@ -231,15 +232,10 @@ impl ScannerMeta {
         let size = spacing * DVec3::from_array(n_voxel.map(|n| n as f64));
         let grid = Grid { shape: n_voxel, min: DVec3::from_array(off_origin) * scale - size / 2.0, spacing };
         let [rows, columns] = n_detector;
-        let [offset_u, offset_v] = off_detector.map(|offset| offset * scale);
+        let [offset_u, upwards] = off_detector.map(|offset| offset * scale);
+        let offset_v = opposite(upwards);
         let detector =
             Detector { rows, columns, pitch_v: pitch_v * scale, pitch_u: pitch_u * scale, offset_u, offset_v };
-        if offset_v != 0.0 {
-            oddities.push(format!(
-                "offDetector moves the detector by {} along v, read as down the rows; TIGRE counts it upwards",
-                off_detector[1]
-            ));
-        }
 
         let distance = |name: &str, value: Option<f64>| {
             value.map(|value| value * scale).ok_or_else(|| {
@@ -278,6 +274,11 @@ impl ScannerMeta {
             _ => Noise::None,
         }
     }
+}
+
+/// From upwards to down the rows and back, without a negative zero.
+fn opposite(offset: f64) -> f64 {
+    0.0 - offset
 }
 
 /// Python takes 64 for a size of an array, but not 64.0.
