@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use trgs::classical::{Turn, Window, fdk};
+use trgs::classical::{Turn, Window, check_geometry, fdk};
 use trgs::config::{Config, DensityControl, PositionOptimiser};
 use trgs::evaluation::psnr_3d;
 use trgs::scene::{Dataset, trilinear};
@@ -37,6 +37,17 @@ fn exact_projections_agree_with_those_another_program_marched() {
         eprintln!("{name}: mean difference {mean:e}, largest {largest:e}, of at most {peak}");
         // Theirs stepped a quarter of a voxel, ours is exact: the difference is their error.
         assert!(mean < 2e-5 && largest < 1e-3, "{name}");
+    }
+}
+
+#[test]
+fn the_geometry_of_real_scans_is_as_stated() {
+    for name in ["engine_18v", "chest_fnndsc_18v"] {
+        let Some(path) = scan(name) else { continue };
+        let check = check_geometry(&Dataset::read(&path).unwrap(), &mut |_| ControlFlow::Continue(())).unwrap();
+        eprintln!("{name}: {:#?}", check.verdict);
+        assert!(check.agrees, "{name}: {:?}", check.verdict);
+        assert!(check.candidates.iter().all(|c| c.told_apart == (c.class != 1)), "{name}: {:?}", check.candidates);
     }
 }
 

@@ -2,10 +2,12 @@
 
 pub mod algebraic;
 pub mod fdk;
+pub mod geometry_check;
 pub mod pseudo_truth;
 mod resample;
 pub mod voxel_projector;
 
 pub use fdk::{Turn, Window, fdk};
+pub use geometry_check::check_geometry;
 pub use pseudo_truth::with_pseudo_truth;
 pub use voxel_projector::{RayModel, VoxelProjector};

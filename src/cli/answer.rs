@@ -36,6 +36,18 @@ impl Answer {
         Self { json: to_json(result), text: table(&header, rows).trim_fmt(), approves: true }
     }
 
+    /// The outcome of a check: a table, and sentences below it.
+    pub(super) fn judged_table<const N: usize>(
+        result: &impl Serialize,
+        header: [&str; N],
+        rows: impl IntoIterator<Item = [String; N]>,
+        sentences: &[String],
+        approves: bool,
+    ) -> Self {
+        let text = format!("{}\n\n{}", table(&header, rows).trim_fmt(), sentences.join("\n"));
+        Self { json: to_json(result), text, approves }
+    }
+
     /// The outcome of a check, with a text of its own.
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
         Self { json: to_json(result), text: text.trim_end().to_owned(), approves }

@@ -1,6 +1,7 @@
 //! `trgs inspect`: what a file or folder is, and what is odd about it.
 
-use super::Answer;
+use super::geometry_check::check_geometry;
+use super::{Answer, Global};
 use clap::Args;
 use serde_json::{Value, json};
 use std::ffi::OsStr;
@@ -20,16 +21,24 @@ const NEEDLE: f64 = 1000.0;
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs inspect data/torso
-  trgs inspect out/torso/model.npz --json")]
+  trgs inspect out/torso/model.npz --json
+  trgs inspect data/torso --check-geometry")]
 pub(super) struct Inspect {
     /// Folder of a scan or of a run, or a file
     #[arg(value_name = "DATASET|RUN|FILE")]
     path: PathBuf,
+    /// Reconstruct a scan coarsely under all conventions of its images, its rotation and its detector's place, and say
+    /// which it seems to follow; exit with code 1 if that is not what it states
+    #[arg(long)]
+    check_geometry: bool,
 }
 
 impl Inspect {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
         let path = self.path.as_path();
+        if self.check_geometry {
+            return check_geometry(path, global);
+        }
         let found = match path.extension().and_then(OsStr::to_str) {
             _ if path.join("meta_data.json").exists() => dataset(path)?,
             _ if path.join("provenance.json").exists() => run_folder(path)?,

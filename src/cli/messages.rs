@@ -13,6 +13,7 @@ use tracing_subscriber::fmt::{FmtContext, fmt};
 use tracing_subscriber::registry::LookupSpan;
 use trgs::Error;
 use trgs::classical::algebraic::Pass;
+use trgs::classical::geometry_check::Step;
 use trgs::train::Record;
 
 /// Sends everything that is traced to standard error, in the format asked for.
@@ -89,6 +90,18 @@ impl Progress {
                 seconds,
                 "iteration {iteration} of {iterations}: residual {residual:.4}, {seconds:.1} s"
             );
+        }
+        go_on()
+    }
+
+    /// The same for the steps of a check.
+    pub(super) fn step(&mut self, step: &Step) -> ControlFlow<()> {
+        let Step { what, done, steps } = *step;
+        if let Some(bar) = &self.bar {
+            bar.set_position(done as u64);
+            bar.set_message(format!("{what}, "));
+        } else {
+            tracing::info!(done, steps, what, "step {done} of {steps}: {what}");
         }
         go_on()
     }

@@ -11,6 +11,7 @@ mod convert;
 mod demo;
 mod evaluate;
 mod explain;
+mod geometry_check;
 mod inspect;
 mod interrupt;
 mod messages;
@@ -124,7 +125,7 @@ impl Command {
             Self::Confidence(command) => command.run(),
             Self::Oracle(command) => command.run(),
             Self::Compare(command) => command.run(),
-            Self::Inspect(command) => command.run(),
+            Self::Inspect(command) => command.run(global),
             Self::Convert(command) => command.run(),
         }
     }

@@ -1,0 +1,366 @@
+//! Which conventions a scan seems to follow: rows and columns of its images, sense of rotation, place of the detector.
+//! Not in the paper.
+//!
+//! A scan that is read with a wrong convention mostly contradicts itself: no object has such views. So coarse
+//! reconstructions are made under the eight symmetries of the image (rows reversed or not, columns reversed or not,
+//! transposed or not) and both senses of rotation, each from two thirds of the views with two passes of SART
+//! `[SART84]`, and the third that was left out is compared with what it should be: `‖A x - p‖/‖p‖` over all views, each
+//! with an x that did not see it. What was seen can be fitted under a wrong convention, too; what was not seen cannot.
+//! Where the detector is along u and v is a scan of the same number.
+//!
+//! # What projections cannot tell
+//!
+//! Let `P_f(φ, u, v)` be the scan of an object f as on the [geometry page](crate::scene::geometry). An orthogonal map of
+//! space that takes every ray of the scan to a ray of the scan gives another object with the same rays, renamed. There
+//! are three:
+//!
+//! | the object | its scan | so nobody can tell |
+//! |---|---|---|
+//! | turned, `f(R_β x)` | `P_f(φ + β, u, v)` | where the angles begin |
+//! | mirrored at z = 0 | `P_f(φ, u, -v)` | rows from the top from rows from the bottom |
+//! | mirrored at y = 0 | `P_f(-φ, -u, v)` | a scan from one with columns *and* rotation reversed |
+//!
+//! The first is the angle of the source. For the second, z → -z leaves source, u and w as they are and turns v round. For
+//! the third, y → -y takes the source to that of -φ, and `u(φ) = (-sin φ, cos φ, 0)` to `-u(-φ)`. With the rows or columns
+//! the sign of the detector's offset changes, since an image is reversed about its own centre. So the sixteen conventions
+//! make four classes of four, told apart by *transposed or not* and by *columns reversed ≠ rotation reversed*. Which member
+//! of a class is right only the object can say: with the true volume, or initial points, the members and four quarter
+//! turns are compared with that.
+//!
+//! What does tell:
+//!
+//! - **Columns reversed alone**, or rotation alone. In the plane of the source the ray (φ, u) has the direction
+//!   `θ = φ + γ` and the distance `s = dso·sin γ` from the axis, `tan γ = u/dsd`. With reversed columns its value is that
+//!   of the ray (θ - 2γ, -s), which is the ray (θ - 2γ, s) of the object after half a turn: a sinogram sheared by
+//!   `2γ ≈ 2s/dso`. A point at distance r from the axis then draws a sine with a second harmonic of `r²/dso`, which no
+//!   point does. It vanishes for narrow fans: when `r²/dso` is below a pixel, or for a body of revolution, the data do not
+//!   tell, and the check says so.
+//! - **In a parallel beam** γ is 0, and the view of φ + π is that of φ with columns reversed. Then reversed columns are a
+//!   half turn of the object, reversed rotation is that and a mirror image, and all eight conventions that are not
+//!   transposed make one class, from a half turn as from a full one.
+//! - **Transposed** images seem to turn about an axis along u. With parallel rays the sum of each row, `∫ P du`, is the
+//!   object's mass at that height in every view; of a transposed scan it is the shadow of all heights together, which
+//!   depends on φ unless that shadow's object is a body of revolution. In a cone beam the same holds up to the
+//!   magnification of each depth. Only for a square detector can it happen at all.
+//! - **An offset along u**: it moves the axis of rotation in the image, and opposite views do not meet.
+//! - **An offset along v**: with parallel rays it is a shift of the object along z and invisible. In a cone beam
+//!   a shift by δ would have to be `δ·d/dsd` at depth d: only its change over the object's depth shows, `r/dso` of δ. The
+//!   uncertainty says how well.
+//!
+//! Not told apart, and not tried: DSO and DSD, a tilted detector, a wrong order of views.
+
+mod convention;
+mod held_out;
+mod offsets;
+mod reduced;
+mod reference;
+mod verdict;
+
+pub use convention::Convention;
+pub use offsets::OffsetScan;
+pub use reference::{Resemblance, Source};
+
+use crate::error::{Error, Result};
+use crate::scene::{Beam, Dataset};
+use held_out::{HeldOut, Hypothesis, held_out};
+use offsets::{Search, first_scan, refine};
+use reduced::Reduced;
+use reference::Reference;
+use serde::Serialize;
+use std::f64::consts::PI;
+use std::ops::ControlFlow;
+
+/// Rows and columns of the detector, at most, for the first scan of offsets.
+const COARSE: usize = 32;
+/// The same for the comparison of conventions.
+const MEDIUM: usize = 48;
+/// The same for the last scan of offsets.
+const FINE: usize = 64;
+/// Views without which nothing can be left out.
+const FEWEST_VIEWS: usize = 4;
+/// Angles beyond these, radians, may be degrees.
+const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
+/// Standard errors by which a class of conventions must be worse to be told apart.
+const TOLD_APART: f64 = 3.0;
+/// Correlation by which a mirror image or a turn must look more like the reference than what is stated.
+const RESEMBLES: f64 = 0.005;
+/// After the first scan of offsets along u.
+const FIRST_SEARCH: Search = Search { step: 0.4, rounds: 1 };
+/// At the end, along u: wide, then narrow, since the valley is no parabola.
+const ALONG_U: [Search; 2] = [Search { step: 0.5, rounds: 8 }, Search { step: 0.2, rounds: 2 }];
+/// Along v, where the minimum is shallow.
+const ALONG_V: Search = Search { step: 1.0, rounds: 8 };
+
+/// How far the check has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Step {
+    /// What was done last.
+    pub what: &'static str,
+    /// Steps done.
+    pub done: usize,
+    /// Steps in all.
+    pub steps: usize,
+}
+
+impl Step {
+    /// Steps of a check.
+    pub const ALL: usize = 6;
+}
+
+/// Is shown every step, and may stop the check, which is an error then.
+pub type Observe<'a> = dyn FnMut(&Step) -> ControlFlow<()> + 'a;
+
+/// What the check found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GeometryCheck {
+    /// Whether the scan is as stated, as far as data and reference tell.
+    pub agrees: bool,
+    /// What was found and what to do about it, a sentence each.
+    pub verdict: Vec<String>,
+    /// The convention that the data seem to have.
+    pub looks_like: Convention,
+    /// Where the detector is along u.
+    pub offset_u: OffsetScan,
+    /// Where it is along v, down the rows; parallel rays do not tell.
+    pub offset_v: Option<OffsetScan>,
+    /// offDetector as it should stand in the files, `[u, upwards]` in their unit of length: what was found where that is
+    /// beside what is stated.
+    pub off_detector: [f64; 2],
+    /// What members of a class were compared with.
+    pub reference: Option<Source>,
+    /// All conventions: the best class first, in it the most similar to the reference or the simplest.
+    pub candidates: Vec<Candidate>,
+    /// Views that were used.
+    pub views: usize,
+    /// Rows and columns that they were reduced to.
+    pub detector: [usize; 2],
+    /// Voxels of the reconstructions.
+    pub grid: [usize; 3],
+}
+
+/// A convention and how well it explains the data.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Candidate {
+    /// What is tried.
+    pub convention: Convention,
+    /// The same in words.
+    pub words: String,
+    /// Conventions of the same class explain the same data; 1 is the class with the least residual.
+    pub class: usize,
+    /// `‖A x - p‖/‖p‖` of views that were left out.
+    pub residual: f64,
+    /// Standard errors by which the residual is larger than that of the best class.
+    pub standard_errors: f64,
+    /// Whether the data tell this class from the best.
+    pub told_apart: bool,
+    /// The detector's offset `[u, v]` that it was judged with, pixels.
+    pub offset: [f64; 2],
+    /// How its object looks like the reference; for the class that the verdict is about.
+    pub resemblance: Option<Resemblance>,
+}
+
+/// Reconstructs a scan coarsely under all conventions and ranks them by the data's consistency. Not in the paper.
+///
+/// Used are at most 24 views, 64² pixels and 48 voxels along a side. The number of threads changes no bit.
+///
+/// # Errors
+/// When the scanner cannot work, there are fewer than four training views, nothing was seen in them, or `observe` asks to stop.
+///
+/// Tests: `every_fault_of_the_images_and_of_the_rotation_is_found`, `conventions_of_a_class_have_the_same_residual`,
+/// `displaced_detectors_are_found_to_a_fifth_of_a_pixel`, `the_true_volume_or_points_from_it_tell_where_the_angles_begin`.
+pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<GeometryCheck> {
+    dataset.scanner.validate()?;
+    let train = &dataset.train;
+    if train.len() < FEWEST_VIEWS {
+        let expected = format!("at least {FEWEST_VIEWS}: some are left out and foretold from the others");
+        return Err(Error::invalid("training views", train.len(), expected, "check a scan with more views"));
+    }
+    if train.images.iter().all(|value| *value == 0.0) {
+        return Err(Error::invalid("projections", "zeros only", "an object", "check the files of the projections"));
+    }
+    let mut steps = Steps { observe, done: 0 };
+    let beam = dataset.scanner.beam;
+    let mut candidates = classes(dataset, &beam, &mut steps)?;
+    rank(&Reduced::new(dataset, MEDIUM), &mut candidates, &beam)?;
+    steps.done("conventions")?;
+
+    // What is stated stands until something is told apart from it.
+    let stated = candidates.iter().find(|c| c.convention == Convention::AS_STATED).expect("it is among all");
+    let class = if stated.told_apart { 1 } else { stated.class };
+    let reference = compare(dataset, &mut candidates, class)?;
+    steps.done("reference")?;
+    candidates.sort_by_key(|trial| (trial.class != class, trial.class, trial.is_unlike, trial.faults()));
+
+    let chosen = candidates.iter().find(|c| c.class == class).expect("every class has a member").clone();
+    let fine = Reduced::new(dataset, FINE);
+    let widely = refine(&fine, chosen.convention, chosen.offset, 0, ALONG_U[0])?;
+    let along_u = refine(&fine, chosen.convention, widely.offset, 0, ALONG_U[1])?;
+    steps.done("detector along u")?;
+    let along_v = match beam {
+        Beam::Cone { .. } => Some(refine(&fine, chosen.convention, along_u.offset, 1, ALONG_V)?),
+        Beam::Parallel { .. } => None,
+    };
+    steps.done("detector along v")?;
+
+    let d = &dataset.scanner.detector;
+    let [u, v] = along_v.as_ref().unwrap_or(&along_u).offset;
+    let as_stated = [[d.offset_u, v], [u, d.offset_v]].map(|offset| (chosen.convention, offset));
+    let residuals: Vec<f64> = held_out(&fine, &as_stated)?.iter().map(HeldOut::residual).collect();
+    let offset_u = OffsetScan::new(&fine, 0, &along_u, [d.offset_u, residuals[0]], d.pitch_u);
+    let offset_v = along_v.map(|minimum| OffsetScan::new(&fine, 1, &minimum, [d.offset_v, residuals[1]], d.pitch_v));
+    let mut check = GeometryCheck {
+        agrees: false,
+        verdict: Vec::new(),
+        looks_like: chosen.convention,
+        off_detector: [d.offset_u, d.offset_v],
+        offset_u,
+        offset_v,
+        reference,
+        candidates: candidates.iter().map(|trial| trial.candidate([d.pitch_u, d.pitch_v])).collect(),
+        views: fine.views.len(),
+        detector: [fine.views.images.dim().1, fine.views.images.dim().2],
+        grid: fine.grid().shape,
+    };
+    verdict::judge(&mut check, dataset);
+    Ok(check)
+}
+
+/// A convention on its way to being judged.
+#[derive(Clone)]
+struct Trial {
+    convention: Convention,
+    /// `[u, v]`, scene units.
+    offset: [f64; 2],
+    class: usize,
+    residual: f64,
+    standard_errors: f64,
+    told_apart: bool,
+    resemblance: Option<Resemblance>,
+    /// Whether another member of its class resembles the reference more.
+    is_unlike: bool,
+}
+
+impl Trial {
+    /// How much is wrong.
+    fn faults(&self) -> usize {
+        self.convention.faults() + usize::from(self.resemblance.is_some_and(|r| r.quarter_turns != 0))
+    }
+
+    fn candidate(&self, pitch: [f64; 2]) -> Candidate {
+        Candidate {
+            convention: self.convention,
+            words: self.convention.words(),
+            class: self.class,
+            residual: self.residual,
+            standard_errors: self.standard_errors,
+            told_apart: self.told_apart,
+            offset: [self.offset[0] / pitch[0], self.offset[1] / pitch[1]],
+            resemblance: self.resemblance,
+        }
+    }
+}
+
+/// All conventions, each with the offset at which its class explains the data best. One of each class is tried.
+fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
+    let d = &dataset.scanner.detector;
+    let maybe_degrees = dataset.train.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);
+    let all = Convention::all(d.rows == d.columns, maybe_degrees);
+    let mut representatives: Vec<Convention> = Vec::new();
+    for convention in &all {
+        if representatives.iter().all(|other| !convention.looks_like(other, beam)) {
+            representatives.push(*convention);
+        }
+    }
+    let coarse = Reduced::new(dataset, COARSE);
+    let along_u = first_scan(d.offset_u, d.columns as f64 * d.pitch_u, coarse.pitch()[0]);
+    // A class has members with the rows reversed, for which the sign is the other one.
+    let mut along_v = vec![d.offset_v];
+    if d.offset_v != 0.0 && matches!(beam, Beam::Cone { .. }) {
+        along_v.push(-d.offset_v);
+    }
+    let offsets: Vec<[f64; 2]> = along_v.iter().flat_map(|&v| along_u.iter().map(move |&u| [u, v])).collect();
+    let hypotheses: Vec<Hypothesis> =
+        representatives.iter().flat_map(|&c| offsets.iter().map(move |&offset| (c, offset))).collect();
+    let results: Vec<f64> = held_out(&coarse, &hypotheses)?.iter().map(HeldOut::residual).collect();
+    steps.done("first scan of the detector's place")?;
+    let mut found = Vec::new();
+    for (&convention, results) in representatives.iter().zip(results.chunks_exact(offsets.len())) {
+        let least = (0..offsets.len()).reduce(|a, b| if results[b] < results[a] { b } else { a });
+        let offset = offsets[least.expect("there is at least what is stated")];
+        found.push(refine(&coarse, convention, offset, 0, FIRST_SEARCH)?.offset);
+    }
+    steps.done("its refinement")?;
+    let trial = |convention: &Convention| {
+        let class = representatives.iter().position(|other| convention.looks_like(other, beam));
+        let class = class.expect("every convention is represented");
+        let offset = convention.offset_from(&representatives[class], found[class]);
+        Trial {
+            convention: *convention,
+            offset,
+            class,
+            residual: 0.0,
+            standard_errors: 0.0,
+            told_apart: false,
+            resemblance: None,
+            is_unlike: false,
+        }
+    };
+    Ok(all.iter().map(trial).collect())
+}
+
+/// Tries all conventions and numbers their classes from the best on.
+fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
+    let hypotheses: Vec<Hypothesis> = trials.iter().map(|trial| (trial.convention, trial.offset)).collect();
+    let results = held_out(scan, &hypotheses)?;
+    let residuals: Vec<f64> = results.iter().map(HeldOut::residual).collect();
+    let mut order: Vec<usize> = (0..trials.len()).collect();
+    order.sort_by(|&a, &b| residuals[a].total_cmp(&residuals[b]));
+    let mut leaders: Vec<usize> = Vec::new();
+    for &i in &order {
+        if leaders.iter().all(|&leader| !trials[i].convention.looks_like(&trials[leader].convention, beam)) {
+            leaders.push(i);
+        }
+    }
+    let conventions: Vec<Convention> = leaders.iter().map(|&leader| trials[leader].convention).collect();
+    for (i, trial) in trials.iter_mut().enumerate() {
+        let class = conventions.iter().position(|leader| trial.convention.looks_like(leader, beam));
+        trial.class = class.expect("every class has a leader") + 1;
+        trial.residual = residuals[i];
+        let worse = results[leaders[trial.class - 1]].worse_than(&results[leaders[0]]);
+        (trial.standard_errors, trial.told_apart) = (worse, worse > TOLD_APART);
+    }
+    Ok(())
+}
+
+/// Compares what the members of a class see with what is known about the object.
+fn compare(dataset: &Dataset, trials: &mut [Trial], class: usize) -> Result<Option<Source>> {
+    let coarse = Reduced::new(dataset, COARSE);
+    let Some(reference) = Reference::new(dataset, coarse.grid()) else { return Ok(None) };
+    let members: Vec<usize> = (0..trials.len()).filter(|&i| trials[i].class == class).collect();
+    let hypotheses: Vec<Hypothesis> = members.iter().map(|&i| (trials[i].convention, trials[i].offset)).collect();
+    let found = reference.compare(&coarse, &hypotheses)?;
+    let best = found.iter().map(|resemblance| resemblance.correlation).fold(f64::NEG_INFINITY, f64::max);
+    for (&i, resemblance) in members.iter().zip(found) {
+        trials[i].is_unlike = resemblance.correlation < best - RESEMBLES;
+        trials[i].resemblance = Some(resemblance);
+    }
+    Ok(Some(reference.source))
+}
+
+/// Counts steps and shows them.
+struct Steps<'a, 'b> {
+    observe: &'a mut Observe<'b>,
+    done: usize,
+}
+
+impl Steps<'_, '_> {
+    fn done(&mut self, what: &'static str) -> Result<()> {
+        self.done += 1;
+        match (self.observe)(&Step { what, done: self.done, steps: Step::ALL }) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => {
+                Err(Error::Interrupted { step: self.done, remedy: "nothing was written; start it again".into() })
+            }
+        }
+    }
+}

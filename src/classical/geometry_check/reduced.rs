@@ -1,0 +1,143 @@
+//! A scan small enough to be reconstructed many times in a second.
+
+use super::Convention;
+use crate::numeric::threads;
+use crate::scene::{Beam, Dataset, Detector, Grid, Projections, Scanner};
+use glam::DVec3;
+use ndarray::{Array2, Array3, ArrayView2};
+
+/// Views that are used, at most.
+const VIEWS: usize = 24;
+/// Part of the distance to the source that the grid may reach.
+const REACH: f64 = 0.95;
+
+/// A part of the training views on a coarse detector, as they were read.
+pub(super) struct Reduced {
+    beam: Beam,
+    /// Its offsets are 0: they are what is looked for.
+    detector: Detector,
+    grid: Grid,
+    /// In the order of the angles, as read.
+    pub(super) views: Projections,
+}
+
+impl Reduced {
+    /// Some views of `dataset`, evenly spaced, with means of pixels such that there are at most `pixels` rows and columns,
+    /// and three voxels for four of the longer side.
+    pub(super) fn new(dataset: &Dataset, pixels: usize) -> Self {
+        let Scanner { beam, detector: d, grid } = dataset.scanner;
+        let train = &dataset.train;
+        let mut order: Vec<usize> = (0..train.len()).collect();
+        order.sort_by(|&a, &b| train.angles[a].total_cmp(&train.angles[b]));
+        let used = train.len().min(VIEWS);
+        let chosen: Vec<usize> = (0..used).map(|i| order[i * train.len() / used]).collect();
+
+        let [rows, columns] = [d.rows, d.columns].map(|n| n.div_ceil(n.div_ceil(pixels)));
+        let images = threads::map(used, |i| reduce(train.image(chosen[i]), rows, columns));
+        let images = Array3::from_shape_vec((used, rows, columns), images.into_iter().flatten().collect());
+        let detector = Detector {
+            rows,
+            columns,
+            pitch_v: d.pitch_v * d.rows as f64 / rows as f64,
+            pitch_u: d.pitch_u * d.columns as f64 / columns as f64,
+            offset_u: 0.0,
+            offset_v: 0.0,
+        };
+        let views = Projections {
+            angles: chosen.iter().map(|&view| train.angles[view]).collect(),
+            images: images.expect("every image has as many pixels"),
+        };
+        Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
+    }
+
+    /// The views if they follow a convention, and their scanner with the detector at `offset` `[u, v]`, scene units.
+    pub(super) fn read_as(&self, convention: &Convention, offset: [f64; 2]) -> (Scanner, Projections) {
+        let [offset_u, offset_v] = offset;
+        let detector = Detector { offset_u, offset_v, ..self.detector };
+        (Scanner { beam: self.beam, detector, grid: self.grid }, convention.correct(&self.views))
+    }
+
+    /// The grid that is reconstructed.
+    pub(super) fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// Width and height of a coarse pixel `[u, v]`, scene units.
+    pub(super) fn pitch(&self) -> [f64; 2] {
+        [self.detector.pitch_u, self.detector.pitch_v]
+    }
+}
+
+/// A grid of cubes around the axis that holds `grid` and all its mirror images and quarter turns: an object that a wrong
+/// convention mirrors or turns is not to leave it.
+fn symmetric(grid: &Grid, beam: &Beam, voxels: usize) -> Grid {
+    let reach = grid.min.abs().max(grid.max().abs());
+    let mut across = reach.x.max(reach.y);
+    if let Beam::Cone { dso, .. } = beam {
+        across = across.min(REACH * dso * std::f64::consts::FRAC_1_SQRT_2);
+    }
+    let spacing = 2.0 * across.max(reach.z) / voxels as f64;
+    let count = |half: f64| (2.0 * half / spacing - 1e-9).ceil().max(1.0) as usize;
+    let shape = [count(across), count(across), count(reach.z)];
+    let size = DVec3::new(shape[0] as f64, shape[1] as f64, shape[2] as f64) * spacing;
+    Grid { shape, min: -size / 2.0, spacing: DVec3::splat(spacing) }
+}
+
+/// The mean over each of `rows` × `columns` equal parts of an image.
+fn reduce(image: ArrayView2<'_, f32>, rows: usize, columns: usize) -> Array2<f32> {
+    let (across, along) = (shares(image.ncols(), columns), shares(image.nrows(), rows));
+    Array2::from_shape_fn((rows, columns), |(row, column)| {
+        let line = |v: usize| across[column].iter().map(|&(u, share)| share * f64::from(image[[v, u]])).sum::<f64>();
+        along[row].iter().map(|&(v, share)| share * line(v)).sum::<f64>() as f32
+    })
+}
+
+/// For each of `parts` equal parts of `n` elements the elements that it overlaps, and their shares of it.
+fn shares(n: usize, parts: usize) -> Vec<Vec<(usize, f64)>> {
+    let width = n as f64 / parts as f64;
+    let part = |i: usize| {
+        let (from, to) = (i as f64 * width, (i + 1) as f64 * width);
+        let elements = (from as usize..n).take_while(move |&k| (k as f64) < to - 1e-9);
+        elements.map(move |k| (k, (to.min((k + 1) as f64) - from.max(k as f64)) / width)).collect()
+    };
+    (0..parts).map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_add_up_to_one_and_elements_to_their_width() {
+        for (n, parts) in [(128, 64), (101, 51), (7, 3), (5, 5), (1, 1)] {
+            let shares = shares(n, parts);
+            let mut used = vec![0.0; n];
+            for part in &shares {
+                assert!((part.iter().map(|(_, share)| share).sum::<f64>() - 1.0).abs() < 1e-12);
+                part.iter().for_each(|&(k, share)| used[k] += share * n as f64 / parts as f64);
+            }
+            assert!(used.iter().all(|used| (used - 1.0).abs() < 1e-9), "{n} {parts}: {used:?}");
+        }
+    }
+
+    #[test]
+    fn the_mean_of_an_image_stays_and_a_gradient_stays_one() {
+        let image = Array2::from_shape_fn((6, 10), |(v, u)| (2 * v + 3 * u) as f32);
+        let reduced = reduce(image.view(), 3, 5);
+        assert_eq!(
+            reduced,
+            Array2::from_shape_fn((3, 5), |(v, u)| (2.0 * (2.0 * v as f32 + 0.5)) + 3.0 * (2.0 * u as f32 + 0.5))
+        );
+    }
+
+    #[test]
+    fn the_grid_holds_all_mirror_images_of_a_shifted_volume_and_stays_away_from_the_source() {
+        let grid = Grid::new([20, 10, 8], DVec3::new(-0.3, -0.4, 0.1), DVec3::new(0.9, 0.2, 0.7)).unwrap();
+        let held = symmetric(&grid, &Beam::Cone { dso: 5.0, dsd: 7.0 }, 24);
+        assert!((held.min + held.max()).abs().max_element() < 1e-12);
+        assert!(held.max().cmpge(DVec3::new(0.9, 0.9, 0.7) - 1e-9).all());
+        assert_eq!(held.shape, [24, 24, 19]);
+        let near = symmetric(&grid, &Beam::Cone { dso: 1.0, dsd: 7.0 }, 24);
+        assert!(near.max().truncate().length() < 1.0);
+    }
+}

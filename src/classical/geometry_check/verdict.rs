@@ -1,0 +1,167 @@
+//! What the numbers mean, in sentences.
+
+use super::{Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, Source, TOLD_APART};
+use crate::scene::{Beam, Dataset};
+use std::f64::consts::FRAC_PI_2;
+
+/// Pixels by which the detector may lie beside where it is said to be.
+const TOLERANCE: f64 = 0.5;
+/// Standard errors that are allowed beyond that.
+const SIGNIFICANT: f64 = 2.0;
+/// Times by which the residual must fall for a detector displaced along v: what coarse voxels add to the residual of a body
+/// that hardly shows its height makes false minima a tenth deep.
+const VISIBLE: f64 = 1.25;
+/// Relative residual of the best convention from which on none explains the data.
+const UNEXPLAINED: f64 = 0.4;
+
+/// Fills in whether the scan is as stated, and the sentences.
+pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
+    let Dataset { scanner, scale, .. } = dataset;
+    let chosen = check.candidates[0].clone();
+    let turns = chosen.resemblance.map_or(0, |resemblance| resemblance.quarter_turns);
+    let as_stated = chosen.convention == Convention::AS_STATED && turns == 0;
+    let least = check.candidates.iter().map(|c| c.residual).fold(f64::INFINITY, f64::min);
+    let explained = least < UNEXPLAINED;
+    let displaced_u = is_displaced(&check.offset_u);
+    let seen_v =
+        check.offset_v.as_ref().filter(|scan| is_displaced(scan) && scan.residual_stated > VISIBLE * scan.residual);
+    let displaced_v = seen_v.is_some();
+    let u = if displaced_u { check.offset_u.found_length } else { scanner.detector.offset_u };
+    let v = seen_v.map_or(scanner.detector.offset_v, |scan| scan.found_length);
+    check.off_detector = [u / scale, (0.0 - v) / scale];
+
+    let mut verdict = vec![conventions(check, as_stated, turns)];
+    if !explained {
+        verdict.push(format!(
+            "No convention explains the data: even the best leaves {}. Look for another fault: DSO, DSD, sizes, the order of the views.",
+            percent(least)
+        ));
+    }
+    verdict.extend(alternatives(check, chosen.class));
+    verdict.push(equals(check, chosen.class, &scanner.beam));
+    verdict.push(place("u", &check.offset_u, displaced_u));
+    match &check.offset_v {
+        Some(scan) if is_displaced(scan) && !displaced_v => {
+            let shallow = "The minimum is too shallow to count.";
+            verdict.push(format!("{} {shallow}", place("v, down the rows,", scan, false)));
+        }
+        Some(scan) => verdict.push(place("v, down the rows,", scan, displaced_v)),
+        None => verdict.push("Along v the detector's place cannot be seen: the rays are parallel.".into()),
+    }
+    if displaced_u || displaced_v {
+        let [u, up] = check.off_detector;
+        verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards."));
+    }
+    check.verdict = verdict;
+    check.agrees = as_stated && explained && !displaced_u && !displaced_v;
+}
+
+/// Whether the detector is beside where it is said to be, beyond tolerance and doubt.
+fn is_displaced(scan: &OffsetScan) -> bool {
+    (scan.found - scan.stated).abs() > TOLERANCE + SIGNIFICANT * scan.uncertainty
+}
+
+/// What the data look like.
+fn conventions(check: &GeometryCheck, as_stated: bool, turns: usize) -> String {
+    let chosen = &check.candidates[0];
+    let foretold = format!("views that were left out are foretold to {}", percent(chosen.residual));
+    if as_stated {
+        return format!("The data agree with the conventions as stated: {foretold}.");
+    }
+    // Without a reference the simplest members of the class are equally likely.
+    let simplest = |c: &&Candidate| c.class == chosen.class && c.convention.faults() == chosen.convention.faults();
+    let equal: Vec<&Candidate> = check.candidates.iter().filter(simplest).collect();
+    let shown = if check.reference.is_some() { &equal[..1] } else { &equal[..] };
+    let words: Vec<String> = shown.iter().map(|c| c.words.clone()).collect();
+    let mut remedies: Vec<String> = Vec::new();
+    for candidate in shown {
+        let mut steps: Vec<String> = candidate.convention.remedies().into_iter().map(Into::into).collect();
+        if turns != 0 {
+            steps.push(format!("add {:.6} ({}°) to every angle", turns as f64 * FRAC_PI_2, 90 * turns));
+        }
+        remedies.push(steps.join(" and "));
+    }
+    let mut words = words.join(", or ");
+    if turns != 0 {
+        words = format!("{words}, with angles that begin {}° too early", 90 * turns);
+    }
+    let stated = check.candidates.iter().find(|c| c.convention == Convention::AS_STATED);
+    let instead = stated.map_or(String::new(), |c| format!(", as stated only to {}", percent(c.residual)));
+    let instead = if stated.is_some_and(|c| c.class == chosen.class) { String::new() } else { instead };
+    format!("The data look like {words}: {foretold}{instead}. Remedy: {}.", remedies.join(", or "))
+}
+
+/// The best of the other classes, and whether it can be excluded.
+fn alternatives(check: &GeometryCheck, class: usize) -> Option<String> {
+    let other = check.candidates.iter().find(|c| c.class != class)?;
+    let words = simplest(check, other.class);
+    Some(if other.told_apart {
+        format!(
+            "The next best is {words}: {}, {:.0} standard errors worse.",
+            percent(other.residual),
+            other.standard_errors
+        )
+    } else {
+        format!(
+            "The data do not exclude {words}: {}, where {TOLD_APART} standard errors of difference would tell.",
+            percent(other.residual)
+        )
+    })
+}
+
+/// What is equal to what was chosen.
+fn equals(check: &GeometryCheck, class: usize, beam: &Beam) -> String {
+    let members: Vec<&Candidate> = check.candidates.iter().filter(|c| c.class == class).collect();
+    let others: Vec<&str> = members[1..].iter().map(|c| c.words.as_str()).collect();
+    let parallel =
+        if matches!(beam, Beam::Parallel { .. }) { " For parallel rays mirrored columns are half a turn." } else { "" };
+    // In a parallel beam a member with mirrored columns is one without, half a turn later.
+    let same = |c: &Candidate| {
+        let (a, b) = (c.convention, members[0].convention);
+        (a.rows_reversed, a.rotation_reversed) == (b.rows_reversed, b.rotation_reversed)
+    };
+    let others_resemble = members.iter().filter(|c| !same(c)).filter_map(|c| c.resemblance?.correlation.into());
+    let told = match (check.reference, members[0].resemblance) {
+        (Some(source), Some(best)) => {
+            let name = match source {
+                Source::TrueVolume => "The true volume",
+                Source::InitialPoints => "The initial points, if they were not made from these views,",
+            };
+            let (best, next) = (best.correlation, others_resemble.fold(f64::NEG_INFINITY, f64::max));
+            if best - next > RESEMBLES {
+                format!(" {name} can: correlation {best:.3}, next {next:.3}.")
+            } else {
+                format!(" {name} cannot either: correlation {best:.3} and {next:.3}.")
+            }
+        }
+        _ => " Neither can they tell where the angles begin.".into(),
+    };
+    format!("Projections cannot tell this from {}, of a mirrored or turned object.{parallel}{told}", others.join("; "))
+}
+
+/// Where the detector is along one direction.
+fn place(direction: &str, scan: &OffsetScan, displaced: bool) -> String {
+    let OffsetScan { stated, found, uncertainty, .. } = *scan;
+    let text =
+        format!("Along {direction} the detector lies at {found:.2} ± {uncertainty:.2} pixels, stated {stated:.2}");
+    if displaced && (found + stated).abs() < TOLERANCE && stated.abs() > TOLERANCE {
+        format!("{text}: its offset has the opposite sign.")
+    } else if displaced {
+        format!("{text}: it is displaced.")
+    } else {
+        format!("{text}.")
+    }
+}
+
+/// The simplest members of a class, in words.
+fn simplest(check: &GeometryCheck, class: usize) -> String {
+    let members = || check.candidates.iter().filter(|c| c.class == class);
+    let least = members().map(|c| c.convention.faults()).min();
+    let words: Vec<&str> =
+        members().filter(|c| Some(c.convention.faults()) == least).map(|c| c.words.as_str()).collect();
+    words.join(" or ")
+}
+
+fn percent(residual: f64) -> String {
+    format!("{:.1} %", 100.0 * residual)
+}

@@ -1,0 +1,41 @@
+//! `trgs inspect --check-geometry`: which conventions a scan seems to follow.
+
+use super::messages::Progress;
+use super::{Answer, Global};
+use std::path::Path;
+use trgs::Result;
+use trgs::classical::check_geometry as check;
+use trgs::classical::geometry_check::{Candidate, Step};
+use trgs::scene::Dataset;
+
+/// The ranked conventions of a scan, and a verdict that is a no where they are not those stated.
+pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Answer> {
+    let dataset = Dataset::read(path)?;
+    for oddity in &dataset.oddities {
+        tracing::warn!("{}: {oddity}", path.display());
+    }
+    let mut progress = Progress::new(Step::ALL, global);
+    let found = check(&dataset, &mut |step| progress.step(step))?;
+    drop(progress);
+    let header = ["class", "convention", "held-out residual", "σ worse", "offset u", "offset v", "correlation", "turn"];
+    let rows = found.candidates.iter().map(row);
+    Ok(Answer::judged_table(&found, header, rows, &found.verdict, found.agrees))
+}
+
+fn row(candidate: &Candidate) -> [String; 8] {
+    let Candidate { words, class, residual, standard_errors, offset, resemblance, .. } = candidate;
+    let (correlation, turn) = match resemblance {
+        Some(found) => (format!("{:.3}", found.correlation), format!("{}°", 90 * found.quarter_turns)),
+        None => (String::new(), String::new()),
+    };
+    [
+        class.to_string(),
+        words.clone(),
+        format!("{residual:.4}"),
+        format!("{standard_errors:.1}"),
+        format!("{:.2}", offset[0]),
+        format!("{:.2}", offset[1]),
+        correlation,
+        turn,
+    ]
+}

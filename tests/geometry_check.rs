@@ -1,0 +1,350 @@
+//! The check of a scan's geometry finds what was done to a scan on purpose, and knows what it cannot find.
+
+mod program;
+
+use glam::DVec3;
+use ndarray::Axis;
+use program::{Sandbox, stderr};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::ControlFlow;
+use trgs::classical::check_geometry;
+use trgs::classical::geometry_check::{Candidate, Convention, GeometryCheck};
+use trgs::numeric::threads;
+use trgs::scene::phantom::solid::{Shape, Solid};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Projections, Scanner};
+
+const CONE: Beam = Beam::Cone { dso: 4.0, dsd: 6.0 };
+const PARALLEL: Beam = Beam::Parallel { dso: 4.0 };
+
+/// A detector that sees the whole cube.
+fn scanner(beam: Beam, rows: usize, columns: usize) -> Scanner {
+    let side = if beam == PARALLEL { 2.9 } else { 4.4 };
+    let (pitch_v, pitch_u) = (side / rows as f64, side / columns as f64);
+    let detector = Detector { rows, columns, pitch_v, pitch_u, offset_u: 0.0, offset_v: 0.0 };
+    Scanner { beam, detector, grid: Grid::cube(32) }
+}
+
+/// A scan of a phantom with a little noise and without its true volume.
+fn scan_of(phantom: &Phantom, scanner: &Scanner, angles: &[f64]) -> Dataset {
+    Dataset {
+        name: phantom.name.clone(),
+        scanner: *scanner,
+        scale: 1.0,
+        noise: Noise::LOW,
+        train: Noise::LOW.apply(&phantom.project(scanner, angles).unwrap(), 5).unwrap(),
+        test: None,
+        truth: None,
+        initial_points: None,
+        oddities: Vec::new(),
+    }
+}
+
+fn axes() -> Phantom {
+    Phantom::by_name("axes", 0).unwrap()
+}
+
+fn turn(views: usize) -> Vec<f64> {
+    Scanner::uniform_angles(views, 0.3, TAU)
+}
+
+fn with_truth(mut scan: Dataset, phantom: &Phantom) -> Dataset {
+    scan.truth = Some(phantom.voxelize(&scan.scanner.grid, 2));
+    scan
+}
+
+/// The scan as somebody would have written it who follows `convention`.
+fn written_as(scan: &Dataset, convention: &Convention) -> Dataset {
+    let mut images = scan.train.images.clone();
+    if convention.rows_reversed {
+        images.invert_axis(Axis(1));
+    }
+    if convention.columns_reversed {
+        images.invert_axis(Axis(2));
+    }
+    if convention.transposed {
+        images.swap_axes(1, 2);
+    }
+    let sign = if convention.rotation_reversed { -1.0 } else { 1.0 };
+    let angle = |angle: &f64| if convention.degrees { (sign * angle).to_degrees() } else { sign * angle };
+    Dataset { train: Projections::new(scan.train.angles.iter().map(angle).collect(), images).unwrap(), ..scan.clone() }
+}
+
+fn checked(scan: &Dataset) -> GeometryCheck {
+    check_geometry(scan, &mut |_| ControlFlow::Continue(())).unwrap()
+}
+
+/// What the check must say about a scan written in a convention, with the true volume.
+fn assert_found(scan: &Dataset, convention: &Convention) {
+    let check = checked(&written_as(scan, convention));
+    let words = convention.words();
+    assert_eq!(check.looks_like, *convention, "{words}: {:?}", check.verdict);
+    assert_eq!(check.agrees, *convention == Convention::AS_STATED, "{words}: {:?}", check.verdict);
+    for remedy in convention.remedies() {
+        assert!(check.verdict[0].contains(remedy), "{words}: {:?}", check.verdict);
+    }
+    assert!(check.offset_u.found.abs() < 0.2, "{words}: {:?}", check.offset_u);
+    // The views alone say which class it is, whatever the truth.
+    for candidate in &check.candidates {
+        let same = candidate.convention.looks_like(convention, &scan.scanner.beam);
+        assert_eq!((candidate.class == 1, candidate.told_apart), (same, !same), "{words}: {candidate:?}");
+    }
+}
+
+#[test]
+fn every_fault_of_the_images_and_of_the_rotation_is_found() {
+    let scan = with_truth(scan_of(&axes(), &scanner(CONE, 34, 34), &turn(18)), &axes());
+    for convention in Convention::all(true, false) {
+        assert_found(&scan, &convention);
+    }
+}
+
+#[test]
+fn faults_of_a_detector_that_is_no_square_are_found() {
+    let torso = Phantom::by_name("torso", 0).unwrap();
+    let scan = with_truth(scan_of(&torso, &scanner(CONE, 40, 34), &turn(18)), &torso);
+    for convention in Convention::all(false, false) {
+        assert_found(&scan, &convention);
+    }
+}
+
+#[test]
+fn without_a_reference_the_simplest_of_a_class_are_named() {
+    let scan = scan_of(&axes(), &scanner(CONE, 34, 34), &turn(18));
+    let verdict = |number: usize| {
+        let check = checked(&written_as(&scan, &Convention::all(true, false)[number]));
+        assert_eq!(check.agrees, number == 1, "{:?}", check.verdict);
+        check.verdict.join(" ")
+    };
+    // Rows from the bottom up are those of a mirrored object.
+    let rows = verdict(1);
+    assert!(
+        rows.contains("agree with the conventions as stated") && rows.contains("from rows from the bottom up;"),
+        "{rows}"
+    );
+    let columns = verdict(2);
+    assert!(columns.contains("look like columns mirrored, or rotation in the opposite sense:"), "{columns}");
+    assert!(columns.contains("image[:, ::-1], or change the sign of every angle."), "{columns}");
+    let transposed = verdict(8);
+    assert!(transposed.contains("look like images transposed:") && transposed.contains("image.T"), "{transposed}");
+}
+
+/// The residuals of members are computed one by one, so this is a property of scans and not of the check.
+#[test]
+fn conventions_of_a_class_have_the_same_residual() {
+    for (beam, classes) in [(CONE, 4), (PARALLEL, 2)] {
+        let mut scanner = scanner(beam, 34, 34);
+        scanner.detector.offset_u = 0.7 * scanner.detector.pitch_u;
+        scanner.detector.offset_v = if beam == CONE { -1.2 * scanner.detector.pitch_v } else { 0.0 };
+        let check = checked(&scan_of(&axes(), &scanner, &turn(18)));
+        assert!(check.agrees, "{:?}", check.verdict);
+        let mut least = Vec::new();
+        for class in 1..=classes {
+            let of = |c: &&Candidate| c.class == class;
+            let residuals: Vec<f64> = check.candidates.iter().filter(of).map(|c| c.residual).collect();
+            assert_eq!(residuals.len(), 16 / classes);
+            for residual in &residuals {
+                assert!((residual / residuals[0] - 1.0).abs() < 1e-4, "{beam:?} {class}: {residuals:?}");
+            }
+            least.push(residuals[0]);
+        }
+        assert!(least.iter().skip(1).all(|other| *other > 1.5 * least[0]), "{beam:?}: {least:?}");
+        assert_eq!(check.candidates.iter().map(|c| c.class).max(), Some(classes));
+    }
+}
+
+#[test]
+fn displaced_detectors_are_found_to_a_fifth_of_a_pixel() {
+    // Where it is, and where the files say that it is, pixels.
+    let cases = [
+        (CONE, 48, -3.3, -3.3),
+        (CONE, 48, -3.3, 0.0),
+        (CONE, 48, 0.0, 0.0),
+        (CONE, 48, 1.7, 0.0),
+        (CONE, 48, 1.7, -1.7),
+        (CONE, 96, 1.7, 0.0),
+        (PARALLEL, 44, -3.3, 0.0),
+        (PARALLEL, 44, 1.7, 1.7),
+    ];
+    for (beam, columns, pixels, stated) in cases {
+        let mut scanner = scanner(beam, 34, columns);
+        scanner.detector.offset_u = pixels * scanner.detector.pitch_u;
+        let mut scan = scan_of(&axes(), &scanner, &turn(20));
+        scan.scanner.detector.offset_u = stated * scanner.detector.pitch_u;
+        scan.scale = 0.01;
+        let check = checked(&scan);
+        let sentences = check.verdict.join(" ");
+        assert!((check.offset_u.found - pixels).abs() < 0.2, "{beam:?} {pixels}: {:?}", check.offset_u);
+        assert_eq!(check.agrees, stated == pixels, "{sentences}");
+        let set = check.off_detector[0] * scan.scale / scanner.detector.pitch_u;
+        assert!((set - pixels).abs() < 0.2, "{:?}", check.off_detector);
+        assert_eq!(sentences.contains("opposite sign"), stated == -pixels && pixels != 0.0, "{sentences}");
+        assert_eq!(sentences.contains("Set offDetector"), stated != pixels, "{sentences}");
+    }
+}
+
+#[test]
+fn a_detector_displaced_along_v_is_found_in_a_cone_beam_and_left_alone_in_a_parallel_one() {
+    let mut scanner = scanner(CONE, 48, 34);
+    scanner.detector.offset_v = 2.4 * scanner.detector.pitch_v;
+    let mut scan = scan_of(&axes(), &scanner, &turn(18));
+    let sound = checked(&scan);
+    let along_v = sound.offset_v.as_ref().unwrap();
+    // The minimum is shallow; what is said about its place holds.
+    let near = |found: f64| (found - 2.4).abs() < 2.0 * along_v.uncertainty;
+    assert!(along_v.uncertainty < 0.6, "{along_v:?}");
+    assert!(sound.agrees && near(along_v.found), "{:?}", sound.verdict);
+    scan.scanner.detector.offset_v *= -1.0;
+    let wrong = checked(&scan);
+    assert!(!wrong.agrees, "{:?}", wrong.verdict);
+    assert_eq!(wrong.looks_like, Convention::AS_STATED);
+    // Rows reversed with the offset as stated is the same scan of a mirrored object.
+    assert!(near(wrong.offset_v.unwrap().found), "{:?}", wrong.verdict);
+    assert!(near(-wrong.off_detector[1] / scanner.detector.pitch_v), "{:?}", wrong.off_detector);
+
+    let mut scanner = self::scanner(PARALLEL, 34, 34);
+    scanner.detector.offset_v = 1.5 * scanner.detector.pitch_v;
+    let mut scan = scan_of(&axes(), &scanner, &turn(18));
+    scan.scanner.detector.offset_v = 0.0;
+    let check = checked(&scan);
+    assert!(check.agrees && check.offset_v.is_none(), "{:?}", check.verdict);
+    assert!(check.verdict.iter().any(|sentence| sentence.contains("parallel")), "{:?}", check.verdict);
+}
+
+#[test]
+fn parallel_rays_over_half_a_turn_tell_transposed_images_and_nothing_else() {
+    let scan = scan_of(&axes(), &scanner(PARALLEL, 34, 34), &Scanner::uniform_angles(16, 0.3, PI));
+    for number in [2, 4, 8, 12] {
+        let convention = Convention::all(true, false)[number];
+        let written = written_as(&scan, &convention);
+        let check = checked(&written);
+        assert_eq!(check.looks_like.transposed, convention.transposed, "{:?}", check.verdict);
+        assert_eq!(check.agrees, !convention.transposed, "{:?}", check.verdict);
+        // With the truth only half a turn remains, which is mirrored columns.
+        let check = checked(&with_truth(written, &axes()));
+        let found = check.looks_like;
+        let half = check.candidates[0].resemblance.unwrap().quarter_turns == 2;
+        assert_eq!(found.columns_reversed != half, convention.columns_reversed, "{:?}", check.verdict);
+        assert_eq!(found.rotation_reversed, convention.rotation_reversed, "{:?}", check.verdict);
+        assert!(!check.agrees, "{:?}", check.verdict);
+    }
+}
+
+#[test]
+fn the_true_volume_or_points_from_it_tell_where_the_angles_begin() {
+    let late: Vec<f64> = turn(18).iter().map(|angle| angle + FRAC_PI_2).collect();
+    let mut scan = scan_of(&axes(), &scanner(CONE, 34, 34), &late);
+    scan.train.angles = turn(18);
+    assert!(checked(&scan).agrees);
+    let check = checked(&with_truth(scan.clone(), &axes()));
+    assert!(!check.agrees && check.looks_like == Convention::AS_STATED, "{:?}", check.verdict);
+    assert!(
+        check.verdict[0].contains("begin 90° too early: ") || check.verdict[0].contains("add 1.570796"),
+        "{:?}",
+        check.verdict
+    );
+
+    let truth = axes().voxelize(&scan.scanner.grid, 2);
+    let bright: Vec<[f64; 4]> = truth
+        .values
+        .indexed_iter()
+        .filter(|(_, value)| **value > 0.05)
+        .map(|((x, y, z), &value)| {
+            let centre = truth.grid.centre([x, y, z]);
+            [centre.x, centre.y, centre.z, f64::from(value)]
+        })
+        .collect();
+    scan.initial_points = Some(bright.into());
+    let check = checked(&scan);
+    assert!(!check.agrees && check.candidates[0].resemblance.unwrap().quarter_turns == 1, "{:?}", check.verdict);
+    assert!(check.verdict.iter().any(|sentence| sentence.contains("made from these views")), "{:?}", check.verdict);
+}
+
+#[test]
+fn degrees_that_are_read_as_radians_are_recognised() {
+    let scan = scan_of(&axes(), &scanner(CONE, 34, 34), &turn(18));
+    let convention = Convention { degrees: true, ..Convention::AS_STATED };
+    let check = checked(&written_as(&scan, &convention));
+    assert_eq!((check.looks_like, check.agrees), (convention, false), "{:?}", check.verdict);
+    assert!(check.verdict[0].contains("radians"), "{:?}", check.verdict);
+    assert_eq!(check.candidates.len(), 32);
+}
+
+#[test]
+fn a_body_of_revolution_does_not_tell_and_what_is_stated_stands() {
+    let ball = Phantom {
+        name: "ball".into(),
+        solids: vec![Solid::new(Shape::Ellipsoid, 0.6, DVec3::ZERO, DVec3::splat(0.6))],
+    };
+    let check = checked(&scan_of(&ball, &scanner(CONE, 34, 34), &turn(18)));
+    assert!(check.agrees && check.looks_like == Convention::AS_STATED, "{:?}", check.verdict);
+    assert!(check.verdict.iter().any(|sentence| sentence.contains("do not exclude")), "{:?}", check.verdict);
+    // Nor does a ball show how high the detector stands.
+    assert_eq!(check.off_detector, [0.0, 0.0], "{:?}", check.verdict);
+}
+
+#[test]
+fn what_no_convention_explains_is_not_approved() {
+    let mut scan = scan_of(&axes(), &scanner(CONE, 34, 34), &turn(18));
+    // Every angle is that of another view.
+    scan.train.angles = (0..18).map(|i| turn(18)[i * 7 % 18]).collect();
+    let check = checked(&scan);
+    assert!(!check.agrees, "{:?}", check.verdict);
+    assert!(check.verdict.iter().any(|sentence| sentence.contains("No convention explains")), "{:?}", check.verdict);
+}
+
+#[test]
+fn twelve_views_are_enough_and_three_are_refused() {
+    let torso = Phantom::by_name("torso", 0).unwrap();
+    let scan = scan_of(&torso, &scanner(CONE, 34, 34), &turn(12));
+    let reversed = Convention { rotation_reversed: true, ..Convention::AS_STATED };
+    let check = checked(&written_as(&scan, &reversed));
+    assert!(!check.agrees && check.looks_like.looks_like(&reversed, &CONE), "{:?}", check.verdict);
+    assert!(checked(&scan).agrees);
+    let few = Dataset { train: scan.train.select(&[0, 4, 8]), ..scan.clone() };
+    let refused = check_geometry(&few, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(refused.contains("training views: got 3, expected at least 4"), "{refused}");
+    let mut nothing = scan.clone();
+    nothing.train.images.fill(0.0);
+    assert!(check_geometry(&nothing, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string().contains("zeros"));
+    let stopped = check_geometry(&scan, &mut |_| ControlFlow::Break(())).unwrap_err().to_string();
+    assert!(stopped.contains("interrupted"), "{stopped}");
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let scan = with_truth(scan_of(&axes(), &scanner(CONE, 20, 20), &turn(9)), &axes());
+    let run = || checked(&scan);
+    assert_eq!(threads::install(1, run).unwrap(), threads::install(3, run).unwrap());
+}
+
+#[test]
+fn the_program_says_what_is_wrong_and_exits_with_it() {
+    let sandbox = Sandbox::new();
+    sandbox.done("simulate --phantom axes --out scan --size 24 --detector 34 --views 15 --test-views 0 --noise low");
+    let found = sandbox.done("inspect scan --check-geometry");
+    assert_eq!((&found["agrees"], &found["candidates"][0]["words"]), (&true.into(), &"as stated".into()));
+    assert_eq!(found["candidates"].as_array().unwrap().len(), 16);
+    assert!(found["offset_u"]["found"].as_f64().unwrap().abs() < 0.2, "{found}");
+    assert!(sandbox.run("inspect scan --check-geometry --quiet").stderr.is_empty());
+
+    sandbox.edit("scan/meta_data.json", |meta| {
+        for view in meta["proj_train"].as_array_mut().unwrap() {
+            view["angle"] = (-view["angle"].as_f64().unwrap()).into();
+        }
+    });
+    let output = sandbox.run("inspect scan --check-geometry");
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("The data look like rotation in the opposite sense") && text.contains("every angle"),
+        "{text}"
+    );
+    assert!(stderr(&sandbox.run("inspect scan --check-geometry")).contains("step 6 of 6"));
+    let json = sandbox.run("inspect scan --check-geometry --json");
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert_eq!(json["looks_like"]["rotation_reversed"], true);
+
+    sandbox.edit("scan/meta_data.json", |meta| meta["proj_train"].as_array_mut().unwrap().truncate(3));
+    assert!(sandbox.refused("inspect scan --check-geometry").contains("training views"));
+    assert!(sandbox.refused("inspect nowhere --check-geometry").contains("nowhere"));
+}
