@@ -36,6 +36,7 @@ fn scan_of(phantom: &Phantom, scanner: &Scanner, angles: &[f64]) -> Dataset {
         truth: None,
         initial_points: None,
         oddities: Vec::new(),
+        notes: Vec::new(),
     }
 }
 
