@@ -86,6 +86,18 @@ fn descriptions_that_cannot_be() {
     refuses_scan(&["meta_data.json", "JSON"], |s| s.write("scan/meta_data.json", [0xff, 0xfe, 0x00]));
 }
 
+#[cfg(not(feature = "dicom"))]
+#[test]
+fn a_build_without_dicom_says_how_to_get_it() {
+    let sandbox = Sandbox::new();
+    std::fs::create_dir(sandbox.path("series")).unwrap();
+    sandbox.write("series/a.dcm", "");
+    for path in ["series/a.dcm", "series"] {
+        let message = sandbox.refused(&format!("convert {path} v.nii.gz"));
+        assert!(message.contains("--features dicom"), "{message}");
+    }
+}
+
 #[test]
 fn a_volume_larger_than_any_computer_is_refused_before_memory_is_asked_for() {
     let sandbox = Sandbox::with_scan();

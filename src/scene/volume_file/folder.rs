@@ -28,13 +28,13 @@ pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
 }
 
 /// The series in a folder that holds one.
-#[cfg(feature = "dicom")]
+#[cfg(any(feature = "dicom", test))]
 fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> {
     let slices: Vec<PathBuf> = files.iter().filter(|path| super::dicom::is_dicom(path)).cloned().collect();
     (!slices.is_empty()).then(|| super::dicom::read(folder, &slices))
 }
 
-#[cfg(not(feature = "dicom"))]
+#[cfg(not(any(feature = "dicom", test)))]
 fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> {
     (!with_extension(files, &["dcm", "ima"]).is_empty()).then(|| Err(super::no_dicom(folder)))
 }

@@ -27,7 +27,8 @@
 //!
 //! Sizes in a header are believed only as far as the file has the bytes for them.
 
-#[cfg(feature = "dicom")]
+// The tests have it without the feature, so that one build of them is enough.
+#[cfg(any(feature = "dicom", test))]
 mod dicom;
 mod elements;
 mod folder;
@@ -161,9 +162,9 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
         Format::Nrrd => nrrd::parse(content, path),
         Format::Nifti => nifti::parse(content, path),
         Format::Tiff => tiff::parse(content, path),
-        #[cfg(feature = "dicom")]
+        #[cfg(any(feature = "dicom", test))]
         Format::Dicom => dicom::parse(content, path),
-        #[cfg(not(feature = "dicom"))]
+        #[cfg(not(any(feature = "dicom", test)))]
         Format::Dicom => Err(no_dicom(path)),
         Format::Raw => raw::parse(content, path),
     }
@@ -200,7 +201,7 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
 }
 
 /// What a build without the feature says.
-#[cfg(not(feature = "dicom"))]
+#[cfg(not(any(feature = "dicom", test)))]
 fn no_dicom(path: &Path) -> Error {
     let expected = "a build that reads DICOM";
     Error::invalid("DICOM", path.display(), expected, "build with `cargo build --release --features dicom`")

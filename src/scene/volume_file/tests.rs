@@ -226,16 +226,6 @@ fn a_folder_of_pages_is_read_in_natural_order() {
     assert!(read(&at("empty")).unwrap_err().to_string().contains("got 0 files, expected pages .tif"));
 }
 
-#[cfg(not(feature = "dicom"))]
-#[test]
-fn a_build_without_dicom_says_how_to_get_it() {
-    let (_folder, at) = folder();
-    std::fs::write(at("a.dcm"), "").unwrap();
-    for path in [at("a.dcm"), at("a.dcm").parent().unwrap().to_owned()] {
-        assert!(read(&path).unwrap_err().to_string().contains("--features dicom"));
-    }
-}
-
 #[test]
 fn a_file_beside_raw_numbers_describes_them() {
     let (_folder, at) = folder();
