@@ -93,7 +93,7 @@ class Rtk:
         return self.ours(fdk.GetOutput())
 
     def sart(self, passes):
-        sart = rtk.SARTConeBeamReconstructionFilter[self.kind].New()
+        sart = rtk.SARTConeBeamReconstructionFilter[self.kind, self.kind].New()
         sart.SetInput(0, self.empty())
         sart.SetInput(1, self.projections)
         sart.SetGeometry(self.geometry)
