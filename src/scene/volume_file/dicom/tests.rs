@@ -93,7 +93,7 @@ fn slices_along_another_axis_are_ordered_along_it() {
     let found = super::super::read(series([1.0, 3.0, 2.0].map(sagittal)).path()).unwrap();
     // The normal is -x, so the first slice is the one with the largest x.
     assert_eq!((found.spacing.unwrap().z, found.origin.unwrap().x), (1.0, 3.0));
-    assert!(found.oddities[0].contains("they are read as x and y"), "{:?}", found.oddities);
+    assert!(found.oddities[0].contains("they are read as x, y and z"), "{:?}", found.oddities);
     let tilted = |z: f64| changed(z, |object| text(object, POSITION, VR::DS, &format!("0\\{}\\{z}", 0.3 * z)));
     let found = super::super::read(series([1.0, 2.0, 3.0].map(tilted)).path()).unwrap();
     assert!(found.oddities[0].contains("sheared"), "{:?}", found.oddities);
