@@ -89,8 +89,6 @@ pub(super) struct Sweeps<'a, R> {
     views: Vec<View>,
     /// 1/A1 of every ray, 0 for those that do not count.
     per_length: Vec<R>,
-    /// 1 for the rays that count, else 0.
-    counts: Vec<R>,
     non_negative: bool,
 }
 
@@ -100,11 +98,10 @@ impl<'a, R: Real> Sweeps<'a, R> {
         let grid = &system.projector.scanner().grid;
         let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
         let least = real(0.5 * grid.spacing.min_element());
-        let per_length: Vec<R> = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
-        let counts = per_length.iter().map(|&l| if l > R::ZERO { R::ONE } else { R::ZERO }).collect();
+        let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
         let order = settings.order.of(system.angles, settings.seed);
         let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
-        Ok(Self { system, subsets, views, per_length, counts, non_negative: settings.non_negative })
+        Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
     }
 
     /// One pass; the residual that its views had when their turn came.
@@ -127,8 +124,8 @@ impl<'a, R: Real> Sweeps<'a, R> {
                 *correction = (measured[i] - seen) * per_length[i];
             }
         });
-        let counts = |&view: &usize| &self.counts[view * pixels..][..pixels];
-        let counts: Vec<R> = subset.iter().flat_map(counts).copied().collect();
+        let weights = subset.iter().flat_map(|&view| &self.per_length[view * pixels..][..pixels]);
+        let counts: Vec<R> = weights.map(|&weight| if weight > R::ZERO { R::ONE } else { R::ZERO }).collect();
         let residual = |i: usize| (self.system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
         let squares = threads::map(seen.len().div_ceil(CHUNK), |chunk| {
             let from = chunk * CHUNK;

@@ -31,7 +31,6 @@ use crate::scene::{Scanner, View};
 use fan::Fan;
 use joseph::Slab;
 use ndarray::{Array3, ArrayView3, Axis};
-
 use serde::{Deserialize, Serialize};
 
 /// Columns that are projected by one piece of work: neighbours meet the same voxels.
