@@ -1,5 +1,5 @@
 //! Cost of projecting a volume of voxels and of the adjoint, by both ray models, and of what rests on them: filtered
-//! backprojection and a pass of SART. 256³ voxels, 18 views of 512 × 512; 64³, 18 of 128 × 128.
+//! backprojection and a pass of SART. 256³ voxels, 18 and 50 views of 512 × 512; 64³, 18 of 128 × 128.
 //!
 //! `cargo bench --bench voxel_projector`; on how many threads it runs, RAYON_NUM_THREADS says.
 
@@ -12,8 +12,6 @@ use trgs::classical::algebraic::{SartSettings, sart};
 use trgs::classical::{RayModel, Turn, VoxelProjector, Window, fdk};
 use trgs::scene::{Beam, Detector, Grid, Projections, Scanner};
 
-const VIEWS: usize = 18;
-
 fn scanner(size: usize) -> Scanner {
     let pitch = 4.0 / (2 * size) as f64;
     let detector =
@@ -22,13 +20,13 @@ fn scanner(size: usize) -> Scanner {
 }
 
 fn voxels(criterion: &mut Criterion) {
-    for size in [64, 256] {
+    for (size, views) in [(64, 18), (256, 18), (256, 50)] {
         let scanner = scanner(size);
-        let angles = Scanner::uniform_angles(VIEWS, 0.1, std::f64::consts::TAU);
+        let angles = Scanner::uniform_angles(views, 0.1, std::f64::consts::TAU);
         let volume = Array3::from_shape_fn((size, size, size), |(x, y, z)| ((x ^ y ^ z) % 7) as f32 / 7.0);
-        let mut group = criterion.benchmark_group(format!("{size} voxels"));
+        let mut group = criterion.benchmark_group(format!("{size} voxels, {views} views"));
         group.sample_size(10).warm_up_time(Duration::from_millis(500)).measurement_time(Duration::from_secs(3));
-        let mut images = Array3::zeros((VIEWS, 2 * size, 2 * size));
+        let mut images = Array3::zeros((views, 2 * size, 2 * size));
         for (name, model) in [("Joseph", RayModel::Joseph), ("Siddon", RayModel::Siddon)] {
             let projector = VoxelProjector::new(&scanner, model).expect("a scanner that works");
             images = projector.forward(&angles, volume.view()).expect("its volume");

@@ -294,23 +294,20 @@ impl Sizes {
     }
 }
 
-/// As many as density control can make of them. Gradient-based control may exceed its cap once, by what one step adds.
+/// As many as density control can make of them.
 fn most_primitives(points: usize, config: &Config) -> usize {
     let control = &config.density_control;
-    match control.method {
-        DensityControl::None => points,
-        DensityControl::Adc => points.max(control.cap),
-        DensityControl::Ar => {
-            let steps = config.iterations / control.every.max(1);
-            (0..steps)
-                .try_fold(points, |m, _| {
-                    let added = ((control.growth * m as f64) as usize).min(control.cap.saturating_sub(m));
-                    // Err: it grows no more.
-                    if added == 0 { Err(m) } else { Ok(m + added) }
-                })
-                .unwrap_or_else(|m| m)
-        }
-    }
+    let added = |m: usize| match control.method {
+        DensityControl::None => 0,
+        // Of each primitive two, as long as the cap is not reached before.
+        DensityControl::Adc if m < control.cap => m,
+        DensityControl::Adc => 0,
+        DensityControl::Ar => ((control.growth * m as f64) as usize).min(control.cap.saturating_sub(m)),
+    };
+    (0..config.iterations / control.every.max(1))
+        // Err: it grows no more.
+        .try_fold(points, |m, _| if added(m) == 0 { Err(m) } else { Ok(m + added(m)) })
+        .unwrap_or_else(|m| m)
 }
 
 #[cfg(test)]
@@ -352,6 +349,8 @@ mod tests {
         let once = 500 + (500.0 * config.density_control.growth) as usize;
         assert_eq!(most_primitives(500, &config), once + (once as f64 * config.density_control.growth) as usize);
         assert_eq!(most_primitives(2000, &config), 2000);
+        config.density_control.method = DensityControl::Adc;
+        assert_eq!([100, 500, 999, 1000].map(|points| most_primitives(points, &config)), [400, 1000, 1998, 1000]);
         config.density_control.method = DensityControl::None;
         assert_eq!(most_primitives(500, &config), 500);
     }

@@ -1,6 +1,7 @@
 //! Reconstruction without primitives, on the same scanner: what every scan can be compared with.
 
 pub mod algebraic;
+mod columns;
 pub mod fdk;
 pub mod geometry_check;
 pub mod pseudo_truth;

@@ -27,7 +27,8 @@ pub use cgls::cgls;
 pub use order::Order;
 pub use sart::{SartSettings, sart};
 
-use super::voxel_projector::{Columns, VoxelProjector};
+use super::columns::Columns;
+use super::voxel_projector::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
 use crate::scene::{Projections, Volume};

@@ -1,85 +1,84 @@
 //! The sum of the views at every voxel.
 
-use super::{Filtered, Sample};
+use super::Sample;
+use crate::classical::columns::Columns;
 use crate::classical::resample::{Places, interpolate, margin};
 use crate::numeric::{real, threads};
 use crate::scene::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Array3;
 
-impl<R: Sample> Filtered<R> {
-    /// The volume on the scanner's grid.
-    pub(super) fn backproject(&self, scanner: &Scanner, angles: &[f64]) -> Array3<R> {
-        let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
-        let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
-        let [_, ny, nz] = scanner.grid.shape;
-        let slices = values.as_slice_mut().expect("a new array is in C order");
-        threads::for_each_chunk(slices, ny * nz, |x, slice| {
-            let mut profile = vec![R::ZERO; self.rows + 2 + margin::<R>()];
-            for (number, view) in views.iter().enumerate() {
-                for (y, line) in slice.chunks_exact_mut(nz).enumerate() {
-                    self.add_view(scanner, number, view, [x, y], line, &mut profile);
-                }
+/// The volume on the scanner's grid, from filtered images.
+pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles: &[f64]) -> Array3<R> {
+    let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
+    let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
+    let [_, ny, nz] = scanner.grid.shape;
+    let slices = values.as_slice_mut().expect("a new array is in C order");
+    threads::for_each_chunk(slices, ny * nz, |x, slice| {
+        let mut profile = vec![R::ZERO; filtered.rows + 2 + margin::<R>()];
+        for (number, view) in views.iter().enumerate() {
+            for (y, line) in slice.chunks_exact_mut(nz).enumerate() {
+                add_view(filtered, scanner, number, view, [x, y], line, &mut profile);
             }
-        });
-        values
+        }
+    });
+    values
+}
+
+/// Adds a view to the line of voxels along z at (x, y). `profile` is scratch: a zero, the rows
+/// from below, and zeros for the margin.
+///
+/// All these voxels have one depth and one column, so the two columns next to it are blended once into a profile.
+fn add_view<R: Sample>(
+    filtered: &Columns<R>,
+    scanner: &Scanner,
+    number: usize,
+    view: &View,
+    xy: [usize; 2],
+    line: &mut [R],
+    profile: &mut [R],
+) {
+    let first = view.to_camera(scanner.grid.centre([xy[0], xy[1], 0]));
+    let second = view.to_camera(scanner.grid.centre([xy[0], xy[1], 1]));
+    let weight = match scanner.beam {
+        Beam::Cone { dso, .. } => (dso / first.z) * (dso / first.z),
+        Beam::Parallel { .. } => 1.0,
+    };
+    let pixel = |camera: DVec3| scanner.project(camera).map(|(u, v)| scanner.detector.pixel(u, v));
+    let (Some((row, column)), Some((next_row, _))) = (pixel(first), pixel(second)) else { return };
+    if !(column > -1.0 && column < filtered.columns as f64) {
+        return;
+    }
+    // Counted from the zero below the lowest row.
+    let row = filtered.rows as f64 - row;
+    let places = Places { first: row, pitch: filtered.rows as f64 - next_row - row };
+    // Where the bilinear function is not 0.
+    let voxels = places.within(&(0..line.len()), 0.0, (filtered.rows + 1) as f64);
+    if voxels.is_empty() {
+        return;
     }
 
-    /// Adds a view to the line of voxels along z at (x, y). `profile` is scratch: a zero, the rows
-    /// from below, and zeros for the margin.
-    ///
-    /// All these voxels have one depth and one column, so the two columns next to it are blended once into a profile.
-    fn add_view(
-        &self,
-        scanner: &Scanner,
-        number: usize,
-        view: &View,
-        xy: [usize; 2],
-        line: &mut [R],
-        profile: &mut [R],
-    ) {
-        let first = view.to_camera(scanner.grid.centre([xy[0], xy[1], 0]));
-        let second = view.to_camera(scanner.grid.centre([xy[0], xy[1], 1]));
-        let weight = match scanner.beam {
-            Beam::Cone { dso, .. } => (dso / first.z) * (dso / first.z),
-            Beam::Parallel { .. } => 1.0,
-        };
-        let pixel = |camera: DVec3| scanner.project(camera).map(|(u, v)| scanner.detector.pixel(u, v));
-        let (Some((row, column)), Some((next_row, _))) = (pixel(first), pixel(second)) else { return };
-        if !(column > -1.0 && column < self.columns as f64) {
-            return;
-        }
-        // Counted from the zero below the lowest row.
-        let row = self.rows as f64 - row;
-        let places = Places { first: row, pitch: self.rows as f64 - next_row - row };
-        // Where the bilinear function is not 0.
-        let voxels = places.within(&(0..line.len()), 0.0, (self.rows + 1) as f64);
-        if voxels.is_empty() {
-            return;
-        }
+    let column = column + 1.0;
+    let (left, fraction) = (column.floor(), column - column.floor());
+    let sides = [weight * (1.0 - fraction), weight * fraction].map(real::<R>);
+    // `left` counts from the column of zeros before the detector.
+    blend(filtered, number, left as usize, sides, &mut profile[1..=filtered.rows]);
 
-        let column = column + 1.0;
-        let (left, fraction) = (column.floor(), column - column.floor());
-        let sides = [weight * (1.0 - fraction), weight * fraction].map(real::<R>);
-        // `left` counts from the column of zeros before the detector.
-        self.blend(number, left as usize, sides, &mut profile[1..=self.rows]);
+    interpolate(profile, places, voxels, line);
+}
 
-        interpolate(profile, places, voxels, line);
-    }
-
-    /// The weighted sum of columns `left - 1` and `left` of a view; those beside the detector are 0.
-    fn blend(&self, view: usize, left: usize, [a, b]: [R; 2], profile: &mut [R]) {
-        let image = &self.values[view * self.rows * self.columns..][..self.rows * self.columns];
-        let column = |index: usize| &image[index * self.rows..][..self.rows];
-        match (left > 0, left < self.columns) {
-            (true, true) => {
-                for ((out, l), r) in profile.iter_mut().zip(column(left - 1)).zip(column(left)) {
-                    *out = a * *l + b * *r;
-                }
+/// The weighted sum of columns `left - 1` and `left` of a view; those beside the detector are 0.
+fn blend<R: Sample>(filtered: &Columns<R>, view: usize, left: usize, [a, b]: [R; 2], profile: &mut [R]) {
+    let image = filtered.view(view);
+    let column = |index: usize| &image[index * filtered.rows..][..filtered.rows];
+    match (left > 0, left < filtered.columns) {
+        (true, true) => {
+            for ((out, l), r) in profile.iter_mut().zip(column(left - 1)).zip(column(left)) {
+                *out = a * *l + b * *r;
             }
-            (false, _) => profile.iter_mut().zip(column(left)).for_each(|(out, &r)| *out = b * r),
-            (true, false) => profile.iter_mut().zip(column(left - 1)).for_each(|(out, &l)| *out = a * l),
         }
+        (false, _) => profile.iter_mut().zip(column(left)).for_each(|(out, &r)| *out = b * r),
+        (true, false) => profile.iter_mut().zip(column(left - 1)).for_each(|(out, &l)| *out = a * l),
     }
 }
 

@@ -1,7 +1,8 @@
 //! Weights and the ramp filter.
 
 use super::redundancy::RayWeights;
-use super::{Filtered, Sample, Window};
+use super::{Sample, Window};
+use crate::classical::columns::Columns;
 use crate::numeric::elementary::cos;
 use crate::numeric::{Real, real, threads};
 use crate::scene::{Beam, Scanner};
@@ -11,47 +12,50 @@ use rustfft::{Fft, FftPlannerScalar};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-impl<R: Sample> Filtered<R> {
-    /// Weighted and filtered projections of the scanner's size.
-    pub(super) fn new(scanner: &Scanner, weights: &RayWeights, images: ArrayView3<'_, R>, window: Window) -> Self {
-        let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
-        let ramp = Ramp::new(columns, window);
-        let magnification = match scanner.beam {
-            Beam::Cone { dso, dsd } => dsd / dso,
-            Beam::Parallel { .. } => 1.0,
-        };
-        let mut values = vec![R::ZERO; images.len()];
-        threads::for_each_chunk(&mut values, rows * columns, |view, out| {
-            let scale = |column| weights.at(view, column) * magnification / scanner.detector.pitch_u;
-            let image = images.index_axis(Axis(0), view);
-            let weighted = |row: usize, column: usize| {
-                let (u, v) = scanner.detector.position(row as f64, column as f64);
-                let cosine = match scanner.beam {
-                    Beam::Cone { dsd, .. } => dsd / (dsd * dsd + u * u + v * v).sqrt(),
-                    Beam::Parallel { .. } => 1.0,
-                };
-                real(Real::to_f64(image[[row, column]]) * cosine * scale(column))
+/// Weighted and filtered projections of the scanner's size.
+pub(super) fn filtered<R: Sample>(
+    scanner: &Scanner,
+    weights: &RayWeights,
+    images: ArrayView3<'_, R>,
+    window: Window,
+) -> Columns<R> {
+    let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
+    let ramp = Ramp::new(columns, window);
+    let magnification = match scanner.beam {
+        Beam::Cone { dso, dsd } => dsd / dso,
+        Beam::Parallel { .. } => 1.0,
+    };
+    let mut values = vec![R::ZERO; images.len()];
+    threads::for_each_chunk(&mut values, rows * columns, |view, out| {
+        let scale = |column| weights.at(view, column) * magnification / scanner.detector.pitch_u;
+        let image = images.index_axis(Axis(0), view);
+        let weighted = |row: usize, column: usize| {
+            let (u, v) = scanner.detector.position(row as f64, column as f64);
+            let cosine = match scanner.beam {
+                Beam::Cone { dsd, .. } => dsd / (dsd * dsd + u * u + v * v).sqrt(),
+                Beam::Parallel { .. } => 1.0,
             };
-            let mut buffer = vec![Complex::default(); ramp.response.len()];
-            let mut scratch = vec![Complex::default(); ramp.scratch()];
-            for top in (0..rows).step_by(2) {
-                // The filter is real and even, so two rows pass through one complex transform without mixing.
-                let bottom = (top + 1 < rows).then_some(top + 1);
-                buffer.fill(Complex::default());
-                for (column, slot) in buffer[..columns].iter_mut().enumerate() {
-                    *slot = Complex::new(weighted(top, column), bottom.map_or(R::ZERO, |row| weighted(row, column)));
-                }
-                ramp.apply(&mut buffer, &mut scratch);
-                for (column, value) in buffer[..columns].iter().enumerate() {
-                    out[column * rows + rows - 1 - top] = value.re;
-                    if let Some(row) = bottom {
-                        out[column * rows + rows - 1 - row] = value.im;
-                    }
+            real(Real::to_f64(image[[row, column]]) * cosine * scale(column))
+        };
+        let mut buffer = vec![Complex::default(); ramp.response.len()];
+        let mut scratch = vec![Complex::default(); ramp.scratch()];
+        for top in (0..rows).step_by(2) {
+            // The filter is real and even, so two rows pass through one complex transform without mixing.
+            let bottom = (top + 1 < rows).then_some(top + 1);
+            buffer.fill(Complex::default());
+            for (column, slot) in buffer[..columns].iter_mut().enumerate() {
+                *slot = Complex::new(weighted(top, column), bottom.map_or(R::ZERO, |row| weighted(row, column)));
+            }
+            ramp.apply(&mut buffer, &mut scratch);
+            for (column, value) in buffer[..columns].iter().enumerate() {
+                out[column * rows + rows - 1 - top] = value.re;
+                if let Some(row) = bottom {
+                    out[column * rows + rows - 1 - row] = value.im;
                 }
             }
-        });
-        Self { values, rows, columns }
-    }
+        }
+    });
+    Columns { values, rows, columns }
 }
 
 /// The ramp filter along rows, in the frequency domain.

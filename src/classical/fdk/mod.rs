@@ -17,11 +17,14 @@ mod backproject;
 mod filter;
 mod redundancy;
 
+use super::columns::Columns;
 use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
 use crate::scene::{Projections, Scanner, Volume};
-use ndarray::{Array3, ArrayView3, Axis};
+use backproject::voxels;
+use filter::filtered;
+use ndarray::{Array3, ArrayView3};
 use redundancy::RayWeights;
 use rustfft::FftNum;
 use serde::{Deserialize, Serialize};
@@ -92,8 +95,8 @@ pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: T
     check(scanner, angles, images.shape())?;
     let weights = RayWeights::new(scanner, angles, turn)?;
     let volume = match weights.widen(scanner, images) {
-        Some((wide, images)) => Filtered::new(&wide, &weights, images.view(), window).backproject(&wide, angles),
-        None => Filtered::new(scanner, &weights, images, window).backproject(scanner, angles),
+        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, angles),
+        None => voxels(&filtered(scanner, &weights, images, window), scanner, angles),
     };
     Volume::new(scanner.grid, volume)
 }
@@ -126,7 +129,7 @@ pub fn filter<R: Sample>(
 ) -> Result<Array3<R>> {
     check(scanner, angles, projections.shape())?;
     let weights = RayWeights::new(scanner, angles, Turn::Full)?;
-    Ok(Filtered::new(scanner, &weights, projections, window).images())
+    Ok(filtered(scanner, &weights, projections, window).images())
 }
 
 /// The weighted sum of the views at every voxel: `f(x) = Σ_views (dso/d)² · g(u, v)` `[FDK84]`, with weight 1 in a
@@ -141,34 +144,7 @@ pub fn filter<R: Sample>(
 /// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
     check(scanner, angles, filtered.shape())?;
-    Ok(Filtered::from_images(filtered).backproject(scanner, angles))
-}
-
-/// Weighted and filtered projections.
-struct Filtered<R> {
-    /// `[view][column][row from below]`: what a line of voxels along z needs lies side by side, in the order of the voxels.
-    values: Vec<R>,
-    rows: usize,
-    columns: usize,
-}
-
-impl<R: Sample> Filtered<R> {
-    /// From `[view, v, u]`.
-    fn from_images(images: ArrayView3<'_, R>) -> Self {
-        let (_, rows, columns) = images.dim();
-        let mut upwards = images.permuted_axes([0, 2, 1]);
-        upwards.invert_axis(Axis(2));
-        Self { values: upwards.iter().copied().collect(), rows, columns }
-    }
-
-    /// To `[view, v, u]`.
-    fn images(&self) -> Array3<R> {
-        let (rows, columns) = (self.rows, self.columns);
-        let shape = (self.values.len() / (rows * columns), rows, columns);
-        Array3::from_shape_fn(shape, |(view, row, column)| {
-            self.values[(view * columns + column) * rows + rows - 1 - row]
-        })
-    }
+    Ok(voxels(&Columns::from_images(filtered), scanner, angles))
 }
 
 /// Refuses a scanner that cannot work, and projections of another.

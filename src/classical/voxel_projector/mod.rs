@@ -24,13 +24,14 @@ mod siddon;
 #[cfg(test)]
 mod tests;
 
+use super::columns::Columns;
 use super::resample::margin;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, threads};
 use crate::scene::{Scanner, View};
 use fan::Fan;
 use joseph::Slab;
-use ndarray::{Array3, ArrayView3, Axis};
+use ndarray::{Array3, ArrayView3};
 use serde::{Deserialize, Serialize};
 
 /// Columns that are projected by one piece of work: neighbours meet the same voxels.
@@ -54,31 +55,6 @@ pub enum RayModel {
 pub struct VoxelProjector {
     scanner: Scanner,
     model: RayModel,
-}
-
-/// Images of some views in the order of the work: `[view][column][row from below]`.
-pub(super) struct Columns<T> {
-    pub(super) values: Vec<T>,
-    rows: usize,
-    columns: usize,
-}
-
-impl<T: Copy> Columns<T> {
-    /// From `[view, v, u]`.
-    pub(super) fn from_images(images: ArrayView3<'_, T>) -> Self {
-        let (_, rows, columns) = images.dim();
-        let mut upwards = images.permuted_axes([0, 2, 1]);
-        upwards.invert_axis(Axis(2));
-        Self { values: upwards.iter().copied().collect(), rows, columns }
-    }
-
-    /// To `[view, v, u]`.
-    pub(super) fn images(&self) -> Array3<T> {
-        let (rows, columns) = (self.rows, self.columns);
-        Array3::from_shape_fn((self.values.len() / (rows * columns), rows, columns), |(view, row, column)| {
-            self.values[(view * columns + column) * rows + rows - 1 - row]
-        })
-    }
 }
 
 impl VoxelProjector {
