@@ -18,9 +18,11 @@
 //! | [`optim`] | Adam, SGHMC, learning rates | Sec. 4.5 |
 //! | [`density`] | how primitives come and go: ADC, adding & recycling | Sec. 4.5 |
 //! | [`train`](mod@train) | the loop | Fig. 2 |
-//! | [`classical`] | FDK | Sec. 4.1 |
+//! | [`classical`] | the projector of voxels and its adjoint; FDK, SART, ASD-POCS, CGLS | Sec. 4.1 |
+//! | [`reconstruction`] | any method on any dataset | Sec. 4.1 |
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
 //! | [`oracle`] | conformance vectors for other implementations: handed out, and answers judged | |
+//! | [`experiments`] | the paper's tables as data, run and set beside the paper's figures | Sec. 4, appendix |
 //! | [`config`], [`report`], [`provenance`], [`output`] | what a run is told, shows and leaves behind | |
 //! | [`memory`] | what a run will need, before it starts | |
 //! | [`numeric`] | the ground: scalars, lanes, sums, random numbers, threads | |
@@ -34,6 +36,7 @@ pub mod config;
 pub mod density;
 pub mod error;
 pub mod evaluation;
+pub mod experiments;
 pub mod loss;
 pub mod memory;
 pub mod numeric;
@@ -43,6 +46,7 @@ pub mod output;
 pub mod primitives;
 pub mod projector;
 pub mod provenance;
+pub mod reconstruction;
 pub mod report;
 pub mod scene;
 pub mod train;

@@ -142,6 +142,16 @@ fn digest_words<const N: usize>(words: impl Iterator<Item = [u8; N]>) -> String 
     hex(hasher)
 }
 
+/// SHA-256 of a file, or of every file in a folder, by its path.
+///
+/// # Errors
+/// [`Error::Read`] for a file or a folder that cannot be read.
+pub fn digests(path: &Path) -> Result<BTreeMap<String, String>> {
+    let mut digests = BTreeMap::new();
+    add(&mut digests, path)?;
+    Ok(digests)
+}
+
 fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

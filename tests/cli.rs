@@ -471,7 +471,7 @@ fn messages_go_to_standard_error_in_the_format_asked_for() {
 #[test]
 fn the_demonstration_beats_filtered_back_projection_by_far() {
     let sandbox = Sandbox::new();
-    let found = sandbox.done("demo");
+    let found = sandbox.done("demo --iterations 300");
     let psnr = |method: &str| found[method]["psnr_3d"]["value"].as_f64().unwrap();
     assert!(psnr("tr-gs") >= psnr("fdk") + 6.0, "{found}");
     assert_eq!(sandbox.names_in("out/demo"), ["dataset", "fdk", "tr-gs"]);

@@ -2,16 +2,14 @@
 
 use super::Answer;
 use clap::Args;
-use serde::Serialize;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use trgs::Result;
-use trgs::config::{Config, Method, Precision};
+use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
-use trgs::primitives::{Primitives, model};
-use trgs::projector::forward;
-use trgs::scene::{Dataset, Projections, Volume, trilinear, volume_file};
+use trgs::primitives::model;
+use trgs::reconstruction::{Evaluation, evaluate};
+use trgs::scene::{Dataset, Volume, volume_file};
 
 /// Compare a reconstruction with the truth and the test views of a dataset
 #[derive(Args)]
@@ -30,15 +28,6 @@ pub(super) struct Evaluate {
     against: PathBuf,
 }
 
-/// The metrics, and why the others are missing.
-#[derive(Clone, Serialize)]
-pub(super) struct Evaluation {
-    #[serde(flatten)]
-    pub(super) metrics: Metrics,
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub(super) absent: BTreeMap<&'static str, &'static str>,
-}
-
 impl Evaluate {
     pub(super) fn run(&self) -> Result<Answer> {
         let dataset = Dataset::read(&self.against)?;
@@ -54,64 +43,23 @@ impl Evaluate {
         } else {
             evaluate(&dataset, &read_volume(&self.result, &dataset)?, None, &Config::default())?
         };
-        Ok(evaluation.answer(json!({ "result": self.result, "against": self.against })))
+        Ok(answer(&evaluation, json!({ "result": self.result, "against": self.against })))
     }
-}
-
-/// Evaluates a volume, and the projections of the primitives that it came from, or where there are none its own.
-pub(super) fn evaluate(
-    dataset: &Dataset,
-    volume: &Volume,
-    primitives: Option<&Primitives>,
-    config: &Config,
-) -> Result<Evaluation> {
-    let mut absent = BTreeMap::new();
-    let volumes = dataset.truth.as_ref().map(|truth| (truth, volume));
-    if volumes.is_none() {
-        absent.extend(["psnr_3d", "ssim_3d"].map(|name| (name, "the dataset has no true volume")));
-    }
-    let projections = match &dataset.test {
-        Some(test) => {
-            let seen = match primitives {
-                Some(primitives) => project(primitives, dataset, &test.angles, config)?,
-                None => trilinear::project(volume, &dataset.scanner, &test.angles)?,
-            };
-            Some((test, seen))
-        }
-        None => {
-            absent.extend(["psnr_2d", "ssim_2d"].map(|name| (name, "the dataset has no test views")));
-            None
-        }
-    };
-    let projections = projections.as_ref().map(|(test, seen)| (*test, seen));
-    Ok(Evaluation { metrics: Metrics::compute(volumes, projections)?, absent })
-}
-
-/// Projections of primitives as they were fitted.
-fn project(primitives: &Primitives, dataset: &Dataset, angles: &[f64], config: &Config) -> Result<Projections> {
-    let (scanner, projection, cutoff) = (&dataset.scanner, config.projection, config.cutoff);
-    let images = match config.precision {
-        Precision::F32 => forward::<f32>(primitives, scanner, angles, projection, cutoff),
-        Precision::F64 => forward::<f64>(primitives, scanner, angles, projection, cutoff).mapv(|value| value as f32),
-    };
-    Projections::new(angles.to_vec(), images)
 }
 
 fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
     Volume::new(dataset.scanner.grid, volume_file::read(path)?.values).map_err(|error| error.in_file(path))
 }
 
-impl Evaluation {
-    /// The metrics in a table, and in JSON together with the object `context`.
-    pub(super) fn answer(&self, mut context: Value) -> Answer {
-        let cells = Metrics::NAMES.into_iter().zip(self.metrics.row()).zip(self.metrics.columns());
-        let rows = cells.map(|((name, value), metric)| {
-            let reason = || format!("absent: {}", self.absent[name]);
-            [name.into(), value, metric.map_or_else(reason, |metric| metric.definition.clone())]
-        });
-        if let (Some(context), Ok(Value::Object(metrics))) = (context.as_object_mut(), serde_json::to_value(self)) {
-            context.extend(metrics);
-        }
-        Answer::table(&context, ["metric", "value", "definition"], rows)
+/// The metrics in a table, and in JSON together with the object `context`.
+pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Answer {
+    let cells = Metrics::NAMES.into_iter().zip(evaluation.metrics.row()).zip(evaluation.metrics.columns());
+    let rows = cells.map(|((name, value), metric)| {
+        let reason = || format!("absent: {}", evaluation.absent[name]);
+        [name.into(), value, metric.map_or_else(reason, |metric| metric.definition.clone())]
+    });
+    if let (Some(context), Ok(Value::Object(metrics))) = (context.as_object_mut(), serde_json::to_value(evaluation)) {
+        context.extend(metrics);
     }
+    Answer::table(&context, ["metric", "value", "definition"], rows)
 }

@@ -1,6 +1,6 @@
 //! `trgs inspect --check-geometry`: which conventions a scan seems to follow.
 
-use super::messages::Progress;
+use super::messages::ProgressBar;
 use super::{Answer, Global};
 use std::path::Path;
 use trgs::Result;
@@ -14,7 +14,7 @@ pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Answer> {
     for oddity in &dataset.oddities {
         tracing::warn!("{}: {oddity}", path.display());
     }
-    let mut progress = Progress::new(Step::ALL, global);
+    let mut progress = ProgressBar::new(Step::ALL, global);
     let found = check(&dataset, &mut |step| progress.step(step))?;
     drop(progress);
     let header = ["class", "convention", "held-out residual", "σ worse", "offset u", "offset v", "correlation", "turn"];

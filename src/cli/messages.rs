@@ -1,7 +1,7 @@
 //! Messages and progress on standard error.
 
 use super::{Global, LogFormat, interrupt};
-use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+use indicatif::{ProgressState, ProgressStyle};
 use std::fmt;
 use std::io::{self, IsTerminal};
 use std::ops::ControlFlow;
@@ -14,6 +14,7 @@ use tracing_subscriber::registry::LookupSpan;
 use trgs::Error;
 use trgs::classical::algebraic::Pass;
 use trgs::classical::geometry_check::Step;
+use trgs::experiments::Done;
 use trgs::train::Record;
 
 /// Sends everything that is traced to standard error, in the format asked for.
@@ -34,11 +35,11 @@ pub(super) fn error(error: &Error) {
 }
 
 /// How far a training run has come.
-pub(super) struct Progress {
-    bar: Option<ProgressBar>,
+pub(super) struct ProgressBar {
+    bar: Option<indicatif::ProgressBar>,
 }
 
-impl Progress {
+impl ProgressBar {
     /// A bar on a terminal, otherwise a line per report.
     pub(super) fn new(iterations: usize, global: &Global) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
@@ -49,7 +50,7 @@ impl Progress {
                 let _ = write!(text, "{:.1} it/s", state.per_sec());
             },
         );
-        Self { bar: wanted.then(|| ProgressBar::new(iterations as u64).with_style(style)) }
+        Self { bar: wanted.then(|| indicatif::ProgressBar::new(iterations as u64).with_style(style)) }
     }
 
     /// To be called after every iteration; asks to stop when the user does.
@@ -94,6 +95,27 @@ impl Progress {
         go_on()
     }
 
+    /// The same for the cells of an experiment; `seconds` are those since the first was begun, `first` the number of
+    /// those that had been finished before.
+    pub(super) fn cell(&mut self, done: &Done<'_>, first: usize, seconds: f64) {
+        let Done { cell, done, cells } = *done;
+        if let Some(bar) = &self.bar {
+            bar.set_position(done as u64);
+            bar.set_message(format!("{}, ", cell.description()));
+        } else {
+            let left = seconds / (done.saturating_sub(first).max(1)) as f64 * (cells - done) as f64;
+            tracing::info!(
+                id = cell.id,
+                done,
+                cells,
+                left,
+                "cell {done} of {cells}: {}; about {:.0} min left",
+                cell.description(),
+                (left / 60.0).ceil()
+            );
+        }
+    }
+
     /// The same for the steps of a check.
     pub(super) fn step(&mut self, step: &Step) -> ControlFlow<()> {
         let Step { what, done, steps } = *step;
@@ -108,11 +130,11 @@ impl Progress {
 }
 
 /// Unless the user wants to stop.
-fn go_on() -> ControlFlow<()> {
+pub(super) fn go_on() -> ControlFlow<()> {
     if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
-impl Drop for Progress {
+impl Drop for ProgressBar {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

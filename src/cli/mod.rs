@@ -18,8 +18,10 @@ mod messages;
 mod oracle;
 mod reconstruct;
 mod render;
+mod report;
 mod run_folder;
 mod simulate;
+mod table;
 mod views;
 mod voxelize;
 
@@ -85,6 +87,8 @@ enum Command {
     Voxelize(voxelize::Voxelize),
     Confidence(confidence::Confidence),
     Oracle(oracle::Oracle),
+    Table(table::Table),
+    Report(report::Report),
     Compare(compare::Compare),
     Inspect(inspect::Inspect),
     Convert(convert::Convert),
@@ -124,6 +128,8 @@ impl Command {
             Self::Voxelize(command) => command.run(),
             Self::Confidence(command) => command.run(),
             Self::Oracle(command) => command.run(),
+            Self::Table(command) => command.run(global),
+            Self::Report(command) => command.run(),
             Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(global),
             Self::Convert(command) => command.run(),

@@ -1,25 +1,23 @@
 //! `trgs reconstruct`: from the projections of a dataset to a volume, with everything that belongs to a run.
 
 use super::arguments::seed;
-use super::evaluate::evaluate;
-use super::messages::Progress;
+use super::evaluate::answer;
+use super::messages::ProgressBar;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Answer, Global, check_size, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
 use serde_json::json;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use trgs::classical::algebraic::{Pass, asd_pocs, cgls, sart};
-use trgs::classical::{VoxelProjector, fdk};
 use trgs::config::{Config, Method, Precision, Preset};
 use trgs::memory::Estimate;
-use trgs::numeric::{Real, threads};
+use trgs::numeric::threads;
 use trgs::projector::Projection;
+use trgs::reconstruction::{self, Progress, Reconstruction, evaluate};
+use trgs::scene::Dataset;
 use trgs::scene::dataset::Survey;
-use trgs::scene::{Dataset, Volume};
-use trgs::train::{Checkpoint, Checkpoints, Reconstruction, Record, train};
+use trgs::train::{Checkpoint, Checkpoints};
 use trgs::{Error, Result};
 
 /// Reconstruct the volume of a dataset
@@ -96,7 +94,7 @@ impl Reconstruct {
             tracing::info!("{}: {note}", self.dataset.display());
         }
         if let Some(n) = self.views {
-            dataset.train = dataset.train.select(&evenly_spaced(n, dataset.train.len())?);
+            dataset.train = dataset.train.evenly_spaced(n)?;
         }
         // Again, for what only reading tells.
         self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
@@ -105,7 +103,7 @@ impl Reconstruct {
         let report = self.out.join("report.html");
         tracing::info!("wrote {}, with a page to look at", report.display());
         let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
-        Ok(outcome.evaluation.answer(context))
+        Ok(answer(&outcome.evaluation, context))
     }
 
     /// What the run needs, as far as that can be known without reading the scan.
@@ -182,31 +180,19 @@ pub(super) fn reconstruct(
             tracing::warn!("this machine has {} of memory: the run may be slow or be stopped", ByteSize(installed));
         }
         let began = Instant::now();
-        let mut progress = Progress::new(config.iterations, global);
+        let mut bar = ProgressBar::new(config.iterations, global);
         let mut passes = Vec::new();
-        let (primitives, volume, log) = match config.method {
-            Method::TrGs | Method::R2Gaussian => {
-                let mut observe = |iteration, record: Option<&Record>| progress.observe(iteration, record);
-                let Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
-                (Some(primitives), volume, log)
-            }
-            Method::Fdk => {
-                (None, fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?, Vec::new())
-            }
-            Method::Sart | Method::OsSart | Method::AsdPocs | Method::Cgls => {
-                let mut observe = |pass: &Pass| {
-                    let seconds = began.elapsed().as_secs_f64();
-                    passes.push(TimedPass { pass: pass.clone(), seconds });
-                    progress.pass(pass, seconds)
-                };
-                let volume = match config.precision {
-                    Precision::F32 => algebraic::<f32>(dataset, config, &mut observe)?,
-                    Precision::F64 => algebraic::<f64>(dataset, config, &mut observe)?,
-                };
-                (None, volume, Vec::new())
+        let mut observe = |step: Progress| match step {
+            Progress::Iteration(iteration, record) => bar.observe(iteration, record),
+            Progress::Pass(pass) => {
+                let seconds = began.elapsed().as_secs_f64();
+                passes.push(TimedPass { pass: pass.clone(), seconds });
+                bar.pass(pass, seconds)
             }
         };
-        drop(progress);
+        let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
+        let Reconstruction { primitives, volume, log } = found;
+        drop(bar);
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
         let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation };
@@ -215,31 +201,9 @@ pub(super) fn reconstruct(
     })
 }
 
-/// The volume that an iterative method on voxels finds.
-fn algebraic<R: Real>(
-    dataset: &Dataset,
-    config: &Config,
-    observe: &mut dyn FnMut(&Pass) -> ControlFlow<()>,
-) -> Result<Volume> {
-    let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    match config.method {
-        Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), observe),
-        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, observe),
-        _ => sart::<R>(&projector, &dataset.train, &config.sart(), observe),
-    }
-}
-
 /// Bytes of memory of this machine, where the system says it in a file.
 fn installed_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let kibibytes: u64 = text.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok()?;
     Some(kibibytes << 10)
-}
-
-/// `n` of `len` indices, the first among them.
-fn evenly_spaced(n: usize, len: usize) -> Result<Vec<usize>> {
-    if n == 0 || n > len {
-        return Err(Error::invalid("--views", n, format!("1 to {len}, the dataset's training views"), "change it"));
-    }
-    Ok((0..n).map(|i| i * len / n).collect())
 }

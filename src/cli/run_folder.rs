@@ -1,6 +1,5 @@
 //! The folder that a reconstruction leaves behind. It appears as a whole, at the end, or not at all.
 
-use super::evaluate::Evaluation;
 use serde::Serialize;
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -11,6 +10,7 @@ use trgs::numeric::threads;
 use trgs::output::{create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
+use trgs::reconstruction::Evaluation;
 use trgs::report::{self, Curve, Report};
 use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;

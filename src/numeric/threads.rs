@@ -34,6 +34,22 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
     Ok(Pool::new(threads)?.run(work))
 }
 
+/// Runs `work(0)` … `work(n-1)` at the same time, each on a single worker of its own: `n` pieces of work that are not
+/// divided further.
+///
+/// # Errors
+/// When the operating system refuses to start the threads.
+pub fn side_by_side(n: usize, work: impl Fn(usize) + Sync) -> Result<()> {
+    let pools = (0..n).map(|_| Pool::new(1)).collect::<Result<Vec<_>>>()?;
+    std::thread::scope(|scope| {
+        for (number, pool) in pools.iter().enumerate() {
+            let work = &work;
+            scope.spawn(move || pool.run(|| work(number)));
+        }
+    });
+    Ok(())
+}
+
 /// The number of workers that share the current work.
 pub fn count() -> usize {
     rayon::current_num_threads()

@@ -64,7 +64,6 @@ const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inlin
 pub fn render(report: &Report) -> Result<String> {
     let volumes = report.methods.iter().filter_map(|method| Some((method.name, method.volume?))).collect();
     let gallery = Gallery::new(report.truth, volumes)?;
-    let (title, subtitle, style) = (escape(report.title), escape(report.subtitle), include_str!("style.css"));
     let content = [
         headline(&report.methods),
         gallery.map_or(String::new(), |gallery| gallery.html()),
@@ -73,14 +72,19 @@ pub fn render(report: &Report) -> Result<String> {
         facts(&report.facts),
         report.provenance.map_or(String::new(), provenance),
     ];
-    Ok(format!(
+    Ok(document(report.title, report.subtitle, &content.concat()))
+}
+
+/// A whole page in this project's style; title and lead are text, the content is HTML.
+pub(crate) fn document(title: &str, lead: &str, content: &str) -> String {
+    let (title, lead, style) = (escape(title), escape(lead), include_str!("style.css"));
+    format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
          <title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n\
-         <header>\n<h1>{title}</h1>\n<p class=\"lead\">{subtitle}</p>\n</header>\n{}</main>\n</body>\n</html>\n",
-        content.concat()
-    ))
+         <header>\n<h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n</header>\n{content}</main>\n</body>\n</html>\n"
+    )
 }
 
 /// A part of the page under its title, or nothing where there is no content.
@@ -174,7 +178,7 @@ fn rows<'a>(rows: impl Iterator<Item = (&'a String, &'a String)>) -> String {
 }
 
 /// Text as it may stand in HTML, between tags and in attributes.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -77,6 +77,18 @@ impl Projections {
         self.images.index_axis(Axis(0), view)
     }
 
+    /// `n` of the views, evenly spaced, the first among them.
+    ///
+    /// # Errors
+    /// When there are fewer, or `n` is 0.
+    pub fn evenly_spaced(&self, n: usize) -> Result<Self> {
+        let len = self.len();
+        if n == 0 || n > len {
+            return Err(Error::invalid("--views", n, format!("1 to {len}, the dataset's training views"), "change it"));
+        }
+        Ok(self.select(&(0..n).map(|i| i * len / n).collect::<Vec<_>>()))
+    }
+
     /// The views with the given indices, in that order.
     pub fn select(&self, views: &[usize]) -> Self {
         Self { angles: views.iter().map(|&i| self.angles[i]).collect(), images: self.images.select(Axis(0), views) }

@@ -1,0 +1,33 @@
+//! `trgs report`: the pages of a folder of tables again, from the cells that are finished.
+
+use super::table::{answer, requests};
+use super::{Answer, interrupt};
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+use trgs::Result;
+use trgs::experiments::Table;
+
+/// Make the pages of tables again, from the cells that are finished so far; or say where the page of a run is
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs report out/tables
+  trgs report out/torso")]
+pub(super) struct Report {
+    /// Folder of a run, or of tables
+    #[arg(value_name = "RUN|TABLE_DIR")]
+    folder: PathBuf,
+}
+
+impl Report {
+    pub(super) fn run(&self) -> Result<Answer> {
+        let page = self.folder.join("report.html");
+        if page.exists() {
+            return Ok(Answer::list(&json!({ "report": page })));
+        }
+        let requests = requests(&self.folder)?;
+        let written = requests.iter().map(|(name, what)| what.write(&Table::by_name(name)?, &self.folder));
+        let written = interrupt::shielded(|| written.collect::<Result<Vec<_>>>())?;
+        Ok(answer(&self.folder, &written))
+    }
+}

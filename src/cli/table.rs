@@ -1,0 +1,257 @@
+//! `trgs table`: the paper's tables, run and set beside the paper's figures.
+
+use super::messages::{ProgressBar, go_on};
+use super::{Answer, Global, interrupt};
+use clap::{Args, value_parser};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, OnceLock};
+use std::time::Instant;
+use trgs::experiments::{self, Case, Cell, Done, NAMES, Scale, Store, Summary};
+use trgs::numeric::threads;
+use trgs::output::write_atomically;
+use trgs::{Error, Result};
+
+/// What was asked for, so that a page can be made again.
+const REQUESTS: &str = "tables.json";
+
+/// Run a table of the paper, or all of them, and set ours beside the paper's figures
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trgs table list
+  trgs table ablation --out out/tables --size 32
+  trgs table all --out out/tables --seeds 3
+  trgs table volume --out out/tables --data data/r2_gaussian
+  trgs table ablation --out out/tables --list-cells
+  trgs table ablation --out out/tables --cell 0123456789abcdef0123
+
+Cells that are finished in DIR are not run again, so a run that was stopped goes on, and several processes may share DIR.")]
+pub(super) struct Table {
+    /// Name of a table, all, or list
+    #[arg(value_name = "NAME|all|list")]
+    name: String,
+    /// Folder of cells and tables
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    what: What,
+    /// Run this cell alone and make no table; may be given more than once
+    #[arg(long, value_name = "ID", conflicts_with = "list_cells")]
+    cell: Vec<String>,
+    /// Say which cells there are, and run nothing
+    #[arg(long)]
+    list_cells: bool,
+}
+
+/// What a table is filled with.
+#[derive(Args, Clone, Serialize, Deserialize)]
+pub(super) struct What {
+    /// Voxels along the longest side; detector, primitives and iterations follow
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = value_parser!(u16).range(8..=512))]
+    size: u16,
+    /// Runs of everything, each with its own noise and chance; intervals need at least two
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// Scans and volumes to take, instead of the fifteen phantoms
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Only these cases
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    cases: Vec<String>,
+}
+
+impl What {
+    fn cases(&self) -> Result<Vec<Case>> {
+        let all = match &self.data {
+            Some(folder) => Case::in_folder(folder, self.size.into())?,
+            None => Case::stand_ins(),
+        };
+        if self.cases.is_empty() {
+            return Ok(all);
+        }
+        let chosen = self.cases.iter().map(|name| {
+            all.iter().find(|case| case.name == *name).cloned().ok_or_else(|| {
+                let names: Vec<_> = all.iter().map(|case| case.name.as_str()).collect();
+                Error::invalid(
+                    "--cases",
+                    format!("{name:?}"),
+                    format!("some of {}", names.join(", ")),
+                    "choose among them",
+                )
+            })
+        });
+        chosen.collect()
+    }
+
+    fn scale(&self) -> Scale {
+        Scale { size: self.size.into() }
+    }
+
+    /// Writes everything about a table, from the cells that are finished.
+    pub(super) fn write(&self, table: &experiments::Table, out: &Path) -> Result<Written> {
+        let (cases, store) = (self.cases()?, Store::open(out)?);
+        let summary = Summary::new(table, &cases, self.scale(), self.seeds, &store)?;
+        let file = |extension: &str, text: String| {
+            let path = out.join(format!("{}{extension}", table.name));
+            write_atomically(&path, |file| file.write_all(text.as_bytes())).map(|()| path)
+        };
+        file(".csv", summary.csv())?;
+        file("-cases.csv", summary.cases_csv())?;
+        file(".md", summary.markdown())?;
+        file(".tex", summary.latex())?;
+        let page = file(".html", summary.html(&cases, &store))?;
+        let kept = |of: fn(&experiments::Agreement) -> [usize; 2]| {
+            summary
+                .blocks
+                .iter()
+                .flat_map(|block| &block.agreement)
+                .map(of)
+                .fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
+        };
+        Ok(Written {
+            table: table.name,
+            page,
+            cells: summary.findings.len(),
+            missing: summary.missing,
+            pairs: kept(|a| [a.pairs_kept, a.pairs]),
+            signs: kept(|a| [a.signs_kept, a.signs]),
+        })
+    }
+}
+
+/// A table that was made.
+#[derive(Serialize)]
+pub(super) struct Written {
+    table: &'static str,
+    page: PathBuf,
+    cells: usize,
+    missing: usize,
+    /// Pairs of rows in the paper's order, of all that differ in the paper.
+    pairs: [usize; 2],
+    /// Rows on the paper's side of the full model, of all that differ from it in the paper.
+    signs: [usize; 2],
+}
+
+impl Table {
+    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+        if self.name == "list" {
+            return Ok(list());
+        }
+        let tables = match self.name.as_str() {
+            "all" => experiments::Table::all(),
+            name => vec![experiments::Table::by_name(name)?],
+        };
+        let cases = self.what.cases()?;
+        let cells_of = |table: &experiments::Table| table.cells(&cases, self.what.scale(), self.what.seeds);
+        if self.list_cells {
+            return Ok(listed(&tables.iter().flat_map(cells_of).collect::<Vec<_>>()));
+        }
+        let out = self.out.as_deref().ok_or_else(|| {
+            Error::invalid("--out", "nothing", "a folder for cells and tables", "give one, as in --out out/tables")
+        })?;
+        let mut cells: Vec<Cell> = tables.iter().flat_map(cells_of).collect();
+        // Cells of one scan side by side, whichever table wants them.
+        cells.sort_by_cached_key(|cell| (cell.seed, cell.views, cell.noise.clone(), cell.case.name.clone()));
+        if !self.cell.is_empty() {
+            cells = self.chosen(cells)?;
+        }
+        let store = Store::open(out)?;
+        interrupt::shielded(|| run(&cells, &store, global))?;
+        if !self.cell.is_empty() {
+            let found = cells.iter().filter_map(|cell| store.find(&cell.id).transpose()).collect::<Result<Vec<_>>>()?;
+            return Ok(Answer::list(&json!({ "out": out, "cells": found })));
+        }
+        remember(&tables, &self.what, out)?;
+        let written = tables.iter().map(|table| self.what.write(table, out)).collect::<Result<Vec<_>>>()?;
+        Ok(answer(out, &written))
+    }
+
+    /// The cells with the ids asked for.
+    fn chosen(&self, cells: Vec<Cell>) -> Result<Vec<Cell>> {
+        let wanted = |id: &String| {
+            cells.iter().find(|cell| cell.id == *id).cloned().ok_or_else(|| {
+                let expected = "an id that --list-cells prints for the same table, program and options";
+                Error::invalid("--cell", format!("{id:?}"), expected, "list them again")
+            })
+        };
+        self.cell.iter().map(wanted).collect()
+    }
+}
+
+/// Pages and files of tables, for people and programs.
+pub(super) fn answer(out: &Path, written: &[Written]) -> Answer {
+    let rows = written.iter().map(|w| {
+        let of = |[kept, all]: [usize; 2]| format!("{kept} of {all}");
+        [w.table.into(), w.cells.to_string(), of(w.pairs), of(w.signs), w.page.display().to_string()]
+    });
+    Answer::table(
+        &json!({ "out": out, "tables": written }),
+        ["table", "cells", "order as in the paper", "signs", "page"],
+        rows,
+    )
+}
+
+/// Runs what is not finished, with progress.
+fn run(cells: &[Cell], store: &Store, global: &Global) -> Result<()> {
+    let ids: BTreeSet<_> = cells.iter().map(|cell| &cell.id).collect();
+    let (bar, first, began) = (Mutex::new(ProgressBar::new(ids.len(), global)), OnceLock::new(), Instant::now());
+    let observe = |done: Option<&Done<'_>>| -> ControlFlow<()> {
+        if let (Some(done), Ok(mut bar)) = (done, bar.lock()) {
+            let first = *first.get_or_init(|| done.done - 1);
+            bar.cell(done, first, began.elapsed().as_secs_f64());
+        }
+        go_on()
+    };
+    experiments::run(cells, store, threads::count(), &observe)
+}
+
+fn list() -> Answer {
+    let tables = experiments::Table::all();
+    let of = |table: &experiments::Table| {
+        json!({ "name": table.name, "number": table.number, "title": table.title, "metrics": table.metrics,
+            "views": table.views, "noise": table.noise, "rows": table.rows.iter().map(|row| &row.name).collect::<Vec<_>>() })
+    };
+    let rows = tables.iter().map(|table| {
+        let views: Vec<_> = table.views.iter().map(usize::to_string).collect();
+        [
+            table.name.into(),
+            table.number.to_string(),
+            table.title.clone(),
+            table.rows.len().to_string(),
+            views.join(", "),
+        ]
+    });
+    let all: Vec<_> = tables.iter().map(of).collect();
+    Answer::table(&all, ["name", "in the paper", "what", "rows", "views"], rows)
+}
+
+fn listed(cells: &[Cell]) -> Answer {
+    let mut known = BTreeSet::new();
+    let cells: Vec<_> = cells.iter().filter(|cell| known.insert(&cell.id)).collect();
+    let all: Vec<_> = cells.iter().map(|cell| json!({ "id": cell.id, "cell": cell.description() })).collect();
+    Answer::table(&all, ["id", "cell"], cells.iter().map(|cell| [cell.id.clone(), cell.description()]))
+}
+
+/// Keeps what was asked for in DIR, beside what was asked for before.
+fn remember(tables: &[experiments::Table], what: &What, out: &Path) -> Result<()> {
+    let mut requests = if out.join(REQUESTS).exists() { requests(out)? } else { BTreeMap::new() };
+    requests.extend(tables.iter().map(|table| (table.name.to_owned(), what.clone())));
+    let text = serde_json::to_string_pretty(&requests).expect("string keys") + "\n";
+    write_atomically(&out.join(REQUESTS), |file| file.write_all(text.as_bytes()))
+}
+
+/// What was asked for in a folder, by the name of the table.
+pub(super) fn requests(folder: &Path) -> Result<BTreeMap<String, What>> {
+    let path = folder.join(REQUESTS);
+    let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+    let requests: BTreeMap<String, What> = serde_json::from_slice(&text)
+        .map_err(|error| Error::format(&path, "tables", error, "what `trgs table` writes", "run the table again"))?;
+    match requests.keys().find(|name| !NAMES.contains(&name.as_str())) {
+        Some(name) => Err(Error::format(&path, "table", name, NAMES.join(", "), "run the table again")),
+        None => Ok(requests),
+    }
+}

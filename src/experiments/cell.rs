@@ -1,0 +1,161 @@
+//! One run of an experiment: a case, how it is seen, and the settings of a method.
+
+use super::case::{Case, Sight};
+use super::scale::Scale;
+use super::table::{Row, Table, noise};
+use crate::config::{Config, Method};
+use crate::error::Result;
+use crate::provenance::{commit, digest_bytes};
+use crate::reconstruction::{self, Progress, Reconstruction};
+use crate::report::slice::{Cut, Picture, Window};
+use crate::scene::{Dataset, Volume};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+/// Digits of an id: no two of a million cells share as many by chance.
+const ID_DIGITS: usize = 20;
+
+/// A run that can be done by itself, anywhere, once.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Follows from configuration, data, and the version of the program.
+    pub id: String,
+    /// What is scanned.
+    pub case: Case,
+    /// Training views.
+    pub views: usize,
+    /// Level of noise.
+    pub noise: String,
+    /// All random choices of scan and run follow from it.
+    pub seed: u64,
+    /// The size that all else follows from.
+    pub scale: Scale,
+    config: Config,
+}
+
+/// What a cell found. Equal cells find equal bits, so there is no time in it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finding {
+    /// Of the cell.
+    pub id: String,
+    /// What was scanned.
+    pub case: String,
+    /// Training views.
+    pub views: usize,
+    /// Level of noise.
+    pub noise: String,
+    /// Of scan and run.
+    pub seed: u64,
+    /// How the volume was found.
+    pub method: Method,
+    /// Of [`super::METRICS`], those that there are.
+    pub metrics: BTreeMap<String, f64>,
+    /// Primitives at the end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub primitives: Option<usize>,
+}
+
+impl Table {
+    /// Its cells, those of one scan together.
+    pub fn cells(&self, cases: &[Case], scale: Scale, seeds: u64) -> Vec<Cell> {
+        let mut cells = Vec::new();
+        for seed in 0..seeds {
+            for &views in &self.views {
+                for level in &self.noise {
+                    for case in cases {
+                        let of_row = |row: &Row| Cell::new(row.config()?, case, scale, views, level, seed);
+                        cells.extend(self.rows.iter().filter_map(of_row));
+                    }
+                }
+            }
+        }
+        cells
+    }
+
+    /// The cell of a row; None where the row runs nothing.
+    pub(super) fn cell(
+        &self,
+        row: &Row,
+        case: &Case,
+        scale: Scale,
+        views: usize,
+        level: &str,
+        seed: u64,
+    ) -> Option<Cell> {
+        Cell::new(row.config()?, case, scale, views, level, seed)
+    }
+}
+
+impl Cell {
+    /// None where the case has a noise of its own, which is not the one asked for.
+    fn new(mut config: Config, case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> Option<Self> {
+        if !case.takes_noise() && level != "low" {
+            return None;
+        }
+        scale.apply(&mut config);
+        config.seed = seed;
+        let scan = Self::scan_key(case, scale, views, level, seed);
+        let settings = serde_json::to_string(&config).expect("a configuration has string keys");
+        let program = commit().unwrap_or(env!("CARGO_PKG_VERSION"));
+        let id = digest_bytes(format!("{program}\n{scan}\n{settings}").as_bytes())[..ID_DIGITS].to_owned();
+        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, config })
+    }
+
+    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> String {
+        format!("{} {} {views} {level} {seed}", case.digest, scale.size)
+    }
+
+    /// Cells of the same scan have the same.
+    pub(super) fn scan_id(&self) -> String {
+        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed)
+    }
+
+    /// In a few words.
+    pub fn description(&self) -> String {
+        let method = serde_json::to_value(self.config.method).expect("a name");
+        let method = method.as_str().unwrap_or_default();
+        format!("{}, {} views, {} noise, seed {}, {method}", self.case.name, self.views, self.noise, self.seed)
+    }
+
+    /// The scan that it begins with.
+    pub(super) fn scan(&self) -> Result<Dataset> {
+        let sight = Sight { views: self.views, noise: noise(&self.noise), seed: self.seed };
+        self.case.scan(self.scale, &sight)
+    }
+
+    /// Runs it on its scan; with the [`picture`] of what it found.
+    pub(super) fn run(
+        &self,
+        dataset: &Dataset,
+        go_on: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<(Finding, Vec<u8>)> {
+        let mut observe = |_: Progress<'_>| go_on();
+        let Reconstruction { primitives, volume, log } =
+            reconstruction::reconstruct(dataset, &self.config, None, &mut observe)?;
+        let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
+        let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
+        let mut metrics: BTreeMap<String, f64> =
+            names.filter_map(|(name, metric)| Some((name.into(), metric?.value))).collect();
+        if let Some(spearman) = log.last().and_then(|record| record.spearman) {
+            metrics.insert("spearman".into(), spearman);
+        }
+        let finding = Finding {
+            id: self.id.clone(),
+            case: self.case.name.clone(),
+            views: self.views,
+            noise: self.noise.clone(),
+            seed: self.seed,
+            method: self.config.method,
+            metrics,
+            primitives: primitives.map(|primitives| primitives.len()),
+        };
+        Ok((finding, picture(&volume)))
+    }
+}
+
+/// The slice across z in the middle, densities from 0 to 1 from black to white, as a PNG file.
+pub(super) fn picture(volume: &Volume) -> Vec<u8> {
+    let cut = Cut { axis: 2, index: volume.grid.shape[2] / 2 };
+    Picture::grey(&cut.values(volume), Window { low: 0.0, high: 1.0 }).png()
+}

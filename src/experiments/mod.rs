@@ -1,0 +1,31 @@
+//! The paper's tables, one command each: cells that are run once, anywhere, and what they say together.
+//!
+//! A [`Table`] is data (`src/experiments/tables/*.toml`): rows, numbers of views, levels of noise. Each combination with
+//! a case and a seed is a [`Cell`], whose id follows from configuration, data and program. [`run`] does those that are
+//! not in the [`Store`] yet; a [`Summary`] sets ours beside the paper's figures (`reference/paper/*.csv`).
+//!
+//! ```text
+//! Table × Case × Scale × seeds ── cells ──▶ run ──▶ Store ──▶ Summary ──▶ CSV, Markdown, LaTeX, HTML
+//! ```
+
+mod case;
+mod cell;
+mod page;
+mod plot;
+mod runner;
+mod scale;
+mod store;
+mod summary;
+mod table;
+mod text;
+
+pub use case::Case;
+pub use cell::{Cell, Finding};
+pub use runner::{Done, Observe, run};
+pub use scale::Scale;
+pub use store::Store;
+pub use summary::{Agreement, Block, Estimate, Figure, Summary};
+pub use table::{NAMES, Row, Table};
+
+/// What a cell may find.
+pub const METRICS: [&str; 5] = ["spearman", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];

@@ -1,0 +1,133 @@
+//! A summary as one HTML file that needs nothing but itself.
+
+use super::case::Case;
+use super::plot::plot;
+use super::store::Store;
+use super::summary::Summary;
+use super::text::{number, title, with_interval};
+use crate::report::{document, escape};
+use base64::prelude::{BASE64_STANDARD, Engine as _};
+use std::fmt::Write;
+
+impl Summary {
+    /// The page. `cases` are those of the summary; its pictures are of the first of them, its first seed, and the
+    /// block in the middle.
+    pub fn html(&self, cases: &[Case], store: &Store) -> String {
+        let heading = format!("Table {}: {}", self.table.number, self.table.title);
+        let mut content = String::new();
+        for block in &self.blocks {
+            content += &self.block(block);
+        }
+        for metric in &self.table.metrics {
+            if let Some(svg) = plot(self, metric) {
+                let _ = write!(content, "<section>\n<h2>{}</h2>\n{svg}\n", title(metric));
+                content +=
+                    "<p class=\"note\">Solid: ours, with the interval over seeds; dashed: the paper.</p>\n</section>\n";
+            }
+        }
+        content += &self.pictures(cases, store);
+        content += &self.appendix();
+        let _ = write!(content, "<section>\n<h2>Provenance</h2>\n<p>{}</p>\n</section>\n", escape(&self.footer()));
+        document(&heading, &self.conditions(), &content)
+    }
+
+    fn block(&self, block: &super::summary::Block) -> String {
+        let mut head = String::from("<th></th>");
+        for metric in &self.table.metrics {
+            let _ = write!(head, "<th>{}</th><th>less {}</th><th>paper</th>", title(metric), escape(&self.table.full));
+        }
+        let mut body = String::new();
+        for (row, figures) in self.table.rows.iter().zip(&block.figures) {
+            let _ = write!(body, "<tr><th>{}</th>", escape(&row.name));
+            for (metric, figure) in self.table.metrics.iter().zip(figures) {
+                let class =
+                    figure.rank.filter(|rank| *rank <= 3).map_or(String::new(), |r| format!(" class=\"best{r}\""));
+                let difference = figure.difference.map_or(String::new(), |d| with_interval(Some(d), metric, true));
+                let _ = write!(
+                    body,
+                    "<td{class}>{}</td><td>{difference}</td><td>{}</td>",
+                    with_interval(figure.ours, metric, false),
+                    number(figure.paper, metric)
+                );
+            }
+            body += "</tr>\n";
+        }
+        let mut notes = String::new();
+        for (metric, agreement) in self.table.metrics.iter().zip(&block.agreement) {
+            let _ = writeln!(notes, "<li>{}</li>", agreement.sentence(metric));
+        }
+        format!(
+            "<section>\n<h2>{}</h2>\n<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n\
+             <ul class=\"note\">\n{notes}</ul>\n</section>\n",
+            escape(&block.title())
+        )
+    }
+
+    /// Slices of the truth and of every row, side by side.
+    fn pictures(&self, cases: &[Case], store: &Store) -> String {
+        let (Some(case), Some(block)) = (cases.first(), self.blocks.get(self.blocks.len() / 2)) else {
+            return String::new();
+        };
+        let mut figures = String::new();
+        let mut add = |name: &str, png: Vec<u8>| {
+            let data = BASE64_STANDARD.encode(png);
+            let name = escape(name);
+            let _ = writeln!(
+                figures,
+                "<figure><img alt=\"{name}\" src=\"data:image/png;base64,{data}\"><figcaption>{name}</figcaption></figure>"
+            );
+        };
+        let cells = || {
+            self.table
+                .rows
+                .iter()
+                .filter_map(|row| Some((row, self.table.cell(row, case, self.scale, block.views, &block.noise, 0)?)))
+        };
+        if let Some(png) = cells().next().and_then(|(_, cell)| store.picture_of_truth(&cell)) {
+            add("truth", png);
+        }
+        for (row, cell) in cells() {
+            if let Some(png) = store.picture(&cell) {
+                add(&row.name, png);
+            }
+        }
+        if figures.is_empty() {
+            return figures;
+        }
+        format!(
+            "<section>\n<h2>A slice of {}, {}</h2>\n<div class=\"slices\">\n{figures}</div>\n\
+             <p class=\"note\">Across z in the middle; densities from 0 to 1 from black to white.</p>\n</section>\n",
+            escape(&case.name),
+            escape(&block.title())
+        )
+    }
+
+    /// Every case by itself.
+    fn appendix(&self) -> String {
+        let mut html = String::from("<section>\n<h2>Each case</h2>\n");
+        for (column, metric) in self.table.metrics.iter().enumerate() {
+            for block in &self.blocks {
+                let _ = write!(
+                    html,
+                    "<details><summary>{}, {}</summary>\n<div class=\"scroll\"><table>\n<thead><tr><th></th>",
+                    title(metric),
+                    escape(&block.title())
+                );
+                for case in &self.cases {
+                    let _ = write!(html, "<th>{}</th>", escape(case));
+                }
+                html += "</tr></thead>\n<tbody>\n";
+                for (row, figures) in self.table.rows.iter().zip(&block.figures).filter(|(row, _)| row.method.is_some())
+                {
+                    let _ = write!(html, "<tr><th>{}</th>", escape(&row.name));
+                    for value in &figures[column].by_case {
+                        let _ = write!(html, "<td>{}</td>", number(*value, metric));
+                    }
+                    html += "</tr>\n";
+                }
+                html += "</tbody></table></div></details>\n";
+            }
+        }
+        html + "</section>\n"
+    }
+}

@@ -1,0 +1,140 @@
+//! A metric against what a table varies: a line per row, or one line where the rows themselves are numbered.
+
+use super::summary::{Estimate, Figure, Summary};
+use super::table::Row;
+use plotters::prelude::*;
+use std::collections::BTreeSet;
+
+/// Colours that readers with any colour vision can tell apart (Okabe and Ito), on light and on dark ground.
+const COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(213, 94, 0),
+    RGBColor(128, 128, 128),
+];
+const SIZE: (u32, u32) = (720, 360);
+
+/// One line of ours with its band, and the paper's.
+struct Series {
+    name: String,
+    ours: Vec<(f64, Estimate)>,
+    paper: Vec<(f64, f64)>,
+}
+
+/// The plot as inline SVG; None where the table varies nothing, or no cell is finished.
+pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
+    summary.table.against.as_ref()?;
+    let column = summary.table.metrics.iter().position(|known| known == metric)?;
+    let series = series(summary, column);
+    let places: BTreeSet<_> = points(&series).map(|(x, _)| x.to_bits()).collect();
+    if places.len() < 2 {
+        return None;
+    }
+    let mut svg = String::new();
+    draw(&mut svg, summary, &series).ok()?;
+    // It takes the width that it is given.
+    let viewed = format!("<svg viewBox=\"0 0 {} {}\" ", SIZE.0, SIZE.1);
+    svg.find("<svg ").map(|start| svg[start..].replacen("<svg ", &viewed, 1))
+}
+
+fn points(series: &[Series]) -> impl Iterator<Item = (f64, f64)> {
+    series.iter().flat_map(|series| {
+        let ours = series.ours.iter().flat_map(|(x, estimate)| {
+            let (low, high) = estimate.interval.unwrap_or((estimate.mean, estimate.mean));
+            [(*x, low), (*x, high)]
+        });
+        ours.chain(series.paper.iter().copied())
+    })
+}
+
+fn series(summary: &Summary, column: usize) -> Vec<Series> {
+    let table = &summary.table;
+    let of = |name: String, wanted: &dyn Fn(&Row, &str, usize) -> bool| {
+        let mut series = Series { name, ours: Vec::new(), paper: Vec::new() };
+        for block in &summary.blocks {
+            for (row, figures) in table.rows.iter().zip(&block.figures) {
+                let Some(x) = table.place(row, block.views, &block.noise) else { continue };
+                if wanted(row, &block.noise, block.views) {
+                    let Figure { ours, paper, .. } = &figures[column];
+                    series.ours.extend(ours.map(|ours| (x, ours)));
+                    series.paper.extend(paper.map(|paper| (x, paper)));
+                }
+            }
+        }
+        series
+    };
+    match table.against.as_deref() {
+        Some("views") => table.rows.iter().map(|row| of(row.name.clone(), &|r, _, _| r.name == row.name)).collect(),
+        Some("noise") => {
+            let lines = table.rows.iter().flat_map(|row| table.views.iter().map(move |&views| (row, views)));
+            lines
+                .map(|(row, views)| {
+                    of(format!("{}, {views} views", row.name), &|r, _, v| r.name == row.name && v == views)
+                })
+                .collect()
+        }
+        _ => vec![of("TR-GS".into(), &|_, _, _| true)],
+    }
+}
+
+fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Box<dyn std::error::Error>> {
+    let range = |values: Vec<f64>| {
+        let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+        let margin = 0.05 * (high - low).max(1e-6);
+        low - margin..high + margin
+    };
+    let against = summary.table.against.clone().unwrap_or_default();
+    let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let mut chart = ChartBuilder::on(&area)
+        .margin(8)
+        .x_label_area_size(36)
+        .y_label_area_size(56)
+        .right_y_label_area_size(190)
+        .build_cartesian_2d(
+            range(points(series).map(|p| p.0).collect()),
+            range(points(series).map(|p| p.1).collect()),
+        )?;
+    let grey = RGBColor(128, 128, 128);
+    let noise = &summary.table.noise;
+    let label = |x: &f64| match against.as_str() {
+        "noise" => {
+            noise.iter().enumerate().find(|(i, _)| (*i as f64 - x).abs() < 1e-6).map_or(String::new(), |n| n.1.clone())
+        }
+        "views" => format!("{x:.0}"),
+        _ => format!("{x:.2}"),
+    };
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(grey.mix(0.25))
+        .axis_style(grey)
+        .label_style(("sans-serif", 13, &grey))
+        .x_labels(if against == "noise" { 2 * noise.len() } else { 6 })
+        .x_label_formatter(&label)
+        .x_desc(against.as_str())
+        .draw()?;
+    for (number, Series { name, ours, paper }) in series.iter().enumerate() {
+        let colour = COLOURS[number % COLOURS.len()];
+        let bands: Vec<_> = ours.iter().filter_map(|(x, e)| e.interval.map(|(low, high)| (*x, low, high))).collect();
+        let outline = bands.iter().map(|b| (b.0, b.1)).chain(bands.iter().rev().map(|b| (b.0, b.2)));
+        chart.draw_series([Polygon::new(outline.collect::<Vec<_>>(), colour.mix(0.2))])?;
+        chart.draw_series(DashedLineSeries::new(paper.clone(), 4, 4, colour.into()))?;
+        let line = ours.iter().map(|(x, estimate)| (*x, estimate.mean));
+        chart
+            .draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?
+            .label(name.as_str())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::Coordinate(SIZE.0 as i32 - 240, 8))
+        .label_font(("sans-serif", 13, &grey))
+        .draw()?;
+    area.present()?;
+    drop(chart);
+    drop(area);
+    Ok(())
+}

@@ -1,0 +1,264 @@
+//! What the cells of a table say together: means, intervals, differences, and whether they agree with the paper.
+
+use super::METRICS;
+use super::case::Case;
+use super::cell::Finding;
+use super::scale::Scale;
+use super::store::Store;
+use super::table::Table;
+use crate::error::Result;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Resamples of a bootstrap.
+const RESAMPLES: usize = 2000;
+/// Part of them that an interval leaves out at each end.
+const TAIL: f64 = 0.025;
+
+/// A table with our figures in it.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// What it is a summary of.
+    pub table: Table,
+    /// The cases that means are over.
+    pub cases: Vec<String>,
+    /// Seeds of each.
+    pub seeds: u64,
+    /// The size of everything.
+    pub scale: Scale,
+    /// For each number of views and noise.
+    pub blocks: Vec<Block>,
+    /// Cells that are not finished.
+    pub missing: usize,
+    /// Finished ones.
+    pub findings: Vec<Finding>,
+}
+
+/// The rows of a table for one number of views and one level of noise.
+#[derive(Clone, Debug)]
+pub struct Block {
+    /// Training views.
+    pub views: usize,
+    /// Level of noise.
+    pub noise: String,
+    /// For each row of the table, for each of its metrics.
+    pub figures: Vec<Vec<Figure>>,
+    /// For each metric.
+    pub agreement: Vec<Agreement>,
+}
+
+/// A row's value of a metric.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Figure {
+    /// Over cases and seeds.
+    pub ours: Option<Estimate>,
+    /// Ours less that of the full model, pair by pair.
+    pub difference: Option<Estimate>,
+    /// As printed.
+    pub paper: Option<f64>,
+    /// 1 is the best of ours in its block.
+    pub rank: Option<usize>,
+    /// Means over seeds, for each case.
+    pub by_case: Vec<Option<f64>>,
+}
+
+/// A mean over cases and seeds. The interval is that of 95 % of 2,000 resamples of the seeds within each case
+/// (stratified bootstrap); there is none for a single seed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Mean over cases of means over seeds.
+    pub mean: f64,
+    /// Ends of the interval.
+    pub interval: Option<(f64, f64)>,
+}
+
+/// How far our figures stand to each other as those of the paper do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Agreement {
+    /// Pairs of rows that differ in the paper, and how many are in the same order here.
+    pub pairs: usize,
+    /// See `pairs`.
+    pub pairs_kept: usize,
+    /// Rows that differ from the full model in the paper, and how many do to the same side here.
+    pub signs: usize,
+    /// See `signs`.
+    pub signs_kept: usize,
+}
+
+impl Summary {
+    /// From the cells that are finished.
+    ///
+    /// # Errors
+    /// When one of their files is damaged.
+    pub fn new(table: &Table, cases: &[Case], scale: Scale, seeds: u64, store: &Store) -> Result<Self> {
+        let mut summary = Self {
+            table: table.clone(),
+            cases: cases.iter().map(|case| case.name.clone()).collect(),
+            seeds,
+            scale,
+            blocks: Vec::new(),
+            missing: 0,
+            findings: Vec::new(),
+        };
+        for &views in &table.views {
+            for level in &table.noise {
+                // [row][case][seed]
+                let mut found: Vec<Vec<Vec<Option<Finding>>>> = Vec::new();
+                for row in &table.rows {
+                    let mut of_row = Vec::new();
+                    for case in cases {
+                        let mut of_case = Vec::new();
+                        for seed in 0..seeds {
+                            let finding = match table.cell(row, case, scale, views, level, seed) {
+                                Some(cell) => {
+                                    let finding = store.find(&cell.id)?;
+                                    summary.missing += usize::from(finding.is_none());
+                                    finding
+                                }
+                                None => None,
+                            };
+                            summary.findings.extend(finding.clone());
+                            of_case.push(finding);
+                        }
+                        of_row.push(of_case);
+                    }
+                    found.push(of_row);
+                }
+                summary.blocks.push(Block::new(table, views, level, &found));
+            }
+        }
+        Ok(summary)
+    }
+}
+
+impl Block {
+    fn new(table: &Table, views: usize, noise: &str, found: &[Vec<Vec<Option<Finding>>>]) -> Self {
+        let full = table.rows.iter().position(|row| row.name == table.full).expect("a row of the table");
+        let mut figures: Vec<Vec<Figure>> = vec![Vec::new(); table.rows.len()];
+        for metric in &table.metrics {
+            let values = |row: usize| -> Vec<Vec<Option<f64>>> {
+                let value = |finding: &Option<Finding>| finding.as_ref()?.metrics.get(metric).copied();
+                found[row].iter().map(|seeds| seeds.iter().map(value).collect()).collect()
+            };
+            let of_full = values(full);
+            for (number, row) in table.rows.iter().enumerate() {
+                let values = values(number);
+                let pairs = values.iter().zip(&of_full).map(|(ours, full)| {
+                    ours.iter().zip(full).map(|(ours, full)| Some((*ours)? - (*full)?)).collect::<Vec<_>>()
+                });
+                let difference = if number == full { None } else { estimate(&pairs.collect::<Vec<_>>()) };
+                figures[number].push(Figure {
+                    ours: estimate(&values),
+                    difference,
+                    paper: table.printed(row, views, noise, metric),
+                    rank: None,
+                    by_case: values.iter().map(|seeds| mean(seeds.iter().flatten().copied())).collect(),
+                });
+            }
+        }
+        for column in 0..table.metrics.len() {
+            let ours = |row: &[Figure]| row[column].ours.map(|estimate| estimate.mean);
+            let all: Vec<Option<f64>> = figures.iter().map(|row| ours(row)).collect();
+            for (row, value) in figures.iter_mut().zip(&all) {
+                row[column].rank = value.map(|value| 1 + all.iter().flatten().filter(|other| **other > value).count());
+            }
+        }
+        let agreement = (0..table.metrics.len()).map(|column| Agreement::new(&figures, column, full)).collect();
+        Self { views, noise: noise.into(), figures, agreement }
+    }
+}
+
+impl Agreement {
+    fn new(figures: &[Vec<Figure>], column: usize, full: usize) -> Self {
+        let both = |row: usize| Some((figures[row][column].ours?.mean, figures[row][column].paper?));
+        let mut agreement = Self::default();
+        for a in 0..figures.len() {
+            for b in a + 1..figures.len() {
+                let (Some((ours_a, paper_a)), Some((ours_b, paper_b))) = (both(a), both(b)) else { continue };
+                if paper_a == paper_b {
+                    continue;
+                }
+                let kept = usize::from((ours_a > ours_b) == (paper_a > paper_b) && ours_a != ours_b);
+                agreement.pairs += 1;
+                agreement.pairs_kept += kept;
+                if a == full || b == full {
+                    agreement.signs += 1;
+                    agreement.signs_kept += kept;
+                }
+            }
+        }
+        agreement
+    }
+}
+
+/// Of `[case][seed]`, over what there is; None when there is nothing.
+fn estimate(values: &[Vec<Option<f64>>]) -> Option<Estimate> {
+    let cases: Vec<Vec<f64>> = values.iter().map(|seeds| seeds.iter().flatten().copied().collect()).collect();
+    let cases: Vec<Vec<f64>> = cases.into_iter().filter(|seeds: &Vec<f64>| !seeds.is_empty()).collect();
+    let over_cases = |of: &mut dyn FnMut(&[f64]) -> Option<f64>| mean(cases.iter().filter_map(|seeds| of(seeds)));
+    let centre = over_cases(&mut |seeds| mean(seeds.iter().copied()))?;
+    if cases.iter().any(|seeds| seeds.len() < 2) {
+        return Some(Estimate { mean: centre, interval: None });
+    }
+    // Its chance is always the same, so that equal cells make equal tables.
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut resamples: Vec<f64> = (0..RESAMPLES)
+        .filter_map(|_| {
+            over_cases(&mut |seeds| mean((0..seeds.len()).map(|_| seeds[random.random_range(0..seeds.len())])))
+        })
+        .collect();
+    resamples.sort_by(f64::total_cmp);
+    let cut = (TAIL * resamples.len() as f64) as usize;
+    Some(Estimate { mean: centre, interval: Some((resamples[cut], resamples[resamples.len() - 1 - cut])) })
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// Decimals that a metric is printed with.
+pub(super) fn decimals(metric: &str) -> usize {
+    debug_assert!(METRICS.contains(&metric), "{metric}");
+    if metric.starts_with("psnr") { 2 } else { 3 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_estimate_weighs_cases_alike_and_its_interval_is_that_of_the_seeds() {
+        let values = [vec![Some(1.0), Some(3.0), None], vec![Some(10.0), Some(10.0), Some(10.0)]];
+        let Estimate { mean, interval } = estimate(&values).unwrap();
+        assert_eq!(mean, 6.0);
+        // Two seeds of one case alone vary: 1, 2 or 3 on the mean, so 5.5, 6 or 6.5.
+        assert_eq!(interval, Some((5.5, 6.5)));
+        assert_eq!(estimate(&[vec![Some(1.0)], vec![Some(2.0), Some(3.0)]]).unwrap().interval, None);
+        assert_eq!(estimate(&[vec![None], vec![]]), None);
+    }
+
+    #[test]
+    fn an_interval_is_as_wide_as_the_mean_is_uncertain() {
+        // 16 seeds with a standard deviation of 1: the mean's is 1/4, and 95 % of a normal law lie within 1.96 of it.
+        let seeds: Vec<Option<f64>> = (0..16).map(|i| Some(if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
+        let (low, high) = estimate(&[seeds]).unwrap().interval.unwrap();
+        assert!((high - low - 2.0 * 1.96 / 4.0).abs() < 0.15, "{low} {high}");
+    }
+
+    #[test]
+    fn agreement_counts_pairs_in_the_papers_order() {
+        let figure = |ours, paper| {
+            vec![Figure {
+                ours: Some(Estimate { mean: ours, interval: None }),
+                paper: Some(paper),
+                ..Figure::default()
+            }]
+        };
+        // The paper's order is a < b < c = d; ours a < c < b < d.
+        let figures = [figure(1.0, 1.0), figure(3.0, 2.0), figure(2.0, 3.0), figure(4.0, 3.0)];
+        let agreement = Agreement::new(&figures, 0, 3);
+        assert_eq!((agreement.pairs, agreement.pairs_kept), (5, 4));
+        assert_eq!((agreement.signs, agreement.signs_kept), (2, 2));
+    }
+}

@@ -1,0 +1,202 @@
+//! The paper's tables as data: which rows, what each of them runs, and where its figures stand in the paper.
+
+use crate::config::{Config, Method};
+use crate::error::{Error, Result};
+use crate::scene::Noise;
+use rust_embed::Embed;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// The tables in the order of the paper.
+pub const NAMES: [&str; 8] =
+    ["volume", "projection", "noise", "ablation", "temperature", "optimiser", "threshold", "enhancement"];
+
+#[derive(Embed)]
+#[folder = "src/experiments/tables"]
+struct Definitions;
+
+#[derive(Embed)]
+#[folder = "reference/paper"]
+struct Printed;
+
+/// A table: every row for every number of views and every noise.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Table {
+    /// As on the command line.
+    #[serde(skip)]
+    pub name: &'static str,
+    /// In the paper.
+    pub number: u8,
+    /// What it is about.
+    pub title: String,
+    /// Columns: of [`super::METRICS`].
+    pub metrics: Vec<String>,
+    /// Numbers of training views.
+    pub views: Vec<usize>,
+    /// Levels of noise, of [`Noise::NAMED`].
+    pub noise: Vec<String>,
+    /// What selects its part of the paper's table, beside the rows' own: column → value.
+    #[serde(default)]
+    pub paper: BTreeMap<String, String>,
+    /// The row that the others are compared with.
+    pub full: String,
+    /// What is plotted from left to right: views, noise, or a column that numbers the rows in the paper.
+    pub against: Option<String>,
+    /// From top to bottom.
+    pub rows: Vec<Row>,
+    /// The paper's figures.
+    #[serde(skip)]
+    printed: Vec<BTreeMap<String, String>>,
+}
+
+/// A row of each block of a table.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// As it is printed.
+    pub name: String,
+    /// What selects it in the paper's table: column → value. None: the paper does not have it.
+    #[serde(default)]
+    pub paper: BTreeMap<String, String>,
+    /// What it runs. None: only the paper has it.
+    pub method: Option<Method>,
+    /// Settings, as after `--set`.
+    #[serde(default)]
+    pub set: Vec<String>,
+}
+
+impl Table {
+    /// A table by its name.
+    ///
+    /// # Errors
+    /// When there is none of that name.
+    pub fn by_name(name: &str) -> Result<Self> {
+        let known = NAMES.into_iter().find(|known| *known == name);
+        known.map(Self::load).ok_or_else(|| {
+            Error::invalid("table", format!("{name:?}"), format!("all, list, {}", NAMES.join(", ")), "choose one")
+        })
+    }
+
+    /// All of them.
+    pub fn all() -> Vec<Self> {
+        NAMES.into_iter().map(Self::load).collect()
+    }
+
+    fn load(name: &'static str) -> Self {
+        let text = |content: Option<rust_embed::EmbeddedFile>| {
+            String::from_utf8(content.expect("a file per table").data.into_owned()).expect("text")
+        };
+        let definition = text(Definitions::get(&format!("{name}.toml")));
+        let mut table: Self = toml::from_str(&definition).unwrap_or_else(|error| panic!("table {name}: {error}"));
+        let printed = text(Printed::get(&format!("{name}.csv")));
+        let mut reader = csv::Reader::from_reader(printed.as_bytes());
+        table.printed = reader.deserialize().collect::<csv::Result<_>>().expect("the paper's tables are rectangular");
+        table.name = name;
+        table
+    }
+
+    /// The figure that the paper prints for a row, if it does.
+    pub fn printed(&self, row: &Row, views: usize, noise: &str, metric: &str) -> Option<f64> {
+        if row.paper.is_empty() {
+            return None;
+        }
+        let views = views.to_string();
+        let line = self.printed.iter().find(|line| {
+            let is = |column: &str, value: &str| line.get(column).is_none_or(|printed| printed == value);
+            let selected = self.paper.iter().chain(&row.paper).all(|(column, value)| line.get(column) == Some(value));
+            selected && is("views", &views) && is("noise", noise)
+        })?;
+        line.get(metric)?.parse().ok()
+    }
+
+    /// Where a row stands from left to right in a plot.
+    pub fn place(&self, row: &Row, views: usize, noise: &str) -> Option<f64> {
+        match self.against.as_deref()? {
+            "views" => Some(views as f64),
+            "noise" => self.noise.iter().position(|known| known == noise).map(|place| place as f64),
+            column => row.paper.get(column)?.parse().ok(),
+        }
+    }
+}
+
+impl Row {
+    /// Its configuration before it is scaled; None for one that only the paper has. Both methods on primitives project
+    /// as the paper does, affinely, unless the row says otherwise.
+    ///
+    /// # Panics
+    /// When a setting is wrong.
+    pub fn config(&self) -> Option<Config> {
+        let mut config = Config::of(self.method?);
+        config.projection = crate::projector::Projection::Affine;
+        for setting in &self.set {
+            config.set(setting).unwrap_or_else(|error| panic!("row {}: {error}", self.name));
+        }
+        Some(config)
+    }
+}
+
+/// Noise by its name.
+///
+/// # Panics
+/// When there is none of that name.
+pub(super) fn noise(name: &str) -> Noise {
+    let known = Noise::NAMED.into_iter().find(|(known, _)| *known == name);
+    known.unwrap_or_else(|| panic!("noise {name}")).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiments::METRICS;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_figure_of_the_paper_has_its_place() {
+        for table in Table::all() {
+            let mut found = BTreeSet::new();
+            for &views in &table.views {
+                for level in &table.noise {
+                    for row in &table.rows {
+                        for metric in &table.metrics {
+                            assert!(METRICS.contains(&metric.as_str()), "{}: {metric}", table.name);
+                            let printed = table.printed(row, views, level, metric);
+                            assert_eq!(printed.is_some(), !row.paper.is_empty(), "{}: {}", table.name, row.name);
+                            if printed.is_some() {
+                                assert!(found.insert((views, level, &row.name, metric)));
+                            }
+                        }
+                    }
+                }
+            }
+            let ours = table.printed.iter().filter(|line| line.get("data").is_none_or(|data| data == "synthetic"));
+            assert_eq!(found.len(), ours.count() * table.metrics.len(), "{}", table.name);
+        }
+    }
+
+    #[test]
+    fn rows_have_one_name_each_and_settings_that_are_valid() {
+        for table in Table::all() {
+            let names: BTreeSet<_> = table.rows.iter().map(|row| &row.name).collect();
+            assert_eq!(names.len(), table.rows.len(), "{}", table.name);
+            assert!(names.contains(&table.full), "{}", table.name);
+            for row in &table.rows {
+                row.config().map_or(Ok(()), |config| config.validate()).unwrap();
+            }
+            assert!(table.noise.iter().all(|level| noise(level) != Noise::NAMED[0].1));
+            let placed = table.rows.iter().all(|row| table.place(row, table.views[0], &table.noise[0]).is_some());
+            assert_eq!(placed, table.against.is_some(), "{}", table.name);
+        }
+    }
+
+    #[test]
+    fn figures_are_those_of_the_row_the_views_and_the_noise() {
+        let table = Table::by_name("noise").unwrap();
+        let row = |name| table.rows.iter().find(|row| row.name == name).unwrap();
+        assert_eq!(table.printed(row("TR-GS"), 25, "high", "ssim_3d"), Some(0.889));
+        let table = Table::by_name("volume").unwrap();
+        let row = |name| table.rows.iter().find(|row| row.name == name).unwrap();
+        assert_eq!(table.printed(row("SAX-NeRF"), 18, "low", "psnr_3d"), Some(32.18));
+        assert!(Table::by_name("tables").is_err());
+    }
+}

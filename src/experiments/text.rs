@@ -1,0 +1,235 @@
+//! A summary as CSV, Markdown and LaTeX.
+
+use super::summary::{Agreement, Block, Estimate, Figure, Summary, decimals};
+use std::fmt::Write;
+
+/// Titles of the metrics, as people write them.
+pub(super) fn title(metric: &str) -> &str {
+    match metric {
+        "psnr_3d" => "PSNR 3D",
+        "ssim_3d" => "SSIM 3D",
+        "psnr_2d" => "PSNR 2D",
+        "ssim_2d" => "SSIM 2D",
+        _ => "Spearman’s ρ",
+    }
+}
+
+/// A number with the decimals of its metric.
+pub(super) fn number(value: Option<f64>, metric: &str) -> String {
+    value.map_or_else(|| "–".into(), |value| format!("{value:.*}", decimals(metric)))
+}
+
+/// A mean with half the width of its interval.
+pub(super) fn with_interval(estimate: Option<Estimate>, metric: &str, signed: bool) -> String {
+    let Some(Estimate { mean, interval }) = estimate else { return "–".into() };
+    let digits = decimals(metric);
+    let mean = if signed { format!("{mean:+.digits$}") } else { format!("{mean:.digits$}") };
+    interval.map_or(mean.clone(), |(low, high)| format!("{mean} [{low:.digits$}, {high:.digits$}]"))
+}
+
+impl Block {
+    /// As in "18 views, low noise".
+    pub(super) fn title(&self) -> String {
+        format!("{} views, {} noise", self.views, self.noise)
+    }
+}
+
+impl Agreement {
+    /// Whether the paper's order and signs hold, in words.
+    pub(super) fn sentence(&self, metric: &str) -> String {
+        let Self { pairs, pairs_kept, signs, signs_kept } = *self;
+        let all = |kept, of| if kept == of { "holds" } else { "does not hold" };
+        format!(
+            "{}: the paper’s order {} ({pairs_kept} of {pairs} pairs), the sign of differences to the full model {} ({signs_kept} of {signs})",
+            title(metric),
+            all(pairs_kept, pairs),
+            all(signs_kept, signs)
+        )
+    }
+}
+
+impl Summary {
+    /// What the figures are means of, and how small it all is.
+    pub fn conditions(&self) -> String {
+        let (cases, seeds, size) = (self.cases.len(), self.seeds, self.scale.size);
+        let spread = if seeds > 1 { "; in brackets the 95 % interval over seeds (stratified bootstrap)" } else { "" };
+        let missing = match self.missing {
+            0 => String::new(),
+            n => format!("; {n} cells are not finished"),
+        };
+        format!(
+            "Means over {cases} cases and {seeds} seed{} at {size}³ voxels, {}² pixels{spread}{missing}.",
+            if seeds == 1 { "" } else { "s" },
+            self.scale.detector(),
+        )
+    }
+
+    /// A line per block, row and metric.
+    pub fn csv(&self) -> String {
+        let header = [
+            "views",
+            "noise",
+            "row",
+            "metric",
+            "ours",
+            "low",
+            "high",
+            "difference",
+            "difference_low",
+            "difference_high",
+            "paper",
+        ];
+        let mut lines = vec![header.map(str::to_owned)];
+        self.for_each(|block, row, metric, figure| {
+            let plain = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.6}"));
+            let ends = |estimate: Option<Estimate>| {
+                let interval = estimate.and_then(|estimate| estimate.interval);
+                [estimate.map(|e| e.mean), interval.map(|i| i.0), interval.map(|i| i.1)].map(plain)
+            };
+            let [ours, low, high] = ends(figure.ours);
+            let [difference, difference_low, difference_high] = ends(figure.difference);
+            let paper = number(figure.paper, metric).replace('–', "");
+            let (views, noise) = (block.views.to_string(), block.noise.clone());
+            lines.push([
+                views,
+                noise,
+                row.into(),
+                metric.into(),
+                ours,
+                low,
+                high,
+                difference,
+                difference_low,
+                difference_high,
+                paper,
+            ]);
+        });
+        written(&lines)
+    }
+
+    /// A line per block, row, metric and case: means over seeds.
+    pub fn cases_csv(&self) -> String {
+        let mut lines = vec![["views", "noise", "row", "metric", "case", "ours"].map(str::to_owned)];
+        self.for_each(|block, row, metric, figure| {
+            for (case, value) in self.cases.iter().zip(&figure.by_case) {
+                if let Some(value) = value {
+                    let (views, noise) = (block.views.to_string(), block.noise.clone());
+                    lines.push([views, noise, row.into(), metric.into(), case.clone(), format!("{value:.6}")]);
+                }
+            }
+        });
+        written(&lines)
+    }
+
+    pub(super) fn for_each(&self, mut see: impl FnMut(&Block, &str, &str, &Figure)) {
+        for block in &self.blocks {
+            for (row, figures) in self.table.rows.iter().zip(&block.figures) {
+                for (metric, figure) in self.table.metrics.iter().zip(figures) {
+                    see(block, &row.name, metric, figure);
+                }
+            }
+        }
+    }
+
+    /// With the three best of ours in bold, italics and underlined, as far as Markdown can.
+    pub fn markdown(&self) -> String {
+        let mut text = format!("# Table {}: {}\n\n{}\n", self.table.number, self.table.title, self.conditions());
+        for block in &self.blocks {
+            let _ = write!(text, "\n## {}\n\n|  |", block.title());
+            for metric in &self.table.metrics {
+                let _ = write!(text, " {0} | – {1} | paper |", title(metric), self.table.full);
+            }
+            let _ = write!(text, "\n|---|{}\n", "---|".repeat(3 * self.table.metrics.len()));
+            for (row, figures) in self.table.rows.iter().zip(&block.figures) {
+                let _ = write!(text, "| {} |", row.name);
+                for (metric, figure) in self.table.metrics.iter().zip(figures) {
+                    let ours = with_interval(figure.ours, metric, false);
+                    let ours = match figure.rank {
+                        Some(1) => format!("**{ours}**"),
+                        Some(2) => format!("*{ours}*"),
+                        Some(3) => format!("<u>{ours}</u>"),
+                        _ => ours,
+                    };
+                    let difference = figure.difference.map_or(String::new(), |d| with_interval(Some(d), metric, true));
+                    let _ = write!(text, " {ours} | {difference} | {} |", number(figure.paper, metric));
+                }
+                text.push('\n');
+            }
+            text.push('\n');
+            for (metric, agreement) in self.table.metrics.iter().zip(&block.agreement) {
+                let _ = writeln!(text, "- {}", agreement.sentence(metric));
+            }
+        }
+        let _ = write!(text, "\n{}\n", self.footer());
+        text
+    }
+
+    /// For `\input`: needs `booktabs`. The three best of ours are bold, underlined and in italics.
+    pub fn latex(&self) -> String {
+        let columns = "rr".repeat(self.table.metrics.len());
+        let mut text = format!("% {}\n\\begin{{tabular}}{{l{columns}}}\n\\toprule\n", self.footer());
+        for metric in &self.table.metrics {
+            let _ = write!(text, " & \\multicolumn{{2}}{{c}}{{{}}}", escaped(title(metric)));
+        }
+        text += " \\\\\n";
+        text += &" & ours & paper".repeat(self.table.metrics.len());
+        text += " \\\\\n";
+        for block in &self.blocks {
+            let span = 1 + 2 * self.table.metrics.len();
+            let _ = write!(text, "\\midrule\n\\multicolumn{{{span}}}{{l}}{{{}}} \\\\\n", escaped(&block.title()));
+            for (row, figures) in self.table.rows.iter().zip(&block.figures) {
+                text += &escaped(&row.name);
+                for (metric, figure) in self.table.metrics.iter().zip(figures) {
+                    let ours = number(figure.ours.map(|estimate| estimate.mean), metric).replace('–', "--");
+                    let ours = match figure.rank {
+                        Some(1) => format!("\\textbf{{{ours}}}"),
+                        Some(2) => format!("\\underline{{{ours}}}"),
+                        Some(3) => format!("\\textit{{{ours}}}"),
+                        _ => ours,
+                    };
+                    let _ = write!(text, " & {ours} & {}", number(figure.paper, metric).replace('–', "--"));
+                }
+                text += " \\\\\n";
+            }
+        }
+        text + "\\bottomrule\n\\end{tabular}\n"
+    }
+
+    /// Where the figures come from.
+    pub fn footer(&self) -> String {
+        let mut ids: Vec<String> =
+            self.findings.iter().map(|finding| serde_json::to_string(finding).expect("string keys")).collect();
+        ids.sort();
+        let program = crate::provenance::commit().unwrap_or("not recorded");
+        format!(
+            "trgs {}, commit {program}; table {}, {} cells, SHA-256 of all of them {}",
+            env!("CARGO_PKG_VERSION"),
+            self.table.name,
+            ids.len(),
+            crate::provenance::digest_bytes(ids.concat().as_bytes())
+        )
+    }
+}
+
+fn written<const N: usize>(lines: &[[String; N]]) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    lines.iter().for_each(|line| writer.write_record(line).expect("memory takes all"));
+    String::from_utf8(writer.into_inner().expect("memory takes all")).expect("text")
+}
+
+/// Text as LaTeX takes it.
+fn escaped(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        match c {
+            '&' | '%' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
+            'τ' => out += "$\\tau$",
+            'η' => out += "$\\eta$",
+            'ρ' => out += "$\\rho$",
+            '²' => out += "$^2$",
+            '’' => out.push('\''),
+            c => out.push(c),
+        }
+    }
+    out
+}

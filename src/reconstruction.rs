@@ -1,0 +1,127 @@
+//! Any method on any dataset: from projections to a volume, and how good that is.
+
+use crate::classical::algebraic::{Pass, asd_pocs, cgls, sart};
+use crate::classical::{VoxelProjector, fdk};
+use crate::config::{Config, Method, Precision};
+use crate::error::Result;
+use crate::evaluation::Metrics;
+use crate::numeric::Real;
+use crate::primitives::Primitives;
+use crate::projector::forward;
+use crate::scene::{Dataset, Projections, Volume, trilinear};
+use crate::train::{self, Checkpoints, Record, train};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+/// What a method found.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// Missing where the method has none.
+    pub primitives: Option<Primitives>,
+    /// Density on the dataset's grid, attenuation per scene unit of length.
+    pub volume: Volume,
+    /// Of a method that fits primitives.
+    pub log: Vec<Record>,
+}
+
+/// How far a method has come.
+#[derive(Clone, Copy, Debug)]
+pub enum Progress<'a> {
+    /// So many iterations on primitives are done; now and then with a record.
+    Iteration(usize, Option<&'a Record>),
+    /// An iteration on voxels.
+    Pass(&'a Pass),
+}
+
+/// The metrics of a reconstruction, and why others are missing.
+#[derive(Clone, Debug, Serialize)]
+pub struct Evaluation {
+    /// Those that the dataset allows.
+    #[serde(flatten)]
+    pub metrics: Metrics,
+    /// Name of a metric → the reason that there is none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub absent: BTreeMap<&'static str, &'static str>,
+}
+
+/// Reconstructs a dataset with the method and the settings of `config`. Without `checkpoints` a run that is stopped
+/// leaves nothing; methods on voxels have none.
+///
+/// # Errors
+/// Those of the method, and [`crate::Error::Interrupted`] when `observe` breaks.
+pub fn reconstruct(
+    dataset: &Dataset,
+    config: &Config,
+    checkpoints: Option<Checkpoints>,
+    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
+) -> Result<Reconstruction> {
+    let volume = match (config.method, config.precision) {
+        (Method::TrGs | Method::R2Gaussian, _) => {
+            let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
+            let train::Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
+            return Ok(Reconstruction { primitives: Some(primitives), volume, log });
+        }
+        (Method::Fdk, _) => fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?,
+        (_, Precision::F32) => algebraic::<f32>(dataset, config, observe)?,
+        (_, Precision::F64) => algebraic::<f64>(dataset, config, observe)?,
+    };
+    Ok(Reconstruction { primitives: None, volume, log: Vec::new() })
+}
+
+/// The volume that an iterative method on voxels finds.
+fn algebraic<R: Real>(
+    dataset: &Dataset,
+    config: &Config,
+    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
+) -> Result<Volume> {
+    let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
+    let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
+    match config.method {
+        Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), &mut observe),
+        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
+        _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
+    }
+}
+
+/// Evaluates a volume, and the projections of the primitives that it came from, or where there are none its own.
+///
+/// # Errors
+/// When the volume does not have the shape of the truth.
+pub fn evaluate(
+    dataset: &Dataset,
+    volume: &Volume,
+    primitives: Option<&Primitives>,
+    config: &Config,
+) -> Result<Evaluation> {
+    let mut absent = BTreeMap::new();
+    let volumes = dataset.truth.as_ref().map(|truth| (truth, volume));
+    if volumes.is_none() {
+        absent.extend(["psnr_3d", "ssim_3d"].map(|name| (name, "the dataset has no true volume")));
+    }
+    let projections = match &dataset.test {
+        Some(test) => {
+            let seen = match primitives {
+                Some(primitives) => project(primitives, dataset, &test.angles, config)?,
+                None => trilinear::project(volume, &dataset.scanner, &test.angles)?,
+            };
+            Some((test, seen))
+        }
+        None => {
+            absent.extend(["psnr_2d", "ssim_2d"].map(|name| (name, "the dataset has no test views")));
+            None
+        }
+    };
+    let projections = projections.as_ref().map(|(test, seen)| (*test, seen));
+    Ok(Evaluation { metrics: Metrics::compute(volumes, projections)?, absent })
+}
+
+/// Projections of primitives as they were fitted.
+fn project(primitives: &Primitives, dataset: &Dataset, angles: &[f64], config: &Config) -> Result<Projections> {
+    let (scanner, projection, cutoff) = (&dataset.scanner, config.projection, config.cutoff);
+    let images = match config.precision {
+        Precision::F32 => forward::<f32>(primitives, scanner, angles, projection, cutoff),
+        Precision::F64 => forward::<f64>(primitives, scanner, angles, projection, cutoff).mapv(|value| value as f32),
+    };
+    Projections::new(angles.to_vec(), images)
+}

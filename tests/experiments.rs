@@ -1,0 +1,207 @@
+//! The paper's tables at a toy size: cells are run once, whoever runs them, and always find the same.
+
+mod program;
+
+use program::Sandbox;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// Cells of a few milliseconds.
+const TINY: &str = "--size 8 --cases chest,pepper";
+
+/// The program at work in a sandbox.
+fn begun(sandbox: &Sandbox, arguments: &str) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trgs"));
+    command.current_dir(sandbox.path("")).args(arguments.split_whitespace()).arg("--quiet");
+    command.stdout(Stdio::null()).spawn().unwrap()
+}
+
+/// What is below a folder of the sandbox, by its name there.
+fn below(sandbox: &Sandbox, folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+    let root = sandbox.path(folder);
+    let inside = |(path, content): (PathBuf, Vec<u8>)| Some((path.strip_prefix(&root).ok()?.to_owned(), content));
+    sandbox.content().into_iter().filter_map(inside).collect()
+}
+
+fn cells(sandbox: &Sandbox, arguments: &str, key: &str) -> Vec<String> {
+    let listed = sandbox.done(&format!("table {arguments} --list-cells"));
+    listed.as_array().unwrap().iter().map(|cell| cell[key].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_table_is_filled_and_set_beside_the_papers_figures() {
+    let sandbox = Sandbox::new();
+    let found = sandbox.done(&format!("table volume --out out {TINY} --seeds 2"));
+    let table = &found["tables"][0];
+    // 2 cases, 3 numbers of views, 2 seeds; SAX-NeRF has none, the other six rows have one each.
+    assert_eq!((&table["cells"], &table["missing"]), (&72.into(), &0.into()), "{found}");
+    let lines = sandbox.text("out/volume.csv");
+    let mut reader = csv::Reader::from_reader(lines.as_bytes());
+    let lines: Vec<BTreeMap<String, String>> = reader.deserialize().collect::<Result<_, _>>().unwrap();
+    assert_eq!(lines.len(), 3 * 7 * 2);
+    for line in &lines {
+        let [ours, low, high, paper] = ["ours", "low", "high", "paper"].map(|column| line[column].parse::<f64>());
+        assert_eq!(ours.is_err(), line["row"] == "SAX-NeRF", "{line:?}");
+        assert_eq!(paper.is_err(), line["row"] == "TR-GS, exact projection", "{line:?}");
+        if let (Ok(ours), Ok(low), Ok(high)) = (ours, low, high) {
+            assert!(low <= ours && ours <= high, "{line:?}");
+        }
+    }
+    let text = |name: &str| sandbox.text(&format!("out/{name}"));
+    for word in ["| SAX-NeRF |", "31.03", "18 views, low noise", "the paper’s order", "SHA-256"] {
+        assert!(text("volume.md").contains(word), "{word}");
+    }
+    assert!(text("volume.tex").contains("\\textbf{") && text("volume.tex").contains("\\bottomrule"));
+    let page = text("volume.html");
+    assert!(page.matches("data:image/png;base64,").count() == 7, "truth and six rows");
+    assert_eq!(page.matches("<svg ").count(), 2, "a plot of each metric");
+    for outside in ["http://", "https://", "<script"] {
+        // SVG's own name space is no link.
+        assert!(!page.replace("http://www.w3.org/2000/svg", "").contains(outside), "{outside}");
+    }
+    let cases = text("volume-cases.csv");
+    assert_eq!(cases.lines().filter(|line| line.contains(",pepper,")).count(), 3 * 6 * 2);
+}
+
+#[test]
+fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
+    let sandbox = Sandbox::new();
+    let all = cells(&sandbox, &format!("threshold {TINY}"), "id");
+    assert_eq!(all.len(), 8);
+    let one = sandbox.done(&format!("table threshold --out out {TINY} --cell {}", all[3]));
+    assert_eq!(one["cells"][0]["id"], all[3].as_str());
+    // Whether it is run again shows when it says something else.
+    sandbox.edit(&format!("out/cells/{}.json", all[3]), |finding| finding["metrics"]["psnr_3d"] = 99.0.into());
+    sandbox.done(&format!("table threshold --out out {TINY}"));
+    assert!(sandbox.text("out/threshold-cases.csv").contains(",99.000000"));
+
+    std::fs::remove_file(sandbox.path("out/threshold.html")).unwrap();
+    std::fs::remove_file(sandbox.path(&format!("out/cells/{}.json", all[0]))).unwrap();
+    let again = sandbox.done("report out");
+    assert_eq!((&again["tables"][0]["cells"], &again["tables"][0]["missing"]), (&7.into(), &1.into()));
+    assert!(sandbox.text("out/threshold.html").contains("1 cells are not finished"));
+}
+
+#[test]
+fn any_number_of_threads_and_of_processes_finds_the_same_bytes() {
+    let sandbox = Sandbox::new();
+    let table = |out: &str, more: &str| format!("table temperature --out {out} {TINY} {more}");
+    sandbox.done(&table("alone", "--threads 1"));
+    let mut two = [3, 2].map(|threads| begun(&sandbox, &table("shared", &format!("--threads {threads}"))));
+    two.iter_mut().for_each(|process| assert!(process.wait().unwrap().success()));
+    let (alone, shared) = (below(&sandbox, "alone"), below(&sandbox, "shared"));
+    assert_eq!(alone.keys().collect::<Vec<_>>(), shared.keys().collect::<Vec<_>>());
+    assert!(alone.keys().filter(|name| name.extension().is_some_and(|e| e == "json")).count() >= 6);
+    for (name, content) in &alone {
+        assert!(shared[name] == *content, "{} differs", name.display());
+    }
+}
+
+#[test]
+fn a_kill_loses_no_finished_cell() {
+    let sandbox = Sandbox::new();
+    let table = "table ablation --out out --size 16 --cases chest,pepper --threads 1";
+    let mut process = begun(&sandbox, table);
+    let is = |name: &PathBuf, kind: &str| name.extension().is_some_and(|extension| extension == kind);
+    let finished = || below(&sandbox, "out/cells").into_iter().filter(|(name, _)| is(name, "json")).collect::<Vec<_>>();
+    while !sandbox.path("out/cells").exists() || finished().len() < 3 {
+        assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    process.kill().unwrap();
+    process.wait().unwrap();
+    let before = finished();
+    let found = sandbox.done(table);
+    assert_eq!(found["tables"][0]["cells"], 40);
+    let after = below(&sandbox, "out/cells");
+    for (name, content) in before {
+        assert!(after[&name] == content, "{}", name.display());
+    }
+    assert!(!after.keys().any(|name| is(name, "lock")), "a lock is left");
+}
+
+#[test]
+fn an_id_follows_from_configuration_and_data() {
+    let sandbox = Sandbox::new();
+    let first = |arguments: &str| cells(&sandbox, &format!("threshold {arguments}"), "id")[0].clone();
+    let base = first("--size 8 --cases chest");
+    assert_eq!(base, first("--size 8 --cases chest"));
+    assert_ne!(base, first("--size 16 --cases chest"));
+    assert_ne!(base, first("--size 8 --cases pepper"));
+    assert!(cells(&sandbox, "threshold --size 8 --cases chest --seeds 2", "id").contains(&base));
+    // Rows that several tables have are the same cells.
+    let full = cells(&sandbox, "temperature --size 8 --cases chest", "id")[1].clone();
+    assert!(cells(&sandbox, "ablation --size 8 --cases chest", "id").contains(&full));
+    assert!(cells(&sandbox, "threshold --size 8 --cases chest", "id").contains(&full));
+    assert!(cells(&sandbox, "volume --size 8 --cases chest", "id").contains(&full));
+}
+
+#[test]
+fn volumes_and_scans_of_a_folder_take_the_place_of_phantoms() {
+    let sandbox = Sandbox::new();
+    sandbox.done("simulate --phantom pepper --size 16 --detector 16 --views 1 --test-views 0 --out made");
+    std::fs::create_dir(sandbox.path("data")).unwrap();
+    sandbox.write("data/thing.npy", sandbox.read("made/vol_gt.npy"));
+    sandbox.write("data/readme.txt", "no volume");
+    let found = sandbox.done("table threshold --out out --size 8 --data data");
+    assert_eq!(found["tables"][0]["cells"], 4, "a volume twice as fine");
+    sandbox.done(
+        "simulate --phantom chest --size 8 --detector 16 --views 25 --test-views 4 --out data/scan --noise medium",
+    );
+    let names = |table: &str| cells(&sandbox, &format!("{table} --data data --size 8"), "cell");
+    assert!(names("threshold").iter().any(|cell| cell.starts_with("scan, 12 views")));
+    // A scan has the noise that it has.
+    assert!(names("noise").iter().all(|cell| cell.starts_with("thing") || cell.contains("low noise")));
+    let found = sandbox.done("table temperature --out out --size 8 --data data --cases scan");
+    assert_eq!((&found["tables"][0]["cells"], &found["tables"][0]["missing"]), (&3.into(), &0.into()));
+}
+
+#[test]
+fn what_cannot_be_run_is_refused_in_one_line() {
+    let sandbox = Sandbox::new();
+    for (arguments, words) in [
+        ("table tables --out out", vec!["volume", "ablation"]),
+        ("table volume --out out --cases engines", vec!["engines", "engine"]),
+        ("table volume --out out --data .", vec!["--data", "--size"]),
+        ("table volume --out out --cell 0", vec!["--list-cells"]),
+        ("report .", vec!["tables.json"]),
+        ("table volume", vec!["--out"]),
+    ] {
+        let output = sandbox.run(arguments);
+        let error = program::stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments}: {error}");
+        assert!(words.iter().all(|word| error.contains(word)), "{arguments}: {error}");
+    }
+    assert_eq!(sandbox.done("table list").as_array().unwrap().len(), 8);
+}
+
+/// Tables of 32³ and one case as this program found them once. A change of the method moves them: then they are made
+/// again (`TRGS_WRITE_TABLES=1`) in a commit that says why.
+#[test]
+fn a_small_version_of_every_table_is_as_it_was() {
+    let sandbox = Sandbox::new();
+    sandbox.done("table all --out out --size 32 --cases pepper");
+    let expected = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference/expected");
+    for table in ["volume", "projection", "noise", "ablation", "temperature", "optimiser", "threshold", "enhancement"] {
+        let (name, found) = (format!("{table}.csv"), sandbox.text(&format!("out/{table}.csv")));
+        if std::env::var_os("TRGS_WRITE_TABLES").is_some() {
+            std::fs::write(expected.join(&name), &found).unwrap();
+        }
+        let committed = std::fs::read_to_string(expected.join(&name)).unwrap();
+        let read = |text: &str| -> Vec<csv::StringRecord> {
+            csv::Reader::from_reader(text.as_bytes()).into_records().collect::<csv::Result<_>>().unwrap()
+        };
+        let (found, committed) = (read(&found), read(&committed));
+        assert_eq!(found.len(), committed.len(), "{table}");
+        for (found, committed) in found.iter().zip(&committed) {
+            for (column, (ours, theirs)) in found.iter().zip(committed).enumerate() {
+                let near = match (ours.parse::<f64>(), theirs.parse::<f64>()) {
+                    (Ok(ours), Ok(theirs)) => (ours - theirs).abs() <= if ours.abs() > 1.0 { 0.02 } else { 0.002 },
+                    _ => ours == theirs,
+                };
+                assert!(near, "{table}, column {column}: {found:?} against {committed:?}");
+            }
+        }
+    }
+}
