@@ -1,6 +1,6 @@
 //! Which values make sense.
 
-use super::{Config, KernelName, Method};
+use super::{Config, KernelName, Method, PositionOptimiser};
 use crate::error::{Error, Result};
 use std::fmt::Debug;
 
@@ -103,9 +103,10 @@ impl Config {
 
         // Beyond this the momentum changes its sign with every step and can grow without bound.
         let rate = optimiser.mean[0].max(optimiser.mean[1]).sqrt();
+        let stirred = optimiser.position != PositionOptimiser::Adam;
         for (key, friction) in [("sghmc.burn_in_friction", sghmc.burn_in_friction), ("sghmc.friction", sghmc.friction)]
         {
-            let stable = friction >= 0.0 && rate * friction <= 1.0;
+            let stable = friction >= 0.0 && (!stirred || rate * friction <= 1.0);
             let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
             require(key, friction, stable, &expected)?;
         }
@@ -191,6 +192,9 @@ mod tests {
         config.set("sghmc.friction=71").unwrap();
         let message = config.validate().unwrap_err().to_string();
         assert!(message.starts_with("sghmc.friction: got 71.0") && message.contains("70.7"), "{message}");
+        // It has no meaning for Adam.
+        config.set("optimiser.position=adam").unwrap();
+        config.validate().unwrap();
     }
 
     #[test]

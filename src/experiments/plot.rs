@@ -2,6 +2,7 @@
 
 use super::summary::{Estimate, Figure, Summary};
 use super::table::Row;
+use crate::report::escape;
 use plotters::prelude::*;
 use std::collections::BTreeSet;
 
@@ -15,7 +16,7 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(213, 94, 0),
     RGBColor(128, 128, 128),
 ];
-const SIZE: (u32, u32) = (720, 360);
+const SIZE: (u32, u32) = (720, 340);
 
 /// One line of ours with its band, and the paper's.
 struct Series {
@@ -24,7 +25,7 @@ struct Series {
     paper: Vec<(f64, f64)>,
 }
 
-/// The plot as inline SVG; None where the table varies nothing, or no cell is finished.
+/// The plot as inline SVG with its legend; None where the table varies nothing, or no cell is finished.
 pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
     summary.table.against.as_ref()?;
     let column = summary.table.metrics.iter().position(|known| known == metric)?;
@@ -35,9 +36,12 @@ pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
     }
     let mut svg = String::new();
     draw(&mut svg, summary, &series).ok()?;
-    // It takes the width that it is given.
-    let viewed = format!("<svg viewBox=\"0 0 {} {}\" ", SIZE.0, SIZE.1);
-    svg.find("<svg ").map(|start| svg[start..].replacen("<svg ", &viewed, 1))
+    let svg = &svg[svg.find("<svg ")?..];
+    let names = series.iter().zip(COLOURS.iter().cycle()).map(|(Series { name, ours, .. }, RGBColor(r, g, b))| {
+        let whose = if ours.is_empty() { " (the paper’s alone)" } else { "" };
+        format!("<span><b style=\"color: rgb({r} {g} {b})\">●</b> {}{whose}</span>\n", escape(name))
+    });
+    Some(format!("{svg}\n<p class=\"legends\">\n{}</p>", names.collect::<String>()))
 }
 
 fn points(series: &[Series]) -> impl Iterator<Item = (f64, f64)> {
@@ -88,15 +92,10 @@ fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Bo
     };
     let against = summary.table.against.clone().unwrap_or_default();
     let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let mut chart = ChartBuilder::on(&area)
-        .margin(8)
-        .x_label_area_size(36)
-        .y_label_area_size(56)
-        .right_y_label_area_size(190)
-        .build_cartesian_2d(
-            range(points(series).map(|p| p.0).collect()),
-            range(points(series).map(|p| p.1).collect()),
-        )?;
+    let mut chart = ChartBuilder::on(&area).margin(8).x_label_area_size(36).y_label_area_size(56).build_cartesian_2d(
+        range(points(series).map(|p| p.0).collect()),
+        range(points(series).map(|p| p.1).collect()),
+    )?;
     let grey = RGBColor(128, 128, 128);
     let noise = &summary.table.noise;
     let label = |x: &f64| match against.as_str() {
@@ -116,23 +115,15 @@ fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Bo
         .x_label_formatter(&label)
         .x_desc(against.as_str())
         .draw()?;
-    for (number, Series { name, ours, paper }) in series.iter().enumerate() {
+    for (number, Series { ours, paper, .. }) in series.iter().enumerate() {
         let colour = COLOURS[number % COLOURS.len()];
         let bands: Vec<_> = ours.iter().filter_map(|(x, e)| e.interval.map(|(low, high)| (*x, low, high))).collect();
         let outline = bands.iter().map(|b| (b.0, b.1)).chain(bands.iter().rev().map(|b| (b.0, b.2)));
         chart.draw_series([Polygon::new(outline.collect::<Vec<_>>(), colour.mix(0.2))])?;
         chart.draw_series(DashedLineSeries::new(paper.clone(), 4, 4, colour.into()))?;
         let line = ours.iter().map(|(x, estimate)| (*x, estimate.mean));
-        chart
-            .draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?
-            .label(name.as_str())
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+        chart.draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::Coordinate(SIZE.0 as i32 - 240, 8))
-        .label_font(("sans-serif", 13, &grey))
-        .draw()?;
     area.present()?;
     drop(chart);
     drop(area);
