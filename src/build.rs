@@ -1,5 +1,6 @@
 //! Tells the program which commit it was built from, for `provenance.json`. Without git it knows none.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::process::Command;
 
 fn git(arguments: &[&str]) -> Option<String> {
@@ -14,8 +15,14 @@ fn main() {
     println!("cargo:rerun-if-changed=.git/logs/HEAD");
     println!("cargo:rerun-if-changed=src");
     if let Some(commit) = git(&["rev-parse", "HEAD"]) {
-        let changed = git(&["status", "--porcelain", "--", "src", "Cargo.toml", "Cargo.lock"])
-            .is_some_and(|files| !files.is_empty());
-        println!("cargo:rustc-env=TRGS_COMMIT={commit}{}", if changed { " with changes" } else { "" });
+        // What is changed since tells two programs of one commit apart, and so the cells of their tables.
+        let sources = ["src", "reference/paper", "Cargo.toml", "Cargo.lock"];
+        let of = |command: &[&str]| git(&[command, &["--"], &sources].concat()).unwrap_or_default();
+        let changes = [of(&["status", "--porcelain"]), of(&["diff", "HEAD"])];
+        let mut hasher = DefaultHasher::new();
+        changes.hash(&mut hasher);
+        let changed = changes.iter().any(|text| !text.is_empty());
+        let suffix = if changed { format!(" with changes {:016x}", hasher.finish()) } else { String::new() };
+        println!("cargo:rustc-env=TRGS_COMMIT={commit}{suffix}");
     }
 }

@@ -80,7 +80,7 @@ fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
     std::fs::remove_file(sandbox.path(&format!("out/cells/{}.json", all[0]))).unwrap();
     let again = sandbox.done("report out");
     assert_eq!((&again["tables"][0]["cells"], &again["tables"][0]["missing"]), (&7.into(), &1.into()));
-    assert!(sandbox.text("out/threshold.html").contains("1 cells are not finished"));
+    assert!(sandbox.text("out/threshold.html").contains("1 cell is not finished"));
 }
 
 #[test]

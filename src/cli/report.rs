@@ -26,7 +26,8 @@ impl Report {
             return Ok(Answer::list(&json!({ "report": page })));
         }
         let requests = requests(&self.folder)?;
-        let written = requests.iter().map(|(name, what)| what.write(&Table::by_name(name)?, &self.folder));
+        let written =
+            requests.iter().map(|(name, what)| what.write(&Table::by_name(name)?, &what.cases()?, &self.folder));
         let written = interrupt::shielded(|| written.collect::<Result<Vec<_>>>())?;
         Ok(answer(&self.folder, &written))
     }

@@ -65,7 +65,7 @@ pub(super) struct What {
 }
 
 impl What {
-    fn cases(&self) -> Result<Vec<Case>> {
+    pub(super) fn cases(&self) -> Result<Vec<Case>> {
         let all = match &self.data {
             Some(folder) => Case::in_folder(folder, self.size.into())?,
             None => Case::stand_ins(),
@@ -92,9 +92,9 @@ impl What {
     }
 
     /// Writes everything about a table, from the cells that are finished.
-    pub(super) fn write(&self, table: &experiments::Table, out: &Path) -> Result<Written> {
-        let (cases, store) = (self.cases()?, Store::open(out)?);
-        let summary = Summary::new(table, &cases, self.scale(), self.seeds, &store)?;
+    pub(super) fn write(&self, table: &experiments::Table, cases: &[Case], out: &Path) -> Result<Written> {
+        let store = Store::open(out)?;
+        let summary = Summary::new(table, cases, self.scale(), self.seeds, &store)?;
         let file = |extension: &str, text: String| {
             let path = out.join(format!("{}{extension}", table.name));
             write_atomically(&path, |file| file.write_all(text.as_bytes())).map(|()| path)
@@ -103,7 +103,7 @@ impl What {
         file("-cases.csv", summary.cases_csv())?;
         file(".md", summary.markdown())?;
         file(".tex", summary.latex())?;
-        let page = file(".html", summary.html(&cases, &store))?;
+        let page = file(".html", summary.html(cases, &store))?;
         let kept = |of: fn(&experiments::Agreement) -> [usize; 2]| {
             summary
                 .blocks
@@ -166,7 +166,7 @@ impl Table {
             return Ok(Answer::list(&json!({ "out": out, "cells": found })));
         }
         remember(&tables, &self.what, out)?;
-        let written = tables.iter().map(|table| self.what.write(table, out)).collect::<Result<Vec<_>>>()?;
+        let written = tables.iter().map(|table| self.what.write(table, &cases, out)).collect::<Result<Vec<_>>>()?;
         Ok(answer(out, &written))
     }
 

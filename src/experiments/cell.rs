@@ -135,8 +135,10 @@ impl Cell {
             reconstruction::reconstruct(dataset, &self.config, None, &mut observe)?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
-        let mut metrics: BTreeMap<String, f64> =
-            names.filter_map(|(name, metric)| Some((name.into(), metric?.value))).collect();
+        let mut metrics: BTreeMap<String, f64> = names
+            .filter_map(|(name, metric)| Some((name.into(), metric?.value)))
+            .filter(|(_, value)| value.is_finite())
+            .collect();
         if let Some(spearman) = log.last().and_then(|record| record.spearman) {
             metrics.insert("spearman".into(), spearman);
         }

@@ -55,6 +55,7 @@ impl Summary {
         let spread = if seeds > 1 { "; in brackets the 95 % interval over seeds (stratified bootstrap)" } else { "" };
         let missing = match self.missing {
             0 => String::new(),
+            1 => "; 1 cell is not finished".into(),
             n => format!("; {n} cells are not finished"),
         };
         format!(
