@@ -426,7 +426,7 @@ fn metrics_without_truth_or_test_views_are_absent_with_the_reason() {
 fn what_does_not_exist_is_a_usage_error_that_names_what_does() {
     let sandbox = Sandbox::with_scan();
     for (arguments, names) in [
-        ("table all --out t", &["table", "reconstruct", "inspect"][..]),
+        ("tables --out t", &["tables", "reconstruct", "inspect"][..]),
         ("reconstruct scan --out run --method sax", &["sax", "tr-gs", "fdk"]),
         (
             "reconstruct scan --out run --method r2-gaussian --set wavelet.enabled=true",
@@ -471,7 +471,7 @@ fn messages_go_to_standard_error_in_the_format_asked_for() {
 #[test]
 fn the_demonstration_beats_filtered_back_projection_by_far() {
     let sandbox = Sandbox::new();
-    let found = sandbox.done("demo --iterations 300");
+    let found = sandbox.done("demo");
     let psnr = |method: &str| found[method]["psnr_3d"]["value"].as_f64().unwrap();
     assert!(psnr("tr-gs") >= psnr("fdk") + 6.0, "{found}");
     assert_eq!(sandbox.names_in("out/demo"), ["dataset", "fdk", "tr-gs"]);

@@ -124,7 +124,10 @@ fn training_needs_what_was_said() {
         let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2";
         assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {cap}"), false);
         assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
-        let crowd = "--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap=95000";
+        // ADC may double them in a step, and hardly ever does: here it may not.
+        let most = if method == "tr-gs" { 95_000 } else { 90_000 };
+        let crowd =
+            format!("--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap={most}");
         assert_honest(&many, &format!("{method}-many"), &format!("--method {method} {crowd}"), true);
     }
     assert_honest(&many, "double", "--precision f64 --points 90000 --iterations 2", true);

@@ -17,7 +17,7 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 /// Pixels along each side of the detector.
 const PIXELS: u8 = 128;
 /// Enough to show what it is about, few enough for a minute on two cores.
-const ITERATIONS: &str = "1500";
+const ITERATIONS: usize = 1500;
 
 /// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
 #[derive(Args)]
@@ -27,9 +27,6 @@ pub(super) struct Demo {
     /// Folder to write
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     out: PathBuf,
-    /// Training steps
-    #[arg(long, value_name = "N", default_value = ITERATIONS)]
-    iterations: usize,
     /// All random choices follow from it
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
@@ -53,8 +50,7 @@ impl Demo {
         interrupt::shielded(|| dataset.write(&source))?;
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
-            let config = Config { seed: self.seed, iterations: self.iterations, ..Config::of(method) };
-            config.validate()?;
+            let config = Config { seed: self.seed, iterations: ITERATIONS, ..Config::of(method) };
             reconstruct(&source, &dataset, &config, folder, None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");
