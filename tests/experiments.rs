@@ -183,7 +183,7 @@ fn a_small_version_of_every_table_is_as_it_was() {
     let sandbox = Sandbox::new();
     sandbox.done("table all --out out --size 32 --cases pepper");
     let expected = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference/expected");
-    for table in ["volume", "projection", "noise", "ablation", "temperature", "optimiser", "threshold", "enhancement"] {
+    for table in trgs::experiments::NAMES {
         let (name, found) = (format!("{table}.csv"), sandbox.text(&format!("out/{table}.csv")));
         if std::env::var_os("TRGS_WRITE_TABLES").is_some() {
             std::fs::write(expected.join(&name), &found).unwrap();

@@ -64,7 +64,7 @@ impl Table {
             for &views in &self.views {
                 for level in &self.noise {
                     for case in cases {
-                        let of_row = |row: &Row| Cell::new(row.config()?, case, scale, views, level, seed);
+                        let of_row = |row: &Row| self.cell(row, case, scale, views, level, seed);
                         cells.extend(self.rows.iter().filter_map(of_row));
                     }
                 }
@@ -73,7 +73,7 @@ impl Table {
         cells
     }
 
-    /// The cell of a row; None where the row runs nothing.
+    /// The cell of a row; None where the row runs nothing, or the case has a noise of its own.
     pub(super) fn cell(
         &self,
         row: &Row,

@@ -125,7 +125,5 @@ fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Bo
         chart.draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?;
     }
     area.present()?;
-    drop(chart);
-    drop(area);
     Ok(())
 }

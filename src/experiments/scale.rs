@@ -23,7 +23,8 @@ const FASTEST: f64 = 64.0;
 /// | iterations n | 30,000 | 30,000 (N/256)^8/3 |
 /// | learning rates, all | their own | their own times f = (30,000/n)^3/4, at most 64 |
 /// | frictions of SGHMC | their own | their own over √f |
-/// | steps of density control in a run | 250 | 50 |
+/// | iterations between two steps of density control | 100 | n/60, at most 100 |
+/// | iterations between two computations of confidence | 500 | n/12, at most 500 |
 /// | wavelet block, block of the total variation | 32³ | at most (N/4)³ |
 /// | passes of a method on voxels | its own | its own |
 /// | test views | 50 | 50 (N/256), at least 8 |
@@ -72,8 +73,8 @@ impl Scale {
         }
         config.sghmc.burn_in_friction /= faster.sqrt();
         config.sghmc.friction /= faster.sqrt();
-        config.density_control.every = (config.iterations / 60).max(1);
-        config.confidence.every = (config.iterations / 12).max(1);
+        config.density_control.every = (config.iterations / 60).clamp(1, 100);
+        config.confidence.every = (config.iterations / 12).clamp(1, 500);
         config.checkpoint_every = config.iterations;
         config.report_every = config.iterations;
         let block = (self.size / 4).clamp(4, 32) & !1;
@@ -93,6 +94,7 @@ mod tests {
         paper.apply(&mut config);
         assert_eq!((config.model.points, config.iterations, config.wavelet.block), (50_000, 30_000, 32));
         assert_eq!((paper.detector(), paper.test_views()), (512, 50));
+        assert_eq!((config.density_control.every, config.confidence.every), (100, 500));
         assert_eq!((config.optimiser, config.sghmc), (Config::default().optimiser, Config::default().sghmc));
     }
 
