@@ -122,6 +122,8 @@ fn a_strong_pull_leads_nu_to_its_targets() {
     let spearman = |weight| {
         let mut config = busy(Method::TrGs);
         config.confidence.weight = weight;
+        // The longer steps of a short run would overshoot.
+        config.optimiser.horizon = config.iterations;
         config.density_control.method = DensityControl::None;
         run(&dataset, &config).log.last().unwrap().spearman.unwrap()
     };

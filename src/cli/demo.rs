@@ -10,14 +10,13 @@ use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
+use trgs::experiments::Scale;
 use trgs::reconstruction::Evaluation;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 
-/// Pixels along each side of the detector.
-const PIXELS: u8 = 128;
-/// Enough to show what it is about, few enough for a minute on two cores.
-const ITERATIONS: usize = 1500;
+/// The paper's experiment, a quarter as large in every direction.
+const SCALE: Scale = Scale { size: 64 };
 
 /// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
 #[derive(Args)]
@@ -50,7 +49,9 @@ impl Demo {
         interrupt::shielded(|| dataset.write(&source))?;
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
-            let config = Config { seed: self.seed, iterations: ITERATIONS, ..Config::of(method) };
+            let mut config = Config { seed: self.seed, ..Config::of(method) };
+            SCALE.apply(&mut config);
+            config.report_every = 50;
             reconstruct(&source, &dataset, &config, folder, None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");
@@ -69,11 +70,11 @@ impl Demo {
     }
 
     fn scan(&self) -> Result<Dataset> {
-        let side = 4.0 / f64::from(PIXELS);
-        let pixels = usize::from(PIXELS);
+        let pixels = SCALE.detector();
+        let side = 4.0 / pixels as f64;
         let detector =
             Detector { rows: pixels, columns: pixels, pitch_v: side, pitch_u: side, offset_u: 0.0, offset_v: 0.0 };
-        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(SCALE.size) };
         let plan = Plan { views: 18, test_views: 50, noise: Noise::LOW, seed: self.seed };
         let phantom = Phantom::by_name("torso", self.seed)?;
         simulate("torso", Object::Phantom(&phantom), &scanner, &plan)

@@ -271,13 +271,17 @@ pub struct WaveletConfig {
     pub enhance: f64,
 }
 
-/// How it is minimised. Learning rates fall exponentially from the first number to the second over the run.
+/// How it is minimised. Learning rates fall exponentially from the first number to the second over the run. They and the
+/// frictions of SGHMC are stated for a run of `horizon` iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct OptimiserConfig {
     /// How positions move: sghmc, sghmc-textbook or adam.
     #[default(PositionOptimiser::Sghmc)]
     pub position: PositionOptimiser,
+    /// Iterations that learning rates are stated for: n make them (horizon/n)^¾ times as large, up to 64 times.
+    #[default = 30_000]
+    pub horizon: usize,
     /// Learning rate of means, scene units.
     #[default([2e-4, 2e-5])]
     pub mean: [f64; 2],

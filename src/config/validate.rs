@@ -23,6 +23,7 @@ impl Config {
             ("confidence.every", confidence.every),
             ("wavelet.every", wavelet.every),
             ("density_control.every", density_control.every),
+            ("optimiser.horizon", optimiser.horizon),
         ] {
             require(key, period, period >= 1, "at least 1")?;
         }
@@ -101,7 +102,8 @@ impl Config {
         let cap = density_control.cap;
         require("density_control.cap", cap, (4..=MOST_POINTS).contains(&cap), "4 to 10 million")?;
 
-        // Beyond this the momentum changes its sign with every step and can grow without bound.
+        // Beyond this the momentum changes its sign with every step and can grow without bound. A factor on the rates of
+        // a short run divides frictions by its root, which leaves the product as it is.
         let rate = optimiser.mean[0].max(optimiser.mean[1]).sqrt();
         let stirred = optimiser.position != PositionOptimiser::Adam;
         for (key, friction) in [("sghmc.burn_in_friction", sghmc.burn_in_friction), ("sghmc.friction", sghmc.friction)]

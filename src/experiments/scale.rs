@@ -10,9 +10,6 @@ const PAPER_POINTS: f64 = 50_000.0;
 /// Training steps in the paper.
 const PAPER_ITERATIONS: f64 = 30_000.0;
 
-/// Factor on learning rates that a run survives, however short.
-const FASTEST: f64 = 64.0;
-
 /// Experiments on volumes of `size`³ voxels.
 ///
 /// | what | at 256 | at a size of N |
@@ -21,8 +18,6 @@ const FASTEST: f64 = 64.0;
 /// | primitives at the start | 50,000 | 50,000 (N/256)² |
 /// | most primitives | 100,000 | 100,000 (N/256)² |
 /// | iterations n | 30,000 | 30,000 (N/256)^8/3 |
-/// | learning rates, all | their own | their own times f = (30,000/n)^3/4, at most 64 |
-/// | frictions of SGHMC | their own | their own over √f |
 /// | iterations between two steps of density control | 100 | n/60, at most 100 |
 /// | iterations between two computations of confidence | 500 | n/12, at most 500 |
 /// | wavelet block, block of the total variation | 32³ | at most (N/4)³ |
@@ -30,9 +25,8 @@ const FASTEST: f64 = 64.0;
 /// | test views | 50 | 50 (N/256), at least 8 |
 ///
 /// Surfaces carry primitives, so they go with N². Iterations fall faster than that, which keeps a cell at 64³ under half
-/// a minute of one core; parts of a run that are stated as fractions stay where they were. Fewer steps must be longer
-/// ones: on the phantom `engine` at 32³, 12 views, either method gains 5 dB in 166 and in 500 iterations by the factor
-/// on its rates, about as much as by the best factor for each, and SGHMC stays as stable as it was.
+/// a minute of one core; parts of a run that are stated as fractions stay where they were, and learning rates follow
+/// the number of iterations by themselves ([`pace`](crate::optim::schedule::pace)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scale {
     /// Voxels along the longest side.
@@ -60,19 +54,6 @@ impl Scale {
         config.model.points = scaled(PAPER_POINTS, 2.0);
         config.density_control.cap = 2 * config.model.points;
         config.iterations = scaled(PAPER_ITERATIONS, 8.0 / 3.0);
-        let faster = pow(PAPER_ITERATIONS / config.iterations as f64, 0.75).min(FASTEST);
-        let optimiser = &mut config.optimiser;
-        for rates in [
-            &mut optimiser.mean,
-            &mut optimiser.scale,
-            &mut optimiser.quaternion,
-            &mut optimiser.density,
-            &mut optimiser.nu,
-        ] {
-            *rates = rates.map(|rate| rate * faster);
-        }
-        config.sghmc.burn_in_friction /= faster.sqrt();
-        config.sghmc.friction /= faster.sqrt();
         config.density_control.every = (config.iterations / 60).clamp(1, 100);
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
         config.checkpoint_every = config.iterations;
@@ -95,7 +76,7 @@ mod tests {
         assert_eq!((config.model.points, config.iterations, config.wavelet.block), (50_000, 30_000, 32));
         assert_eq!((paper.detector(), paper.test_views()), (512, 50));
         assert_eq!((config.density_control.every, config.confidence.every), (100, 500));
-        assert_eq!((config.optimiser, config.sghmc), (Config::default().optimiser, Config::default().sghmc));
+        assert_eq!(crate::optim::schedule::pace(config.optimiser.horizon, config.iterations), 1.0);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::config::{Config, PositionOptimiser};
 use crate::numeric::rng::{self, Purpose};
+use crate::optim::schedule::pace;
 use crate::optim::sghmc::{Phase, Stir, gate};
 use crate::optim::{Adam, Exponential, Sghmc};
 use crate::primitives::{Group, Parameters, Primitives};
@@ -38,6 +39,7 @@ impl Optimiser {
 
     pub(super) fn step(&mut self, raw: &mut Parameters, gradient: &Parameters, step: &Step<'_>) {
         let o = &step.config.optimiser;
+        let pace = pace(o.horizon, step.config.iterations);
         for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
             let [first, last] = match group {
                 Group::Mean => o.mean,
@@ -46,7 +48,7 @@ impl Optimiser {
                 Group::Density => o.density,
                 Group::Nu => o.nu,
             };
-            let rate = Exponential { first, last, steps: step.config.iterations }.at(step.done);
+            let rate = pace * Exponential { first, last, steps: step.config.iterations }.at(step.done);
             if group == Group::Mean && o.position != PositionOptimiser::Adam {
                 sample(&mut self.sghmc, adam, raw, gradient, rate.sqrt(), step);
             } else {
@@ -67,6 +69,8 @@ impl Optimiser {
 /// One step of the positions by SGHMC.
 fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &Parameters, rate: f64, step: &Step<'_>) {
     let settings = &step.config.sghmc;
+    let calmer = pace(step.config.optimiser.horizon, step.config.iterations).sqrt();
+    let (burn_in_friction, friction) = (settings.burn_in_friction / calmer, settings.friction / calmer);
     let noise = |i: usize| {
         let mut random = rng::stream(step.config.seed, Purpose::Stirring, step.done as u64, step.ids[i]);
         let mut normal = || random.sample(StandardNormal);
@@ -75,10 +79,10 @@ fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &P
     if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
         let energy: Vec<_> = gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)).collect();
         let free = |i| Stir { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
-        return sghmc.step(&mut raw.mean, &energy, rate, Phase::Sampling(settings.friction), free);
+        return sghmc.step(&mut raw.mean, &energy, rate, Phase::Sampling(friction), free);
     }
     let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
-    let phase = if burning { Phase::BurnIn(settings.burn_in_friction) } else { Phase::Sampling(settings.friction) };
+    let phase = if burning { Phase::BurnIn(burn_in_friction) } else { Phase::Sampling(friction) };
     let parameters = &step.physical.parameters;
     let stir = |i: usize| match gate(parameters.density[i], settings.density_reference) {
         0.0 => Stir::SHUT,
