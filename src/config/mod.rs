@@ -346,7 +346,7 @@ pub struct DensityControlConfig {
     #[default = 20_000]
     pub cap: usize,
     /// ar: density below which a primitive is dead.
-    #[default = 0.005]
+    #[default = 5e-4]
     pub dead: f64,
     /// ar: largest fraction of all that is recycled in one step.
     #[default = 0.05]
@@ -357,6 +357,9 @@ pub struct DensityControlConfig {
     /// ar: how copies share. exact: field and projections stay; sss: as opacities; sss-program: as its program has it.
     #[default(Relocation::Exact)]
     pub relocation: Relocation,
+    /// ar: how far apart copies start, in standard deviations of the primitive; 0: at one place, where nothing changes.
+    #[default = 1.0]
+    pub spread: f64,
     /// adc: mean length of the gradient to a primitive's shadow, in halves of the detector, from which it is multiplied.
     #[default = 5e-5]
     pub gradient: f64,

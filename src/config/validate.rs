@@ -55,6 +55,7 @@ impl Config {
             ("density_control.dead", density_control.dead),
             ("density_control.growth", density_control.growth),
             ("density_control.gradient", density_control.gradient),
+            ("density_control.spread", density_control.spread),
             ("density_control.split_scale", density_control.split_scale),
             ("density_control.faint", density_control.faint),
         ] {

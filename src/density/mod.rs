@@ -11,7 +11,8 @@ pub mod relocation;
 
 pub use relocation::Relocation;
 
-use crate::primitives::Parameters;
+use crate::primitives::{Parameters, rotation};
+use glam::DVec3;
 
 /// A primitive of the next population.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +37,19 @@ impl Successor {
     }
 }
 
+/// Moves the fresh apart: each by a draw from the normal distribution with its own covariance, times `spread`. `normals`
+/// gives three standard normal numbers for each of them, in their order.
+///
+/// What lies at one place is pulled alike and would stay together. Field and projections change by it; with a spread of 0
+/// nothing moves. Not in the paper. Tests: `what_is_fresh_moves_by_its_own_covariance`; what it brings is in CHOICES.md.
+pub fn spread(primitives: &Parameters, next: &mut [Successor], spread: f64, mut normals: impl FnMut() -> [f64; 3]) {
+    for fresh in next.iter_mut().filter(|successor| successor.fresh) {
+        let (rotation, _) = rotation::unit(primitives.quaternion[fresh.parent]);
+        let offset = rotation * (DVec3::from_array(fresh.scale) * DVec3::from_array(normals()) * spread);
+        fresh.mean = (DVec3::from_array(fresh.mean) + offset).to_array();
+    }
+}
+
 /// The next population: physical values of the successors.
 pub fn succeed(primitives: &Parameters, successors: &[Successor]) -> Parameters {
     Parameters {
@@ -44,5 +58,35 @@ pub fn succeed(primitives: &Parameters, successors: &[Successor]) -> Parameters 
         quaternion: successors.iter().map(|s| primitives.quaternion[s.parent]).collect(),
         density: successors.iter().map(|s| s.density).collect(),
         nu: successors.iter().map(|s| primitives.nu[s.parent]).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_fresh_moves_by_its_own_covariance() {
+        let primitives = Parameters {
+            mean: vec![[0.1, 0.2, 0.3]],
+            scale: vec![[0.5, 0.25, 0.125]],
+            // A quarter turn about z, not normalised: x becomes y, y becomes -x.
+            quaternion: vec![[2.0, 0.0, 0.0, 2.0]],
+            density: vec![1.0],
+            nu: vec![5.0],
+        };
+        let old = Successor::same(&primitives, 0);
+        let small = Successor { fresh: true, scale: old.scale.map(|s| s / 2.0), ..old };
+        let mut next = [old, Successor { fresh: true, ..old }, small];
+        let mut draws = [[1.0, -2.0, 4.0], [1.0, 0.0, 0.0]].into_iter();
+        spread(&primitives, &mut next, 2.0, || draws.next().unwrap());
+        assert_eq!(draws.next(), None);
+        assert_eq!(next[0], old);
+        for (got, expected) in [(next[1].mean, [1.1, 1.2, 1.3]), (next[2].mean, [0.1, 0.7, 0.3])] {
+            for (got, expected) in got.into_iter().zip(expected) {
+                approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
+            }
+        }
+        assert_eq!((next[1].density, next[1].scale, next[1].parent), (old.density, old.scale, 0));
     }
 }

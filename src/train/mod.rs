@@ -20,7 +20,7 @@ pub use state::{Checkpoint, Checkpoints};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::confidence::{Coverage, nu_loss, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
-use crate::density::{adc, ar};
+use crate::density::{self, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
 use crate::numeric::rng::{self, Purpose};
@@ -324,7 +324,11 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                     relocation: control.relocation,
                 };
                 let mut random = rng::stream(seed, Purpose::Recycling, step, 0);
-                ar::ar(&physical, &settings, || random.random())
+                let mut next = ar::ar(&physical, &settings, || random.random());
+                let mut places = rng::stream(seed, Purpose::Splitting, step, 0);
+                let normals = || std::array::from_fn(|_| places.sample(StandardNormal));
+                density::spread(&physical.parameters, &mut next, control.spread, normals);
+                next
             }
         };
         if successors.is_empty() {
