@@ -1,6 +1,6 @@
 //! The paper's experiments at another size: what is made smaller, and by how much.
 
-use crate::config::Config;
+use crate::config::{Config, DensityControl};
 use crate::numeric::elementary::pow;
 
 /// Of the volume in the paper.
@@ -16,7 +16,7 @@ const PAPER_ITERATIONS: f64 = 30_000.0;
 /// |---|---|---|
 /// | detector | 512² | (2N)² |
 /// | primitives at the start | 50,000 | 50,000 (N/256)² |
-/// | most primitives | 100,000 | 100,000 (N/256)² |
+/// | most primitives | 100,000 | 100,000 (N/256)²; with ADC, which ends beyond its cap, that is four fifths of it |
 /// | iterations n | 30,000 | 30,000 (N/256)^8/3 |
 /// | iterations between two steps of density control | 100 | n/60, at most 100 |
 /// | iterations between two computations of confidence | 500 | n/12, at most 500 |
@@ -52,7 +52,11 @@ impl Scale {
         let ratio = self.size as f64 / PAPER_SIZE;
         let scaled = |paper: f64, power: f64| ((paper * pow(ratio, power)).round() as usize).max(1);
         config.model.points = scaled(PAPER_POINTS, 2.0);
-        config.density_control.cap = 2 * config.model.points;
+        config.density_control.cap = match config.density_control.method {
+            // Its last step leads beyond, to about as many as the others have.
+            DensityControl::Adc => config.model.points * 8 / 5,
+            DensityControl::Ar | DensityControl::None => 2 * config.model.points,
+        };
         config.iterations = scaled(PAPER_ITERATIONS, 8.0 / 3.0);
         config.density_control.every = (config.iterations / 60).clamp(1, 100);
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
