@@ -102,12 +102,29 @@ impl Coverage {
     ///
     /// Tests: `fast_and_naive_count_the_same_points`, `one_view_of_a_sphere_covers_two_caps`.
     pub fn confidence(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> Vec<f64> {
+        let all: Vec<usize> = (0..primitives.len()).collect();
+        self.confidence_of(&all, primitives, scanner, angles)
+    }
+
+    /// [`Self::confidence`] of the primitives in some `rows` alone, in their order.
+    ///
+    /// Tests: `the_confidence_of_some_is_that_of_all`.
+    ///
+    /// # Panics
+    /// For a row that does not exist.
+    pub fn confidence_of(
+        &self,
+        rows: &[usize],
+        primitives: &Primitives,
+        scanner: &Scanner,
+        angles: &[f64],
+    ) -> Vec<f64> {
         let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
-        let mut confidence = vec![0.0; primitives.len()];
+        let mut confidence = vec![0.0; rows.len()];
         threads::for_each_chunk(&mut confidence, CHUNK, |chunk, confidence| {
             let mut tubes = Vec::with_capacity(views.len());
-            for (i, c) in confidence.iter_mut().enumerate() {
-                self.collect_tubes(primitives, chunk * CHUNK + i, scanner, &views, &mut tubes);
+            for (&row, c) in rows[chunk * CHUNK..].iter().zip(confidence) {
+                self.collect_tubes(primitives, row, scanner, &views, &mut tubes);
                 *c = self.sphere.covered(&tubes) / self.settings.sphere_points as f64;
             }
         });

@@ -79,6 +79,15 @@ fn fast_and_naive_count_the_same_points() {
 }
 
 #[test]
+fn the_confidence_of_some_is_that_of_all() {
+    let (primitives, angles) = (primitives(150, 1), Scanner::uniform_angles(7, 0.2, TAU));
+    let all = fast(&primitives, &cone(), &angles, Settings::default());
+    let rows: Vec<usize> = (0..150).rev().step_by(2).chain([3, 3]).collect();
+    let some = Coverage::new(Settings::default()).confidence_of(&rows, &primitives, &cone(), &angles);
+    assert_eq!(some, rows.iter().map(|&row| all[row]).collect::<Vec<_>>());
+}
+
+#[test]
 fn points_lie_on_the_sphere_and_spread_evenly() {
     for n in [64, 512, 2000] {
         let points: Vec<DVec3> = (0..n).map(|k| sphere_point(k, n)).collect();

@@ -233,7 +233,7 @@ pub struct ConfidenceConfig {
     /// Ratio of size to extent along the ray at which that radius is reached.
     #[default(confidence::Settings::default().kappa)]
     pub kappa: f64,
-    /// Iterations between two computations of c, beside those after density control.
+    /// Iterations between two computations of c; what density control adds has its own at once.
     #[default = 500]
     pub every: usize,
 }

@@ -20,7 +20,7 @@ pub use state::{Checkpoint, Checkpoints};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::confidence::{Coverage, nu_loss, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
-use crate::density::{self, adc, ar};
+use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
 use crate::numeric::rng::{self, Purpose};
@@ -234,8 +234,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         gradient.check_finite("gradient of the raw parameters", iteration)?;
         let State { raw, ids, optimiser, .. } = &mut self.state;
         optimiser.step(raw, &gradient, &Step { config: self.config, done: iteration - 1, physical: &physical, ids });
-        let changed = self.control_density(iteration)?;
-        if changed || iteration.is_multiple_of(self.config.confidence.every) {
+        self.control_density(iteration)?;
+        if iteration.is_multiple_of(self.config.confidence.every) {
             self.refresh_confidence();
         }
         Ok(losses)
@@ -289,18 +289,18 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         value
     }
 
-    /// Adds, moves and removes primitives if that is due, and says whether it was.
-    fn control_density(&mut self, iteration: usize) -> Result<bool> {
+    /// Adds, moves and removes primitives if that is due.
+    fn control_density(&mut self, iteration: usize) -> Result<()> {
         let control = &self.config.density_control;
         let part = iteration as f64 / self.config.iterations as f64;
         let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop;
         if !due {
-            return Ok(false);
+            return Ok(());
         }
         let physical = self.activation.forward(&self.state.raw);
         let (seed, step) = (self.config.seed, iteration as u64);
         let successors = match control.method {
-            DensityControl::None => return Ok(false),
+            DensityControl::None => return Ok(()),
             DensityControl::Adc => {
                 let grid = &self.dataset.scanner.grid;
                 let settings = adc::Settings {
@@ -337,7 +337,23 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             return Err(Error::invalid(format!("density control at step {iteration}"), "none left", expected, remedy));
         }
         self.state.succeed(&physical.parameters, &successors, &self.activation);
-        Ok(true)
+        self.inherit_confidence(&successors);
+        Ok(())
+    }
+
+    /// c of a new population: the fresh have their own, the others keep theirs until all are computed again.
+    fn inherit_confidence(&mut self, successors: &[Successor]) {
+        if self.state.confidence.is_empty() {
+            return;
+        }
+        let physical = self.activation.forward(&self.state.raw);
+        let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
+        let fresh: Vec<usize> = (0..successors.len()).filter(|&row| successors[row].fresh).collect();
+        let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, angles);
+        let mut confidence: Vec<f64> = successors.iter().map(|s| self.state.confidence[s.parent]).collect();
+        fresh.into_iter().zip(of_fresh).for_each(|(row, c)| confidence[row] = c);
+        self.state.confidence = confidence;
+        self.find_targets();
     }
 
     /// Computes c `[Eq. 8]` and what follows from it, if anything asks for it.
