@@ -219,7 +219,7 @@ pub struct ConfidenceConfig {
     #[default = true]
     pub enabled: bool,
     /// Weight λ of the pull.
-    #[default = 1e-3]
+    #[default = 1e-4]
     pub weight: f64,
     /// T: the lower, the steeper degrees of freedom rise with c.
     #[default(confidence::Settings::default().temperature)]

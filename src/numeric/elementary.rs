@@ -2,7 +2,20 @@
 //! compiled from source instead of taken from the platform. The hot kernels have their own
 //! ([`super::lanes`]).
 
+use glam::DVec3;
+
 pub use libm::{asin, atan, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
+
+/// |v|, with the bits of glam's `length`, whose square root is libm's: on a processor with AVX-512 its old instruction
+/// waits for the wide registers that the kernels leave behind, as long as a small footprint takes.
+pub fn length(v: DVec3) -> f64 {
+    v.length_squared().sqrt()
+}
+
+/// v/|v|, as [`length`].
+pub fn unit(v: DVec3) -> DVec3 {
+    v * (1.0 / length(v))
+}
 
 /// The power of two at or below a positive number, 0 for a subnormal one: a unit that costs no bits.
 pub fn power_of_two_below(x: f64) -> f64 {
@@ -37,6 +50,14 @@ pub fn softplus_inverse(y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lengths_are_those_of_glam_to_the_bit() {
+        for v in [DVec3::new(0.3, -1.7, 2.9), DVec3::new(1e-160, 3e-150, 0.0), DVec3::new(1e150, -2e140, 7.0)] {
+            assert_eq!(length(v), v.length());
+            assert_eq!(unit(v), v.normalize());
+        }
+    }
 
     #[test]
     fn powers_of_two_lie_at_or_below() {

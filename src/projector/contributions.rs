@@ -1,6 +1,6 @@
 //! What each primitive adds to one pixel or voxel: the way from an artefact back to its cause. Not in the paper.
 
-use super::kernel::{Canvas, Plane, STRIP, Scratch};
+use super::kernel::{Canvas, STRIP, Scratch, Slice};
 use super::kernels::{Forward, Kernels};
 use super::shape::CHUNK;
 use super::voxelizer::{Solid, strips};
@@ -60,7 +60,8 @@ impl<R: Kernels> ViewField<'_, R> {
         let band = origin..detector.rows.min(origin + STRIP);
         probe(self.footprints.len(), [row, column], kernel, |i| {
             let footprint = &self.footprints[i];
-            (footprint.plane, footprint.rows_in(band.clone()), footprint.columns.clone())
+            let rows = footprint.rows_in(band.clone());
+            (rows, footprint.slice(0))
         })
         .into_iter()
         .map(|value| value * length)
@@ -83,31 +84,29 @@ impl<R: Kernels> Field<R> {
         let kernel = R::kernels(self.kernel, Projection::Affine).forward;
         probe(self.shapes.len(), [y, z], kernel, |i| {
             let solid = Solid::new(&self.shapes[i], grid);
-            if !solid.slices().contains(&x) {
-                return (Plane::default(), 0..0, 0..0);
-            }
-            let (plane, rows, columns) = solid.slice(x, grid);
             // A strip has an even number of rows, but for the last: there may be one more in its registers.
-            let strip = strips(rows).find(|strip| (strip.start..strip.start + STRIP).contains(&y)).unwrap_or(0..0);
-            (plane, strip, columns)
+            let mut strips = strips(solid.rows());
+            let strip = strips.find(|strip| (strip.start..strip.start + STRIP).contains(&y)).unwrap_or(0..0);
+            (if solid.slices().contains(&x) { strip } else { 0..0 }, solid.slice(x, grid, 0))
         })
     }
 }
 
 /// What each of `m` primitives adds to one pixel, computed in the register that holds the pixel when a kernel runs over
-/// the rows (even start, at most [`STRIP`]) and columns that `area` gives with its plane.
+/// the rows (even start, at most [`STRIP`]) and the columns of the slice that `area` gives.
 fn probe<R: Real>(
     m: usize,
     [row, column]: [usize; 2],
     kernel: Forward<R>,
-    area: impl Fn(usize) -> (Plane, Range<usize>, Range<usize>) + Sync + Send,
+    area: impl Fn(usize) -> (Range<usize>, Slice) + Sync + Send,
 ) -> Vec<R> {
     let half = R::Lanes::WIDTH / 2;
     let chunks = threads::map(m.div_ceil(CHUNK), |chunk| {
         let mut canvas = Canvas::<R>::new(STRIP, column + 1);
         let mut scratch = Scratch::new();
         let one = |i: usize| {
-            let (plane, rows, columns) = area(i);
+            let (rows, mut slice) = area(i);
+            let columns = slice.columns.clone();
             // Registers are two rows tall and `half` columns wide, and reach beyond the last row and column.
             let tall = rows.start..rows.start + rows.len().next_multiple_of(2);
             let wide = columns.start..columns.start + columns.len().next_multiple_of(half);
@@ -116,7 +115,8 @@ fn probe<R: Real>(
             }
             let first = column - (column - columns.start) % half;
             canvas.clear(first..first + 1);
-            kernel(&plane, rows.start..row + 1, first..first + 1, &mut canvas, rows.start, &mut scratch);
+            (slice.columns, slice.first) = (first..first + 1, 0);
+            kernel(&[slice], rows.start..row + 1, &mut canvas, &mut scratch);
             canvas.row(row - rows.start, column + 1)[column]
         };
         (chunk * CHUNK..m.min((chunk + 1) * CHUNK)).map(one).collect::<Vec<_>>()

@@ -6,8 +6,9 @@
 //! gradient comes back in the same whitened coordinates, for the same reason.
 
 use super::Projection;
-use super::kernel::{Plane, Sums};
+use super::kernel::{Plane, Slice, Sums};
 use super::shape::{Shape, ShapeGradient};
+use crate::numeric::elementary::{length, unit};
 use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec2, DVec3};
 use std::ops::Range;
@@ -55,8 +56,8 @@ struct Geometry {
 impl Geometry {
     /// Orthonormal whitened axes of y and z, perpendicular to p0.
     fn axes(&self, whitened_v: DVec3) -> (DVec3, DVec3) {
-        let q_y = self.p0.cross(whitened_v).cross(self.p0).normalize();
-        (q_y, q_y.cross(self.p0.normalize()))
+        let q_y = unit(self.p0.cross(whitened_v).cross(self.p0));
+        (q_y, q_y.cross(unit(self.p0)))
     }
 
     /// `gᵀ(α, β)` in terms of y and z.
@@ -147,7 +148,7 @@ impl Footprint {
                 let h = geometry.g_yz() * (kappa / a0 * unit_root);
                 (plane.h_y, plane.h_z, plane.k) = (h.x, h.y, k * shape.unit);
             }
-            Projection::Affine => plane.weight *= d0.length(),
+            Projection::Affine => plane.weight *= length(d0),
         }
         // The determinant of c is taken from its factors, which have all their digits.
         let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
@@ -163,6 +164,11 @@ impl Footprint {
     /// The rows within a band that the kernel walks.
     pub(super) fn rows_in(&self, band: Range<usize>) -> Range<usize> {
         from_even(self.rows.start.max(band.start)..self.rows.end.min(band.end))
+    }
+
+    /// Its only plane; `first` is where the first pixel of the first row to walk is on the canvas.
+    pub(super) fn slice(&self, first: usize) -> Slice {
+        Slice { plane: self.plane, columns: self.columns.clone(), first, x: 0.0 }
     }
 
     /// From sums over pixels to the gradient of mean, precision matrix, density and ν. Mirrors [`Self::new`].
@@ -234,8 +240,8 @@ impl Footprint {
 
 /// `factor · (a bᵀ + b aᵀ)/2`.
 pub(super) fn symmetric(a: DVec3, b: DVec3, factor: f64) -> DMat3 {
-    let column = |k: usize| (a * b[k] + b * a[k]) * (0.5 * factor);
-    DMat3::from_cols(column(0), column(1), column(2))
+    let half = 0.5 * factor;
+    DMat3::from_cols((a * b.x + b * a.x) * half, (a * b.y + b * a.y) * half, (a * b.z + b * a.z) * half)
 }
 
 /// The quadratic form of a primitive on the detector, in lengths (α, β) from its centre's shadow.

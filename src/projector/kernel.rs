@@ -1,9 +1,9 @@
 //! **HOT.** One primitive over a strip of pixels: the only code that runs once per (pixel, primitive).
 //!
-//! A strip is `WIDTH/2` columns × 2 rows per SIMD register, [`DEPTH`] registers tall. The work is split into
-//! stages that each run over the whole strip (distance, logarithm, exponential, use), so that the long chains
-//! of one register hide behind those of the others. Within a column of registers the coordinate z of [`Plane`]
-//! is constant: half of the quadratic form and two thirds of the moments leave the inner loop.
+//! A SIMD register is `WIDTH/2` columns × 2 rows of pixels. The work is split into stages that each run over a batch
+//! of registers (distance, logarithm, exponential, use), so that the long chains of one register hide behind those of
+//! the others. Within a column of registers the coordinate z of [`Plane`] is constant: half of the quadratic form and
+//! two thirds of the moments leave the inner loop.
 //!
 //! Everything is a power of two. With Δ the squared Mahalanobis distance of the primitive's centre from the
 //! ray, x = Δ/unit and root = √r:
@@ -16,14 +16,17 @@
 //! Accuracy: the profile is within 1.5e-7 (f32) and 5e-16 (f64) of its peak for every ν from 1 to 10⁴.
 //! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
 
+use super::outline::Outline;
 use crate::numeric::{Lanes, Real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
-/// Registers in a strip, each two rows tall.
-pub(super) const DEPTH: usize = 16;
+/// Registers in a column of a strip, each two rows tall.
+const DEPTH: usize = 16;
 /// Rows in a strip.
 pub(super) const STRIP: usize = 2 * DEPTH;
+/// Registers in a batch: several columns of a small footprint, at least one of a large one.
+const BATCH: usize = 2 * DEPTH;
 
 /// A primitive seen on a plane of pixels, in coordinates in which its form is a sum of squares:
 ///
@@ -55,6 +58,18 @@ pub(super) struct Plane {
     pub(super) limit: f64,
 }
 
+/// A plane on which a primitive is seen, and where its pixels are on the canvas.
+#[derive(Clone, Debug)]
+pub(super) struct Slice {
+    pub(super) plane: Plane,
+    /// Columns that bound the support.
+    pub(super) columns: Range<usize>,
+    /// Where on the canvas the first pixel of the first row that bounds the support is.
+    pub(super) first: usize,
+    /// The plane's own coordinate, of which [`Sums::x`] are moments.
+    pub(super) x: f64,
+}
+
 /// Pixels with room for whole registers: `stride` ≥ columns + WIDTH/2 and an even number of rows.
 pub(super) struct Canvas<R> {
     pub(super) pixels: Vec<R>,
@@ -74,6 +89,8 @@ pub(super) struct Sums {
     pub(super) value: f64,
     /// Values times log2(1+x). Student's t only.
     pub(super) log: f64,
+    /// Derivative to δ/unit times the slice's x, its square, x·y, x·z. Solids only.
+    pub(super) x: [f64; 4],
 }
 
 impl Plane {
@@ -85,59 +102,6 @@ impl Plane {
         let delta = y * y + z * z + self.floor;
         let h = 1.0 + self.h_y * y + self.h_z * z;
         delta / (h * h + self.k * delta) <= self.limit
-    }
-}
-
-/// Where the support may lie in a box of pixels. Pixels that it leaves out would have added zeros.
-struct Outline<'a> {
-    plane: &'a Plane,
-    /// What y² + z² may be at most.
-    squares: f64,
-    /// Rows per unit of y.
-    per_y: f64,
-}
-
-impl<'a> Outline<'a> {
-    /// How much wider it is than the support, so that no rounding of the lanes leads out of it.
-    const SPARE: f64 = 1e-3;
-
-    /// From `x ≤ limit`, which is `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
-    fn new(plane: &'a Plane, rows: &Range<usize>, columns: &Range<usize>) -> Self {
-        let h = |row: usize, column: usize| {
-            let across = column as f64 - plane.column_centre;
-            let y = plane.b * (row as f64 - plane.row_centre - plane.slant * across);
-            (1.0 + plane.h_y * y + plane.h_z * (plane.a * across + plane.shift)).abs()
-        };
-        let (last_row, last_column) = (rows.end.max(1) - 1, columns.end.max(1) - 1);
-        let corners = [(rows.start, columns.start), (rows.start, last_column), (last_row, columns.start)];
-        let h = corners.iter().fold(h(last_row, last_column), |most, &(row, column)| most.max(h(row, column)));
-        let free = 1.0 - plane.limit * plane.k;
-        let most = if free > 0.0 { plane.limit * h * h / free } else { f64::INFINITY };
-        let squares = most * (1.0 + Self::SPARE) - plane.floor;
-        Self { plane, squares, per_y: 1.0 / plane.b }
-    }
-
-    /// The registers, of a strip of `rows` (even start), that pixels of the support in `width` columns from `first` on can
-    /// be in.
-    #[inline(always)]
-    fn registers(&self, rows: &Range<usize>, first: usize, width: usize) -> Range<usize> {
-        let plane = self.plane;
-        let across = [first, first + width - 1].map(|column| column as f64 - plane.column_centre);
-        let [z0, z1] = across.map(|across| plane.a * across + plane.shift);
-        let nearest = if z0 * z1 > 0.0 { (z0 * z0).min(z1 * z1) } else { 0.0 };
-        let room = self.squares - nearest;
-        if room < 0.0 {
-            return 0..0;
-        }
-        let reach = room.sqrt() * self.per_y + Self::SPARE;
-        let [a, b] = across.map(|across| plane.row_centre + plane.slant * across);
-        // What is not a number bounds nothing.
-        let low = (a.min(b) - reach).max(rows.start as f64);
-        let high = (a.max(b) + reach).min(rows.end as f64 - 1.0);
-        if low > high {
-            return 0..0;
-        }
-        (low as usize - rows.start) / 2..(high as usize - rows.start) / 2 + 1
     }
 }
 
@@ -167,26 +131,50 @@ impl<R: Real> Canvas<R> {
     }
 }
 
-/// The intermediate values of one column of registers. Kept from call to call: clearing it would cost as much as
-/// a small footprint.
+/// The intermediate values of a batch of registers. Kept from call to call: clearing it would cost as much as a small
+/// footprint.
 pub(super) struct Scratch<L> {
-    x: [L; DEPTH],
-    y: [L; DEPTH],
-    delta: [L; DEPTH],
-    h: [L; DEPTH],
-    r: [L; DEPTH],
-    w: [L; DEPTH],
-    log: [L; DEPTH],
-    power: [L; DEPTH],
-    /// Rows of each register's lanes, from the strip's first row on.
+    x: [L; BATCH],
+    y: [L; BATCH],
+    delta: [L; BATCH],
+    h: [L; BATCH],
+    root: [L; BATCH],
+    w: [L; BATCH],
+    log: [L; BATCH],
+    power: [L; BATCH],
+    /// Where a register's first pixel is on the canvas.
+    pixel: [usize; BATCH],
+    columns: [Ended<L>; BATCH],
+    /// Rows of the lanes of a column's registers, from the strip's first row on.
     row: [L; DEPTH],
+}
+
+/// A column of registers in a batch.
+#[derive(Clone, Copy, Default)]
+struct Ended<L> {
+    z: L,
+    /// x of its slice.
+    slice: f64,
+    /// Where its registers end.
+    end: usize,
 }
 
 impl<L: Lanes> Scratch<L> {
     pub(super) fn new() -> Self {
-        let empty = [L::default(); DEPTH];
-        let row = std::array::from_fn(|j| L::from_fn(|i| L::Scalar::from_f64((2 * j + i / (L::WIDTH / 2)) as f64)));
-        Self { x: empty, y: empty, delta: empty, h: empty, r: empty, w: empty, log: empty, power: empty, row }
+        let empty = [L::default(); BATCH];
+        Self {
+            x: empty,
+            y: empty,
+            delta: empty,
+            h: empty,
+            root: empty,
+            w: empty,
+            log: empty,
+            power: empty,
+            pixel: [0; BATCH],
+            columns: [Ended::default(); BATCH],
+            row: std::array::from_fn(|j| L::from_fn(|i| L::Scalar::from_f64((2 * j + i / (L::WIDTH / 2)) as f64))),
+        }
     }
 }
 
@@ -202,8 +190,8 @@ struct Column<L> {
 impl<L: Lanes> Column<L> {
     #[inline(always)]
     fn new(plane: &Plane, first_row: usize, column: usize) -> Self {
-        let first = column as f64 - plane.column_centre;
-        let across = |i: usize| first + (i % (L::WIDTH / 2)) as f64;
+        let left = column as f64 - plane.column_centre;
+        let across = |i: usize| left + (i % (L::WIDTH / 2)) as f64;
         let ridge = |i: usize| plane.row_centre - first_row as f64 + plane.slant * across(i);
         let z = L::from_fn(|i| L::Scalar::from_f64(plane.a * across(i) + plane.shift));
         Self {
@@ -238,138 +226,202 @@ impl<L: Lanes> Shared<L> {
         Self { b: real(plane.b), h_y: real(plane.h_y), k: real(plane.k), limit: real(plane.limit) }
     }
 
-    /// Distances of one register: y, δ/unit, h, and 1/(h²+k·δ/unit).
+    /// Distances of one register: y, δ/unit, h, and √r = 1/√(h²+k·δ/unit).
     #[inline(always)]
     fn distances<const EXACT: bool>(&self, column: &Column<L>, row: L) -> (L, L, L, L) {
         let y = self.b * (row - column.ridge[0] - column.ridge[1]);
-        let delta = (y * y + column.floor).at_most(real(L::Scalar::FAR));
+        let delta = y.fma(y, column.floor).at_most(real(L::Scalar::FAR));
         if EXACT {
-            let h = self.h_y * y + column.h;
-            (y, delta, h, real::<L>(1.0) / (h * h + self.k * delta))
+            let h = self.h_y.fma(y, column.h);
+            (y, delta, h, h.fma(h, self.k * delta).rsqrt())
         } else {
             (y, delta, L::default(), L::default())
         }
     }
 }
 
-/// Adds a primitive onto the canvas, whose first row is row `origin` of the plane.
+/// Adds a primitive onto the canvas, in any number of planes.
 ///
-/// `rows` (even start, at most [`STRIP`] long) and `columns` bound the support; pixels beyond `limit` add nothing.
+/// `rows` (even start) and each plane's columns bound the support; pixels beyond `limit` add nothing.
 #[inline]
 pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
-    plane: &Plane,
+    slices: &[Slice],
     rows: Range<usize>,
-    columns: Range<usize>,
     canvas: &mut Canvas<R>,
-    origin: usize,
     scratch: &mut Scratch<R::Lanes>,
 ) {
     let half = R::Lanes::WIDTH / 2;
-    let Scratch { row, x, r: root, power, .. } = scratch;
-    let outline = Outline::new(plane, &rows, &columns);
-    let shared = Shared::<R::Lanes>::new(plane);
+    let Some(Slice { plane: any, .. }) = slices.first() else { return };
+    let shared = Shared::<R::Lanes>::new(any);
+    let mut filled = 0;
+    for Slice { plane, columns, first: begin, .. } in slices {
+        let outline = Outline::new::<EXACT>(plane, &rows, columns);
+        for strip in rows.clone().step_by(STRIP) {
+            let strip = strip..rows.end.min(strip + STRIP);
+            for first in columns.clone().step_by(half) {
+                let registers = outline.registers(&strip, first, half);
+                if registers.is_empty() {
+                    continue;
+                }
+                if filled + registers.len() > BATCH {
+                    paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
+                    filled = 0;
+                }
+                let column = Column::new(plane, strip.start, first);
+                let top = begin + (strip.start - rows.start) * canvas.stride + first;
+                for j in registers {
+                    let (_, delta, _, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
+                    if EXACT {
+                        scratch.root[filled] = root;
+                    }
+                    scratch.x[filled] = if EXACT { delta * (root * root) } else { delta };
+                    scratch.pixel[filled] = top + 2 * j * canvas.stride;
+                    filled += 1;
+                }
+            }
+        }
+    }
+    paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
+}
+
+/// Adds the values of a batch, whose first `filled` registers have their distances, onto the canvas.
+#[inline(always)]
+fn paint<R: Real, const STUDENT: bool, const EXACT: bool>(
+    plane: &Plane,
+    shared: &Shared<R::Lanes>,
+    filled: usize,
+    scratch: &mut Scratch<R::Lanes>,
+    canvas: &mut Canvas<R>,
+) {
+    let half = R::Lanes::WIDTH / 2;
     let (minus_q, weight, zero) = (real::<R::Lanes>(-plane.q), real(plane.weight), R::Lanes::default());
-    for first in columns.step_by(half) {
-        let registers = outline.registers(&rows, first, half);
-        if registers.is_empty() {
-            continue;
-        }
-        let column = Column::new(plane, rows.start, first);
-        for j in registers.clone() {
-            let (_, delta, _, r) = shared.distances::<EXACT>(&column, row[j]);
-            (x[j], root[j]) = if EXACT { (delta * r, r.sqrt()) } else { (delta, zero) };
-        }
-        for j in registers.clone() {
-            power[j] = if STUDENT { minus_q * x[j].log2_1p() } else { -x[j] };
-        }
-        for power in &mut power[registers.clone()] {
-            *power = power.exp2();
-        }
-        for j in registers {
-            let value = if EXACT { power[j] * root[j] } else { power[j] };
-            let value = x[j].select_le(shared.limit, value * weight, zero);
-            let pixel = (rows.start - origin + 2 * j) * canvas.stride + first;
-            let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
-            value.add_to_rows(&mut top[..half], &mut bottom[..half]);
-        }
+    let Scratch { x, root, power, pixel, .. } = scratch;
+    let (x, root, power, pixel) = (&x[..filled], &root[..filled], &mut power[..filled], &pixel[..filled]);
+    for (power, &x) in power.iter_mut().zip(x) {
+        *power = if STUDENT { minus_q * x.log2_1p() } else { -x };
+    }
+    for power in &mut *power {
+        *power = power.exp2();
+    }
+    for (((&x, &root), &power), &pixel) in x.iter().zip(root).zip(&*power).zip(pixel) {
+        let value = if EXACT { power * root } else { power };
+        let value = x.select_le(shared.limit, value * weight, zero);
+        let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
+        value.add_to_rows(&mut top[..half], &mut bottom[..half]);
     }
 }
 
-/// Sums `cotangent × derivative` of a primitive over `rows` (even start) × `columns` of the whole plane.
+/// Sums `cotangent × derivative` of a primitive over `rows` (even start) × the columns of each plane.
 ///
 /// With a = w·root·(1+x)^-(q+1) and b = a·r: ∂/∂(δ/unit) = k·g - q·b, ∂/∂h = 2·h·g, ∂/∂k = g·δ/unit, where
 /// g = b·((q-½)x - ½) is the derivative to h²+k·δ/unit. For the Gaussian ln 2 stands for q and q-½, and
 /// 2^-x for the power.
 #[inline]
-pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool>(
-    plane: &Plane,
+pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
+    slices: &[Slice],
     rows: Range<usize>,
-    columns: Range<usize>,
     cotangent: &Canvas<R>,
     scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
     let half = R::Lanes::WIDTH / 2;
-    let shared = Shared::<R::Lanes>::new(plane);
-    let (zero, point_five) = (R::Lanes::default(), real::<R::Lanes>(0.5));
-    let minus_q_1 = real::<R::Lanes>(-(plane.q + 1.0));
-    let (slope, slope_x) = if STUDENT { (plane.q, plane.q - 0.5) } else { (LN_2, LN_2) };
-    let (slope, slope_x) = (real::<R::Lanes>(slope), real::<R::Lanes>(slope_x));
+    let Some(Slice { plane: any, .. }) = slices.first() else { return Sums::default() };
+    let shared = Shared::<R::Lanes>::new(any);
+    let zero = R::Lanes::default();
     let mut total = Totals::<R::Lanes>::default();
-    let outline = Outline::new(plane, &rows, &columns);
-    for strip in rows.clone().step_by(STRIP) {
-        let strip = strip..rows.end.min(strip + STRIP);
-        let Scratch { row, x, y, delta, h, r, w, log, power } = &mut *scratch;
-        for first in columns.clone().step_by(half) {
-            let registers = outline.registers(&strip, first, half);
-            if registers.is_empty() {
-                continue;
-            }
-            let column = Column::new(plane, strip.start, first);
-            for j in registers.clone() {
-                (y[j], delta[j], h[j], r[j]) = shared.distances::<EXACT>(&column, row[j]);
-                let here = if EXACT { delta[j] * r[j] } else { delta[j] };
-                let pixel = (strip.start + 2 * j) * cotangent.stride + first;
-                let (top, bottom) = cotangent.pixels[pixel..].split_at(cotangent.stride);
-                let cotangent = R::Lanes::from_rows(&top[..half], &bottom[..half]);
-                let cotangent = if EXACT { cotangent * r[j].sqrt() } else { cotangent };
-                // Beyond the limit x becomes 0 as well: no power of it may overflow.
-                x[j] = here.select_le(shared.limit, here, zero);
-                w[j] = here.select_le(shared.limit, cotangent, zero);
-            }
-            for j in registers.clone() {
-                log[j] = if STUDENT { x[j].log2_1p() } else { zero };
-            }
-            for j in registers.clone() {
-                power[j] = if STUDENT { (minus_q_1 * log[j]).exp2() } else { (-x[j]).exp2() };
-            }
-            let mut part = ColumnSums::<R::Lanes>::default();
-            for j in registers {
-                let a = w[j] * power[j];
-                let value = if STUDENT { a + a * x[j] } else { a };
-                part.value += value;
-                if STUDENT {
-                    part.log += value * log[j];
+    let (mut filled, mut ended) = (0, 0);
+    for Slice { plane, columns, first: begin, x: slice } in slices {
+        let outline = Outline::new::<EXACT>(plane, &rows, columns);
+        for strip in rows.clone().step_by(STRIP) {
+            let strip = strip..rows.end.min(strip + STRIP);
+            for first in columns.clone().step_by(half) {
+                let registers = outline.registers(&strip, first, half);
+                if registers.is_empty() {
+                    continue;
                 }
-                let distance = if EXACT {
-                    let b = a * r[j];
-                    let g = b * (slope_x * x[j] - point_five);
-                    let gh = g * h[j];
-                    part.h[0] += gh;
-                    part.h[1] += gh * y[j];
-                    part.k += g * delta[j];
-                    shared.k * g - slope * b
-                } else {
-                    -(slope * a)
-                };
-                let first = distance * y[j];
-                part.distance[0] += distance;
-                part.distance[1] += first;
-                part.distance[2] += first * y[j];
+                if filled + registers.len() > BATCH {
+                    gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
+                    (filled, ended) = (0, 0);
+                }
+                let column = Column::new(plane, strip.start, first);
+                let top = begin + (strip.start - rows.start) * cotangent.stride + first;
+                for j in registers {
+                    let (y, delta, h, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
+                    let x = if EXACT { delta * (root * root) } else { delta };
+                    let (top, bottom) = cotangent.pixels[top + 2 * j * cotangent.stride..].split_at(cotangent.stride);
+                    let w = R::Lanes::from_rows(&top[..half], &bottom[..half]);
+                    let w = if EXACT { w * root } else { w };
+                    // Beyond the limit x becomes 0 as well: no power of it may overflow.
+                    scratch.x[filled] = x.select_le(shared.limit, x, zero);
+                    scratch.w[filled] = x.select_le(shared.limit, w, zero);
+                    scratch.y[filled] = y;
+                    if EXACT {
+                        (scratch.delta[filled], scratch.h[filled], scratch.root[filled]) = (delta, h, root);
+                    }
+                    filled += 1;
+                }
+                scratch.columns[ended] = Ended { z: column.z, slice: *slice, end: filled };
+                ended += 1;
             }
-            total.add::<EXACT>(&part, column.z);
         }
     }
-    total.sums()
+    gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
+    total.sums::<EXACT, SOLID>()
+}
+
+/// Adds a batch to the sums: its first `filled` registers, in its first `ended` columns.
+#[inline(always)]
+fn gather<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
+    plane: &Plane,
+    shared: &Shared<R::Lanes>,
+    filled: usize,
+    ended: usize,
+    scratch: &mut Scratch<R::Lanes>,
+    total: &mut Totals<R::Lanes>,
+) {
+    let minus_point_five = real::<R::Lanes>(-0.5);
+    let minus_q_1 = real::<R::Lanes>(-(plane.q + 1.0));
+    let (slope, slope_x) = if STUDENT { (plane.q, plane.q - 0.5) } else { (LN_2, LN_2) };
+    let (minus_slope, slope_x) = (real::<R::Lanes>(-slope), real::<R::Lanes>(slope_x));
+    let Scratch { x, y, delta, h, root, w, log, power, columns, .. } = scratch;
+    let (log, power) = (&mut log[..filled], &mut power[..filled]);
+    if STUDENT {
+        log.iter_mut().zip(&*x).for_each(|(log, x)| *log = x.log2_1p());
+        power.iter_mut().zip(&*log).for_each(|(power, &log)| *power = (minus_q_1 * log).exp2());
+    } else {
+        power.iter_mut().zip(&*x).for_each(|(power, &x)| *power = (-x).exp2());
+    }
+    let mut begin = 0;
+    for column in &columns[..ended] {
+        let mut part = ColumnSums::<R::Lanes>::default();
+        for j in begin..column.end {
+            let a = w[j] * power[j];
+            let value = if STUDENT { a.fma(x[j], a) } else { a };
+            part.value += value;
+            if STUDENT {
+                part.log = value.fma(log[j], part.log);
+            }
+            let distance = if EXACT {
+                let b = a * (root[j] * root[j]);
+                let g = b * slope_x.fma(x[j], minus_point_five);
+                let gh = g * h[j];
+                part.h[0] += gh;
+                part.h[1] = gh.fma(y[j], part.h[1]);
+                part.k = g.fma(delta[j], part.k);
+                shared.k.fma(g, minus_slope * b)
+            } else {
+                minus_slope * a
+            };
+            let first = distance * y[j];
+            part.distance[0] += distance;
+            part.distance[1] += first;
+            part.distance[2] = first.fma(y[j], part.distance[2]);
+        }
+        total.add::<EXACT>(&part, column.z);
+        if SOLID {
+            total.add_slice(&part, column);
+        }
+        begin = column.end;
+    }
 }
 
 /// Sums over one column of registers; the powers of z are still to be multiplied in.
@@ -390,6 +442,7 @@ struct Totals<L> {
     k: L,
     value: L,
     log: L,
+    x: [L; 4],
 }
 
 impl<L: Lanes> Totals<L> {
@@ -412,68 +465,31 @@ impl<L: Lanes> Totals<L> {
         }
     }
 
-    fn sums(&self) -> Sums {
-        Sums {
-            distance: self.distance.map(L::sum),
-            h: self.h.map(L::sum),
-            k: self.k.sum(),
+    /// The moments of x, which is the same in all pixels of a slice.
+    #[inline(always)]
+    fn add_slice(&mut self, part: &ColumnSums<L>, column: &Ended<L>) {
+        let x = real::<L>(column.slice);
+        let times_x = part.distance[0] * x;
+        self.x[0] += times_x;
+        self.x[1] += times_x * x;
+        self.x[2] += part.distance[1] * x;
+        self.x[3] += times_x * column.z;
+    }
+
+    fn sums<const EXACT: bool, const SOLID: bool>(&self) -> Sums {
+        let mut sums = Sums {
+            distance: std::array::from_fn(|i| self.distance[i].sum()),
             value: self.value.sum(),
             log: self.log.sum(),
+            ..Sums::default()
+        };
+        if EXACT {
+            sums.h = std::array::from_fn(|i| self.h[i].sum());
+            sums.k = self.k.sum();
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::numeric::rng::{Purpose, stream};
-    use rand::RngExt;
-
-    #[test]
-    fn an_outline_holds_every_pixel_of_the_support_and_little_else() {
-        let mut draws = stream(5, Purpose::Phantom, 0, 0);
-        let (mut walked, mut boxed, mut useful) = (0, 0, 0);
-        for number in 0..400 {
-            let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
-            let plane = Plane {
-                row_centre: draw(10.0, 50.0),
-                column_centre: draw(10.0, 50.0),
-                slant: draw(-2.0, 2.0),
-                b: draw(0.1, 0.5),
-                a: draw(0.1, 0.5),
-                shift: draw(-0.1, 0.1),
-                floor: draw(0.0, 0.5),
-                h_y: if number % 2 == 0 { 0.0 } else { draw(-0.1, 0.1) },
-                h_z: draw(-0.1, 0.1),
-                k: draw(0.0, 0.02),
-                limit: draw(0.3, 3.0),
-                ..Plane::default()
-            };
-            let pixels: Vec<_> = (0..64 * 64).map(|i| (i / 64, i % 64)).filter(|&(r, c)| plane.reaches(r, c)).collect();
-            let Some(&(top, _)) = pixels.first() else { continue };
-            let bottom = pixels.last().unwrap().0 + 1;
-            let columns = pixels.iter().map(|p| p.1).min().unwrap()..pixels.iter().map(|p| p.1).max().unwrap() + 1;
-            let rows = top & !1..bottom;
-            let outline = Outline::new(&plane, &rows, &columns);
-            useful += pixels.len();
-            for strip in rows.clone().step_by(STRIP) {
-                let strip = strip..rows.end.min(strip + STRIP);
-                for first in columns.clone().step_by(8) {
-                    let registers = outline.registers(&strip, first, 8);
-                    walked += 16 * registers.len();
-                    boxed += 16 * strip.len().div_ceil(2);
-                    assert!(
-                        registers.is_empty() || registers.end <= strip.len().div_ceil(2),
-                        "{registers:?} of {strip:?}"
-                    );
-                    for &(row, column) in &pixels {
-                        if strip.contains(&row) && (first..first + 8).contains(&column) {
-                            assert!(registers.contains(&((row - strip.start) / 2)), "{plane:?} at {row}, {column}");
-                        }
-                    }
-                }
-            }
+        if SOLID {
+            sums.x = std::array::from_fn(|i| self.x[i].sum());
         }
-        assert!(useful > 20_000 && walked * 6 < boxed * 5, "{walked} of {boxed} for {useful}");
+        sums
     }
 }

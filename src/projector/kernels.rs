@@ -1,19 +1,20 @@
 //! Which kernels a precision has: chosen outside of the loop over primitives, compiled once.
 
 use super::Projection;
-use super::kernel::{self, Canvas, Plane, Scratch, Sums};
+use super::kernel::{self, Canvas, Scratch, Slice, Sums};
 use crate::numeric::Real;
 use crate::primitives::Kernel;
 use std::ops::Range;
 
-pub(super) type Forward<R> =
-    fn(&Plane, Range<usize>, Range<usize>, &mut Canvas<R>, usize, &mut Scratch<<R as Real>::Lanes>);
-type Backward<R> = fn(&Plane, Range<usize>, Range<usize>, &Canvas<R>, &mut Scratch<<R as Real>::Lanes>) -> Sums;
+pub(super) type Forward<R> = fn(&[Slice], Range<usize>, &mut Canvas<R>, &mut Scratch<<R as Real>::Lanes>);
+type Backward<R> = fn(&[Slice], Range<usize>, &Canvas<R>, &mut Scratch<<R as Real>::Lanes>) -> Sums;
 
 /// The kernels for a profile and a projection.
 pub struct KernelPair<R: Real> {
     pub(super) forward: Forward<R>,
     pub(super) backward: Backward<R>,
+    /// Backward with the moments that solids need.
+    pub(super) solid: Backward<R>,
 }
 
 impl<R: Real> KernelPair<R> {
@@ -27,7 +28,11 @@ impl<R: Real> KernelPair<R> {
     }
 
     fn of<const STUDENT: bool, const EXACT: bool>() -> Self {
-        Self { forward: kernel::forward::<R, STUDENT, EXACT>, backward: kernel::backward::<R, STUDENT, EXACT> }
+        Self {
+            forward: kernel::forward::<R, STUDENT, EXACT>,
+            backward: kernel::backward::<R, STUDENT, EXACT, false>,
+            solid: kernel::backward::<R, STUDENT, false, true>,
+        }
     }
 }
 

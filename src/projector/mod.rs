@@ -5,6 +5,7 @@
 //! | whitening matrix, kernel constants | `shape` | `[Eq. 3]`, `[Eq. 5]` |
 //! | quadratic form on the detector, support | `footprint` | `[Eq. 4]`, `[X1]`, `[X2]` |
 //! | pixels, SIMD | `kernel` | `[Eq. 4]`, `[X1]`, `[X3]` |
+//! | registers that hold pixels of the support | `outline` | `[X2]` |
 //! | images band by band, gradients primitive by primitive | `view` | |
 //! | voxels and their adjoint | `voxelizer` | `[Eq. 1]`, `[Eq. 2]` |
 //! | what each primitive adds to one pixel or voxel | `contributions` | `[Eq. 1]` |
@@ -18,6 +19,7 @@ mod footprint;
 mod kernel;
 mod kernels;
 pub mod naive;
+mod outline;
 mod profile;
 mod shape;
 mod view;

@@ -1,7 +1,7 @@
 //! The kernel as a function of the distance alone, in the arithmetic of the images.
 
 use super::Projection;
-use super::kernel::{Canvas, Plane, Scratch};
+use super::kernel::{Canvas, Plane, Scratch, Slice};
 use super::kernels::Kernels;
 use crate::primitives::{Kernel, gaussian, student_t};
 
@@ -32,7 +32,8 @@ pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
         };
         let plane = Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, ..Plane::default() };
         canvas.clear(0..1);
-        (R::kernels(kernel, Projection::Affine).forward)(&plane, 0..1, 0..1, &mut canvas, 0, &mut scratch);
+        let slice = Slice { plane, columns: 0..1, first: 0, x: 0.0 };
+        (R::kernels(kernel, Projection::Affine).forward)(&[slice], 0..1, &mut canvas, &mut scratch);
         canvas.row(0, 1)[0]
     };
     delta.iter().zip(nu).map(one).collect()

@@ -79,7 +79,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             for &i in &members[band] {
                 let footprint = &self.footprints[i as usize];
                 let rows = footprint.rows_in(origin..origin + height);
-                kernel(&footprint.plane, rows, footprint.columns.clone(), &mut canvas, origin, &mut scratch);
+                let slice = footprint.slice((rows.start - origin) * canvas.stride);
+                kernel(&[slice], rows, &mut canvas, &mut scratch);
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
                 pixels.copy_from_slice(canvas.row(row, columns));
@@ -129,19 +130,11 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let footprint = &self.footprints[first + i];
                 if !footprint.is_empty() {
-                    let sums = kernel(
-                        &footprint.plane,
-                        from_even(footprint.rows.clone()),
-                        footprint.columns.clone(),
-                        &canvas,
-                        &mut scratch,
-                    );
-                    gradient.add(&footprint.pull_back(
-                        &self.field.shapes[first + i],
-                        &self.view,
-                        self.projection,
-                        &sums,
-                    ));
+                    let rows = from_even(footprint.rows.clone());
+                    let slice = footprint.slice(rows.start * canvas.stride);
+                    let sums = kernel(&[slice], rows, &canvas, &mut scratch);
+                    let shape = &self.field.shapes[first + i];
+                    gradient.add(&footprint.pull_back(shape, &self.view, self.projection, &sums));
                 }
             }
         });

@@ -1,11 +1,13 @@
-//! The field at voxel centres, slice by slice along x, and the adjoint. A slice is a plane of pixels (rows = y,
-//! columns = z) for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`.
+//! The field at voxel centres, and the adjoint. A slice of the grid along x is a plane of pixels (rows = y, columns = z)
+//! for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`. A primitive's slices go through
+//! them together: most are a few registers.
 
 use super::footprint::{Extent, from_even, symmetric};
-use super::kernel::{Canvas, Plane, STRIP, Scratch, Sums};
+use super::kernel::{Canvas, Plane, STRIP, Scratch, Slice, Sums};
 use super::kernels::Kernels;
 use super::shape::{CHUNK, Shape, ShapeGradient};
 use super::{Field, FieldGradient, Projection};
+use crate::numeric::elementary::{length, unit};
 use crate::numeric::threads;
 use crate::scene::Grid;
 use glam::{DVec2, DVec3};
@@ -13,11 +15,13 @@ use ndarray::{Array3, ArrayView3};
 use std::ops::Range;
 
 /// Primitives whose gradients one task gathers.
-const GATHER: usize = 16;
+const GATHER: usize = 32;
+/// Slices that one task adds up.
+const SLAB: usize = 4;
 
 /// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
 /// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Solid {
     /// The part that all slices share; `slant` is along z.
     plane: Plane,
@@ -25,8 +29,10 @@ pub(super) struct Solid {
     ridge_x: f64,
     ax: f64,
     xx: f64,
-    /// Half extent of the form's unit circle, in rows and in columns.
-    half: [f64; 2],
+    /// Half extent of a slice's form of 1, in columns.
+    half: f64,
+    /// Rows of the support in all slices, from an even one.
+    rows: Range<usize>,
     /// Slice of the centre, with a fraction, and the distance of slices.
     centre: f64,
     step: f64,
@@ -38,8 +44,8 @@ impl Solid {
     pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
-        let b = my.length();
-        let a = yz.length() / b;
+        let b = length(my);
+        let a = length(yz) / b;
         let root = shape.unit.sqrt();
         let place = (shape.mean - grid.min) / grid.spacing - 0.5;
         let plane = Plane {
@@ -54,13 +60,20 @@ impl Solid {
             ..Plane::default()
         };
         let xx = shape.determinant() / (b * a * root);
-        let slices = reach(place.x, grid.spacing.x, shape.limit.sqrt() / xx, grid.shape[0]);
+        let ridge_x = -my.dot(mx) / (b * b * grid.spacing.y);
+        let ax = yz.dot(yx) / (b * b * a * root);
+        let radius = shape.limit.sqrt();
+        let slices = reach(place.x, grid.spacing.x, radius / xx, grid.shape[0]);
+        // How far the ridge of each of the unit sphere's axes leads, in rows.
+        let tall =
+            length(DVec3::new((ridge_x - plane.slant * ax / plane.a) / xx, 1.0 / plane.b, plane.slant / plane.a));
         Self {
             plane,
-            ridge_x: -my.dot(mx) / (b * b * grid.spacing.y),
-            ax: yz.dot(yx) / (b * b * a * root),
+            ridge_x,
+            ax,
             xx,
-            half: [(1.0 / (plane.b * plane.b) + plane.slant * plane.slant / (plane.a * plane.a)).sqrt(), 1.0 / plane.a],
+            half: 1.0 / plane.a,
+            rows: from_even(reach(place.y, 1.0, radius * tall, grid.shape[1])),
             centre: place.x,
             step: grid.spacing.x,
             first: slices.start,
@@ -72,72 +85,65 @@ impl Solid {
         self.first..self.last
     }
 
-    /// The primitive in one slice, with the rows and columns it reaches there.
-    pub(super) fn slice(&self, slice: usize, grid: &Grid) -> (Plane, Range<usize>, Range<usize>) {
-        let offset = self.offset(slice);
+    /// Rows of the support in all slices.
+    pub(super) fn rows(&self) -> Range<usize> {
+        self.rows.clone()
+    }
+
+    /// The primitive in one slice, with the columns it reaches there. `first` is where the slice's first row and column are
+    /// on the canvas.
+    pub(super) fn slice(&self, slice: usize, grid: &Grid, first: usize) -> Slice {
+        let offset = (slice as f64 - self.centre) * self.step;
         let mut plane = self.plane;
         plane.shift = self.ax * offset;
         let x = self.xx * offset;
         plane.floor = x * x;
-        // z = 0 lies `across` columns from the centre; there the ridge is the middle of the slice's ellipse.
-        let across = -plane.shift * self.half[1];
         plane.row_centre += self.ridge_x * offset;
+        // z = 0 lies in the middle of the slice's ellipse.
+        let middle = plane.column_centre - plane.shift * self.half;
         let left = (plane.limit - plane.floor).max(0.0).sqrt();
-        let rows = reach(plane.row_centre + plane.slant * across, 1.0, left * self.half[0], grid.shape[1]);
-        let columns = reach(plane.column_centre + across, 1.0, left * self.half[1], grid.shape[2]);
-        (plane, rows, columns)
+        let columns = reach(middle, 1.0, left * self.half, grid.shape[2]);
+        Slice { plane, columns, first, x }
     }
 
-    /// Distance of a slice from the centre along x.
-    fn offset(&self, slice: usize) -> f64 {
-        (slice as f64 - self.centre) * self.step
-    }
-}
-
-/// The sums of a primitive over all its slices, in the axes of [`Solid`].
-#[derive(Clone, Copy, Debug, Default)]
-struct Moments {
-    /// Σ G (x, y, z).
-    first: DVec3,
-    /// Σ G (xx, xy, xz, yy, yz, zz).
-    second: [f64; 6],
-    value: f64,
-    log: f64,
-}
-
-impl Moments {
-    /// Adds one slice; `x` is its third coordinate.
-    fn add(&mut self, x: f64, sums: &Sums) {
-        let [one, y, z, yy, yz, zz] = sums.distance;
-        self.first += DVec3::new(x * one, y, z);
-        for (total, part) in self.second.iter_mut().zip([x * x * one, x * y, x * z, yy, yz, zz]) {
-            *total += part;
+    /// The slices of `range` that it reaches, on a canvas that holds `range` one below the other, `pixels` in each.
+    fn slices_on(&self, range: Range<usize>, grid: &Grid, pixels: usize, stride: usize, slices: &mut Vec<Slice>) {
+        slices.clear();
+        if self.rows.is_empty() {
+            return;
         }
-        self.value += sums.value;
-        self.log += sums.log;
+        for x in range.start.max(self.first)..range.end.min(self.last) {
+            let slice = self.slice(x, grid, (x - range.start) * pixels + self.rows.start * stride);
+            if !slice.columns.is_empty() {
+                slices.push(slice);
+            }
+        }
     }
+}
 
-    fn pull_back(&self, shape: &Shape) -> ShapeGradient {
-        let (my, mz) = (shape.whitening.y_axis, shape.whitening.z_axis);
-        let q_x = my.cross(mz).normalize();
-        let q_y = my.normalize();
-        let q_z = q_x.cross(q_y);
-        let [xx, xy, xz, yy, yz, zz] = self.second.map(|value| value * shape.density);
-        let precision = symmetric(q_x, q_x, xx)
-            + symmetric(q_x, q_y, 2.0 * xy)
-            + symmetric(q_x, q_z, 2.0 * xz)
-            + symmetric(q_y, q_y, yy)
-            + symmetric(q_y, q_z, 2.0 * yz)
-            + symmetric(q_z, q_z, zz);
-        let first = self.first * (shape.density / shape.unit.sqrt());
-        let mean = shape.whitening.transpose() * (q_x * first.x + q_y * first.y + q_z * first.z) * -2.0;
-        let nu = if shape.nu.is_finite() {
-            -0.5 * std::f64::consts::LN_2 * self.log * shape.density - (xx + yy + zz) / shape.nu
-        } else {
-            0.0
-        };
-        ShapeGradient { mean, precision, density: self.value, nu, shadow: DVec2::ZERO }
-    }
+/// The gradient of a primitive from the sums over all its slices, in the axes of [`Solid`].
+fn pull_back(sums: &Sums, shape: &Shape) -> ShapeGradient {
+    let [_, y, z, yy, yz, zz] = sums.distance;
+    let [x, xx, xy, xz] = sums.x;
+    let (my, mz) = (shape.whitening.y_axis, shape.whitening.z_axis);
+    let q_x = unit(my.cross(mz));
+    let q_y = unit(my);
+    let q_z = q_x.cross(q_y);
+    let [xx, xy, xz, yy, yz, zz] = [xx, xy, xz, yy, yz, zz].map(|value| value * shape.density);
+    let precision = symmetric(q_x, q_x, xx)
+        + symmetric(q_x, q_y, 2.0 * xy)
+        + symmetric(q_x, q_z, 2.0 * xz)
+        + symmetric(q_y, q_y, yy)
+        + symmetric(q_y, q_z, 2.0 * yz)
+        + symmetric(q_z, q_z, zz);
+    let first = DVec3::new(x, y, z) * (shape.density / shape.unit.sqrt());
+    let mean = shape.whitening.transpose() * (q_x * first.x + q_y * first.y + q_z * first.z) * -2.0;
+    let nu = if shape.nu.is_finite() {
+        -0.5 * std::f64::consts::LN_2 * sums.log * shape.density - (xx + yy + zz) / shape.nu
+    } else {
+        0.0
+    };
+    ShapeGradient { mean, precision, density: sums.value, nu, shadow: DVec2::ZERO }
 }
 
 /// Indices within `half` of `centre`, with a breath of rounding to spare.
@@ -166,25 +172,29 @@ impl<R: Kernels> Field<R> {
     pub fn voxels(&self, grid: &Grid) -> Array3<R> {
         let [nx, ny, nz] = grid.shape;
         let solids = self.solids(grid);
-        let mut members = vec![Vec::new(); nx];
-        for (i, solid) in solids.iter().enumerate() {
-            for slice in &mut members[solid.slices()] {
-                slice.push(i as u32);
+        let mut members = vec![Vec::new(); nx.div_ceil(SLAB)];
+        for (i, solid) in solids.iter().enumerate().filter(|(_, solid)| !solid.slices().is_empty()) {
+            for slab in &mut members[solid.first / SLAB..=(solid.last - 1) / SLAB] {
+                slab.push(i as u32);
             }
         }
         let kernel = R::kernels(self.kernel, Projection::Affine).forward;
-        let slices = threads::map(nx, |x| {
-            let mut canvas = Canvas::<R>::new(ny, nz);
-            let mut scratch = Scratch::new();
-            for &i in &members[x] {
-                let (plane, rows, columns) = solids[i as usize].slice(x, grid);
-                if !columns.is_empty() {
-                    strips(rows).for_each(|strip| kernel(&plane, strip, columns.clone(), &mut canvas, 0, &mut scratch));
-                }
+        let mut volume = vec![R::ZERO; nx * ny * nz];
+        threads::for_each_chunk(&mut volume, SLAB * ny * nz, |slab, voxels| {
+            let range = slab * SLAB..nx.min((slab + 1) * SLAB);
+            let tall = ny.next_multiple_of(2);
+            let mut canvas = Canvas::<R>::new(range.len() * tall, nz);
+            let (stride, mut scratch, mut slices) = (canvas.stride, Scratch::new(), Vec::new());
+            for &i in &members[slab] {
+                let solid = &solids[i as usize];
+                solid.slices_on(range.clone(), grid, tall * stride, stride, &mut slices);
+                kernel(&slices, solid.rows(), &mut canvas, &mut scratch);
             }
-            (0..ny).flat_map(|y| canvas.row(y, nz).to_vec()).collect::<Vec<_>>()
+            for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
+                voxels.copy_from_slice(canvas.row(row / ny * tall + row % ny, nz));
+            }
         });
-        Array3::from_shape_vec((nx, ny, nz), slices.concat()).expect("slices make up the volume")
+        Array3::from_shape_vec((nx, ny, nz), volume).expect("slabs make up the volume")
     }
 
     /// Adds the gradient of `Σ cotangent·volume`; `cotangent` is `[x, y, z]`.
@@ -196,29 +206,23 @@ impl<R: Kernels> Field<R> {
         assert_eq!(cotangent.shape(), grid.shape, "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), self.shapes.len(), "primitives of the gradient");
         let solids = self.solids(grid);
-        let canvases = threads::map(nx, |x| {
-            let mut canvas = Canvas::<R>::new(ny, nz);
-            for y in 0..ny {
-                canvas.row_mut(y, nz).iter_mut().enumerate().for_each(|(z, value)| *value = cotangent[[x, y, z]]);
+        let tall = ny.next_multiple_of(2);
+        let mut canvas = Canvas::<R>::new(nx * tall, nz);
+        let stride = canvas.stride;
+        threads::for_each_chunk(&mut canvas.pixels, tall * stride, |x, pixels| {
+            for (y, row) in pixels.chunks_exact_mut(stride).take(ny).enumerate() {
+                row[..nz].iter_mut().enumerate().for_each(|(z, value)| *value = cotangent[[x, y, z]]);
             }
-            canvas
         });
-        let kernel = R::kernels(self.kernel, Projection::Affine).backward;
+        let kernel = R::kernels(self.kernel, Projection::Affine).solid;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
-            let mut scratch = Scratch::new();
+            let (mut scratch, mut slices) = (Scratch::new(), Vec::new());
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let solid = &solids[chunk * GATHER + i];
-                let shape = &self.shapes[chunk * GATHER + i];
-                let mut moments = Moments::default();
-                for slice in solid.slices() {
-                    let (plane, rows, columns) = solid.slice(slice, grid);
-                    if !rows.is_empty() && !columns.is_empty() {
-                        let sums = kernel(&plane, from_even(rows), columns, &canvases[slice], &mut scratch);
-                        moments.add(solid.xx * solid.offset(slice), &sums);
-                    }
-                }
-                if !solid.slices().is_empty() {
-                    gradient.add(&moments.pull_back(shape));
+                solid.slices_on(0..nx, grid, tall * stride, stride, &mut slices);
+                if !slices.is_empty() {
+                    let sums = kernel(&slices, solid.rows(), &canvas, &mut scratch);
+                    gradient.add(&pull_back(&sums, &self.shapes[chunk * GATHER + i]));
                 }
             }
         });

@@ -51,7 +51,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { neighbours: 8, threshold: 0.35, enhancement: 1.5, suppress: 1e-3, enhance: 1e-3, levels: 1 }
+        Self { neighbours: 8, threshold: 0.35, enhancement: 1.5, suppress: 0.03, enhance: 0.01, levels: 1 }
     }
 }
 

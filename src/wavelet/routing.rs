@@ -48,7 +48,9 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
     let confident: Vec<bool> = confidence.iter().map(|&c| c >= settings.threshold).collect();
     let count = |is_near: &mut dyn Iterator<Item = usize>| is_near.filter(|&i| confident[i]).count() as u16;
     let neighbours = settings.neighbours.min(means.len());
-    if neighbours == means.len() {
+    // Where all are neighbours or all are alike, no voxel differs from another.
+    let alike = confident.iter().all(|&first| first == confident[0]);
+    if neighbours == means.len() || alike {
         let high = Array3::from_elem(grid.shape, count(&mut (0..neighbours)));
         return Ok(Routing { high, neighbours });
     }
@@ -144,6 +146,16 @@ mod tests {
         assert_eq!(wrong, 0, "{what}: wrong voxels of {}", grid.voxels());
         let k = found.neighbours as u16;
         assert!(found.high.iter().any(|h| *h > 0) && found.high.iter().any(|h| *h < k), "{what}: both kinds");
+    }
+
+    #[test]
+    fn primitives_that_are_all_alike_need_no_search() {
+        let (grid, means) = (grid([4, 4, 4]), cloud(3, 50));
+        for (confidence, expected) in [(0.35, 8), (0.34, 0)] {
+            let found = route(&grid, &means, &[confidence; 50], &SETTINGS).unwrap();
+            assert_eq!(found, naive::route(&grid, &means, &[confidence; 50], &SETTINGS));
+            assert!(found.high.iter().all(|&high| high == expected));
+        }
     }
 
     #[test]

@@ -47,29 +47,30 @@ const EXP2_F64: [f64; 11] = [
     4.4388850923243237e-10,
 ];
 
-/// Sum of the even powers plus x times the sum of the odd ones, each by Horner's rule in x².
+/// Sum of the even powers plus x times the sum of the odd ones, each by Horner's rule in x², fused.
 macro_rules! polynomial {
     ($x:expr, $coefficients:expr) => {{
         let square = $x * $x;
         let chain = |parity: usize| {
             let powers = $coefficients.iter().skip(parity).step_by(2).rev();
-            powers.copied().reduce(|sum, next| sum * square + next).unwrap()
+            powers.copied().reduce(|sum, next| sum.mul_add(square, next)).unwrap()
         };
-        chain(0) + $x * chain(1)
+        $x.mul_add(chain(1), chain(0))
     }};
 }
 
-fn log2_series_f32(f: f32) -> f32 {
-    f * polynomial!(f, LOG2_F32)
+/// `log2(1+f) + k`.
+fn log2_series_f32(f: f32, k: f32) -> f32 {
+    f.mul_add(polynomial!(f, LOG2_F32), k)
 }
 
-fn log2_series_f64(f: f64) -> f64 {
+fn log2_series_f64(f: f64, k: f64) -> f64 {
     let s = f / (f + 2.0);
-    s * polynomial!(s * s, LOG2_F64)
+    s.mul_add(polynomial!(s * s, LOG2_F64), k)
 }
 
 macro_rules! plain {
-    ($number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $series:ident, $exp2:ident) => {
+    ($number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $series:ident, $exp2:ident, rsqrt $magic:literal in $steps:literal) => {
         /// A number whose lanes are arrays of `W`.
         #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
         pub(crate) struct $number<const W: usize>(pub(crate) $scalar);
@@ -89,7 +90,7 @@ macro_rules! plain {
                 // The bits above the number 2^mantissa count units: an exponent out of range cannot reach its sign.
                 let integer = ((1 as $unsigned) << $mantissa) as $scalar;
                 let k = $scalar::from_bits(integer.to_bits() | exponent) - integer;
-                Self(k + $series(x * scale + (scale - 1.0)))
+                Self($series(x.mul_add(scale, scale - 1.0), k))
             }
 
             /// The integer part goes into the exponent, `2^fraction` is a polynomial.
@@ -99,7 +100,18 @@ macro_rules! plain {
                 let fraction = self.0 - (shifted - rounder);
                 let one: $scalar = 1.0;
                 let scale = $scalar::from_bits((shifted.to_bits() << $mantissa).wrapping_add(one.to_bits()));
-                Self((fraction * polynomial!(fraction, $exp2) + 1.0) * scale)
+                Self(fraction.mul_add(polynomial!(fraction, $exp2), 1.0) * scale)
+            }
+
+            /// A guess from the bits, then steps of third order.
+            fn rsqrt(self) -> Self {
+                let x = self.0;
+                let mut root = $scalar::from_bits($magic - (x.to_bits() >> 1));
+                for _ in 0..$steps {
+                    let error = (-x * root).mul_add(root, 1.0);
+                    root = (root * error).mul_add(error.mul_add(0.375, 0.5), root);
+                }
+                Self(root)
             }
         }
 
@@ -165,8 +177,14 @@ macro_rules! plain {
             fn pick_wide(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
                 Self::from_fn(|i| tables[2 * i / W][..W].get(index[i]).copied().unwrap_or_default())
             }
+            fn fma(self, factor: Self, summand: Self) -> Self {
+                Self::from_fn(|i| $number(self.0[i].0.mul_add(factor.0[i].0, summand.0[i].0)))
+            }
             fn sqrt(self) -> Self {
                 Self(self.0.map(Real::sqrt))
+            }
+            fn rsqrt(self) -> Self {
+                Self(self.0.map($number::rsqrt))
             }
             fn abs(self) -> Self {
                 Self(self.0.map(Real::abs))
@@ -260,5 +278,5 @@ macro_rules! plain {
     };
 }
 
-plain!(Plain32, Row32, f32, u32, mantissa 23, log2_series_f32, EXP2_F32);
-plain!(Plain64, Row64, f64, u64, mantissa 52, log2_series_f64, EXP2_F64);
+plain!(Plain32, Row32, f32, u32, mantissa 23, log2_series_f32, EXP2_F32, rsqrt 0x5f37_5a86 in 2);
+plain!(Plain64, Row64, f64, u64, mantissa 52, log2_series_f64, EXP2_F64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3);
