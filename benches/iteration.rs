@@ -1,8 +1,9 @@
 //! What an iteration of training costs and where the time goes, at 64³/128²/5,000 primitives and at 256³/512²/50,000.
 //!
 //! Each part runs by itself on a lattice of primitives whose supports are those of a run; what is not due in every
-//! iteration (wavelets 10, confidence and density control 100) counts with its share. After the measurements a table
-//! gives milliseconds per iteration and percentages. All cores; `cargo bench --bench iteration`
+//! iteration (wavelets 10, density control with the confidence of what it adds 100, that of all 500) counts with its
+//! share. After the measurements a table gives milliseconds per iteration and percentages. All cores;
+//! `cargo bench --bench iteration`
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use ndarray::Array2;
@@ -162,7 +163,7 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
         let loss = wavelet_loss(field.voxels(&block).view(), &routing, &settings);
         field.pull_back_voxels(&block, loss.gradient.view(), &mut gradient.borrow_mut());
     });
-    part("confidence", config.density_control.every, &|| {
+    part("confidence of all", config.confidence.every, &|| {
         black_box(coverage.confidence(&physical, &scanner, &angles));
     });
     part("adding and recycling", config.density_control.every, &|| {
@@ -179,7 +180,11 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
             k += 1;
             (k * 7919 % 10007) as f64 / 10007.0
         });
-        black_box(activation.inverse(&succeed(&physical.parameters, &successors)));
+        let parameters = succeed(&physical.parameters, &successors);
+        black_box(activation.inverse(&parameters));
+        let fresh: Vec<usize> = (0..successors.len()).filter(|&row| successors[row].fresh).collect();
+        let next = Primitives::new(parameters).expect("valid primitives");
+        black_box(coverage.confidence_of(&fresh, &next, &scanner, &angles));
     });
     group.finish();
     shares.print(name);

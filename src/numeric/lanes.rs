@@ -292,6 +292,7 @@ macro_rules! precision {
                 $lanes::sqrt(self)
             }
             #[inline(always)]
+            #[expect(clippy::disallowed_methods, reason = "rounded once by IEEE 754 wherever it is compiled")]
             fn fma(self, factor: Self, summand: Self) -> Self {
                 // Elsewhere `wide` rounds twice, `mul_add` of the scalars never.
                 if cfg!(all(target_feature = "avx", target_feature = "fma")) {

@@ -2,6 +2,8 @@
 //! the arithmetic of `f32` and `f64`. All kernels of the project run in them, so the same kernel text can be compared bit
 //! by bit with the fast lanes.
 
+#![allow(clippy::disallowed_methods, reason = "the fused operation itself, one number at a time")]
+
 use std::fmt::{self, Display, Formatter};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
