@@ -61,6 +61,25 @@ fn pairs() -> impl Iterator<Item = Config> {
     })
 }
 
+/// R²-Gaussian's own program in effect holds them: that setting has to leave the data's pull alone and nothing else out.
+#[test]
+fn blocks_move_centres_unless_they_are_told_not_to() {
+    let dataset = scan();
+    let after_one = |tv: f64, blocks_move: bool| {
+        let mut config = busy(Method::TrGs);
+        (config.iterations, config.optimiser.position) = (1, PositionOptimiser::Adam);
+        (config.loss.tv, config.loss.blocks_move) = (tv, blocks_move);
+        run(&dataset, &config).primitives.parameters
+    };
+    let (without, held, moved) = (after_one(0.0, true), after_one(50.0, false), after_one(50.0, true));
+    assert_eq!(held.mean, without.mean);
+    assert_ne!(moved.mean, without.mean);
+    for group in Group::ALL.into_iter().filter(|group| *group != Group::Mean) {
+        assert_eq!(held.group(group), moved.group(group), "{group:?}");
+    }
+    assert_ne!(held.density, without.density);
+}
+
 #[test]
 fn every_pair_of_density_control_and_optimiser_learns_and_stops_and_goes_on_to_the_same_bits() {
     let dataset = scan();

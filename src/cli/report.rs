@@ -1,12 +1,11 @@
 //! `trgs report`: the pages of a folder of tables again, from the cells that are finished.
 
-use super::table::{answer, requests};
+use super::table::{What, answer, requests};
 use super::{Answer, interrupt};
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
 use trgs::Result;
-use trgs::experiments::Table;
 
 /// Make the pages of tables again, from the cells that are finished so far; or say where the page of a run is
 #[derive(Args)]
@@ -26,9 +25,12 @@ impl Report {
             return Ok(Answer::list(&json!({ "report": page })));
         }
         let requests = requests(&self.folder)?;
-        let written =
-            requests.iter().map(|(name, what)| what.write(&Table::by_name(name)?, &what.cases()?, &self.folder));
+        let of = |(name, what): (&String, &What)| {
+            let cases = what.cases()?;
+            what.tables(name)?.iter().map(|table| what.write(table, &cases, &self.folder)).collect::<Result<Vec<_>>>()
+        };
+        let written = requests.iter().map(of);
         let written = interrupt::shielded(|| written.collect::<Result<Vec<_>>>())?;
-        Ok(answer(&self.folder, &written))
+        Ok(answer(&self.folder, &written.concat()))
     }
 }

@@ -26,6 +26,7 @@ const REQUESTS: &str = "tables.json";
   trgs table ablation --out out/tables --size 32
   trgs table all --out out/tables --seeds 3
   trgs table volume --out out/tables --data data/r2_gaussian
+  trgs table volume --out out/measured --data data/r2_gaussian/real --measured
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
 
@@ -62,6 +63,11 @@ pub(super) struct What {
     /// Only these cases
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     cases: Vec<String>,
+    /// Set the paper's figures on measured scans beside them, which volume and projection have, instead of those on synthetic
+    /// data
+    #[arg(long, requires = "data")]
+    #[serde(default)]
+    measured: bool,
 }
 
 impl What {
@@ -85,6 +91,23 @@ impl What {
             })
         });
         chosen.collect()
+    }
+
+    /// The table of a name, or all.
+    pub(super) fn tables(&self, name: &str) -> Result<Vec<experiments::Table>> {
+        let tables = match name {
+            "all" => experiments::Table::all(),
+            name => vec![experiments::Table::by_name(name)?],
+        };
+        if !self.measured {
+            return Ok(tables);
+        }
+        let measured: Vec<_> = tables.into_iter().filter_map(experiments::Table::measured).collect();
+        if measured.is_empty() {
+            let expected = "volume or projection: the paper has no measured scans in the others";
+            return Err(Error::invalid("--measured", name, expected, "leave it out"));
+        }
+        Ok(measured)
     }
 
     fn scale(&self) -> Scale {
@@ -124,7 +147,7 @@ impl What {
 }
 
 /// A table that was made.
-#[derive(Serialize)]
+#[derive(Clone, Serialize)]
 pub(super) struct Written {
     table: &'static str,
     page: PathBuf,
@@ -141,10 +164,7 @@ impl Table {
         if self.name == "list" {
             return Ok(list());
         }
-        let tables = match self.name.as_str() {
-            "all" => experiments::Table::all(),
-            name => vec![experiments::Table::by_name(name)?],
-        };
+        let tables = self.what.tables(&self.name)?;
         let cases = self.what.cases()?;
         let cells_of = |table: &experiments::Table| table.cells(&cases, self.what.scale(), self.what.seeds);
         if self.list_cells {

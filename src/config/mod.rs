@@ -209,6 +209,9 @@ pub struct LossConfig {
     /// Side of the block in voxels.
     #[default = 32]
     pub tv_block: usize,
+    /// Whether losses on blocks of the volume, total variation and wavelets, move centres.
+    #[default = true]
+    pub blocks_move: bool,
 }
 
 /// How well the rays around a primitive cover its directions (confidence c), and what that says about its tails.

@@ -32,6 +32,7 @@ pub use view::ViewField;
 
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
+use glam::DVec3;
 use ndarray::{Array3, ArrayView3, Axis};
 use shape::{Shape, ShapeGradient};
 use std::marker::PhantomData;
@@ -73,6 +74,17 @@ pub struct FieldGradient {
 }
 
 impl FieldGradient {
+    /// Adds another gradient to the same field.
+    pub(crate) fn add(&mut self, other: &Self) {
+        assert_eq!(self.shapes.len(), other.shapes.len(), "primitives of the gradients");
+        self.shapes.iter_mut().zip(&other.shapes).for_each(|(gradient, other)| gradient.add(other));
+    }
+
+    /// Leaves out what would move centres.
+    pub(crate) fn hold_centres(&mut self) {
+        self.shapes.iter_mut().for_each(|gradient| gradient.mean = DVec3::ZERO);
+    }
+
     /// The gradient to each centre's shadow on the detector, everything else held, `[∂/∂û, ∂/∂v̂]`: û and v̂ run from -1
     /// to 1 over the detector. Summed over the views that were pulled back; volumes add nothing. It is what density
     /// control by gradients measures. Not in the paper: units and meaning are R²-Gaussian's.

@@ -218,12 +218,18 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let field = Field::<R>::new(&physical, self.config.cutoff);
         let mut gradient = field.zero_gradient();
         let mut losses = self.data_loss(&field, iteration, &mut gradient);
+        let mut held = (!self.config.loss.blocks_move).then(|| field.zero_gradient());
+        let of_blocks = held.as_mut().unwrap_or(&mut gradient);
         if self.config.loss.tv > 0.0 {
-            losses.tv = self.total_variation(&field, iteration, &mut gradient);
+            losses.tv = self.total_variation(&field, iteration, of_blocks);
         }
         if self.config.wavelet.enabled && iteration.is_multiple_of(self.config.wavelet.every) {
-            losses.wavelet = self.wavelets(&field, &physical, iteration, &mut gradient)?;
+            losses.wavelet = self.wavelets(&field, &physical, iteration, of_blocks)?;
             losses.blocks = 1;
+        }
+        if let Some(mut held) = held {
+            held.hold_centres();
+            gradient.add(&held);
         }
         let mut gradient = field.finish(&gradient);
         if self.config.confidence.enabled {
