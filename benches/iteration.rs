@@ -138,8 +138,9 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
     });
     part("projection, back", 1, &|| view.pull_back(cotangent.view(), &mut gradient.borrow_mut()));
     part("total variation", 1, &|| {
-        let (_, cotangent) = tv(field.voxels(&block).view());
-        field.pull_back_voxels(&block, cotangent.view(), &mut gradient.borrow_mut());
+        let there = field.on(&block);
+        let (_, cotangent) = tv(there.voxels().view());
+        there.pull_back(cotangent.view(), &mut gradient.borrow_mut());
     });
     part("gradient to raw", 1, &|| {
         let mut gradient = field.finish(&gradient.borrow());
@@ -160,8 +161,9 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
     part("wavelets", config.wavelet.every, &|| {
         let settings = config.wavelet.settings();
         let routing = route(&block, &physical.parameters.mean, &confidence, &settings).expect("finite means");
-        let loss = wavelet_loss(field.voxels(&block).view(), &routing, &settings);
-        field.pull_back_voxels(&block, loss.gradient.view(), &mut gradient.borrow_mut());
+        let there = field.on(&block);
+        let loss = wavelet_loss(there.voxels().view(), &routing, &settings);
+        there.pull_back(loss.gradient.view(), &mut gradient.borrow_mut());
     });
     part("confidence of all", config.confidence.every, &|| {
         black_box(coverage.confidence(&physical, &scanner, &angles));

@@ -107,7 +107,8 @@ fn all(c: &mut Criterion) {
         let time = measure("voxels, a volume and back", here.grid.voxels(), &|| {
             let field = Field::<f32>::new(&physical, CUTOFF);
             let mut gradient = field.zero_gradient();
-            field.pull_back_voxels(&here.grid, field.voxels(&here.grid).view(), &mut gradient);
+            let there = field.on(&here.grid);
+            there.pull_back(there.voxels().view(), &mut gradient);
             black_box(field.finish(&gradient));
         });
         points.push(((factor * factor * factor) as f64, time, Some(memory(here, VIEWS, PRIMITIVES, workers))));

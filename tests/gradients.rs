@@ -119,6 +119,6 @@ fn the_gradient_to_a_shadow_comes_from_views_alone() {
     let (primitives, scanner) = (scenes::primitives(Kernel::StudentT, 3, 17), scenes::cone());
     let field = Field::<f64>::new(&primitives, 0.0);
     let mut gradient = field.zero_gradient();
-    field.pull_back_voxels(&scanner.grid, scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
+    field.on(&scanner.grid).pull_back(scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
     assert!(gradient.shadows().all(|shadow| shadow == [0.0, 0.0]));
 }

@@ -38,7 +38,7 @@ fn value_and_gradient(
     let field = Field::<f64>::new(primitives, 0.0);
     let loss = wavelet_loss(field.voxels(grid).view(), routing, settings);
     let mut gradient = field.zero_gradient();
-    field.pull_back_voxels(grid, loss.gradient.view(), &mut gradient);
+    field.on(grid).pull_back(loss.gradient.view(), &mut gradient);
     (loss.value, field.finish(&gradient))
 }
 

@@ -2,8 +2,11 @@
 
 use super::Settings;
 use crate::numeric::elementary::{log, logit, sigmoid};
-use crate::numeric::reduce;
+use crate::numeric::{reduce, threads};
 use crate::primitives::activation::Interval;
+
+/// Primitives worked on together.
+const CHUNK: usize = 1024;
 
 /// Target degrees of freedom `ν_min + (ν_max - ν_min)·σ(logit(c)/T)` `[Eq. 9]` for a confidence c in [0, 1].
 ///
@@ -30,15 +33,15 @@ pub fn nu_loss(nu: &[f64], target: &[f64], confidence: &[f64], weight: f64) -> (
     let m = nu.len();
     assert_eq!((target.len(), confidence.len()), (m, m), "targets and confidences of {m} primitives");
     let count = m.max(1) as f64;
-    let pull = |i: usize| (weight * (1.0 - confidence[i]), log(nu[i]) - log(target[i]));
-    let value = reduce::sum_by(m, &|i| {
-        let (weight, distance) = pull(i);
-        weight * distance * distance
+    let mut distance = vec![0.0; m];
+    threads::for_each_chunk(&mut distance, CHUNK, |chunk, distance| {
+        for (i, distance) in (chunk * CHUNK..).zip(distance) {
+            *distance = log(nu[i]) - log(target[i]);
+        }
     });
-    let slope = |i: usize| {
-        let (weight, distance) = pull(i);
-        2.0 * weight * distance / (nu[i] * count)
-    };
+    let pull = |i: usize| weight * (1.0 - confidence[i]);
+    let value = reduce::sum_by(m, &|i| pull(i) * distance[i] * distance[i]);
+    let slope = |i: usize| 2.0 * pull(i) * distance[i] / (nu[i] * count);
     (value / count, (0..m).map(slope).collect())
 }
 

@@ -166,7 +166,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
             let (field, grid) = (Field::<R>::new(&q.primitives()?, 0.0), q.scanner()?.grid);
             let loss = wavelet_loss(q, &field.voxels(&grid))?;
             let mut sum = field.zero_gradient();
-            field.pull_back_voxels(&grid, loss.gradient.view(), &mut sum);
+            field.on(&grid).pull_back(loss.gradient.view(), &mut sum);
             gradient(&field.finish(&sum))
         }
         "schedule" => {

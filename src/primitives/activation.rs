@@ -94,9 +94,11 @@ impl Activation {
             *d_scale *= self.scale.slope(*scale);
         }
         // d softplus / d raw = 1 - e^-ρ, without the raw value.
-        for (d_density, density) in gradient.density.iter_mut().zip(&values.density) {
-            *d_density *= -libm::expm1(-density);
-        }
+        threads::for_each_chunk(&mut gradient.density, CHUNK, |chunk, gradient| {
+            for (d_density, density) in gradient.iter_mut().zip(&values.density[chunk * CHUNK..]) {
+                *d_density *= -libm::expm1(-density);
+            }
+        });
         match self.kernel {
             Kernel::Gaussian => gradient.nu.fill(0.0),
             Kernel::StudentT => {

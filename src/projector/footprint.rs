@@ -73,16 +73,18 @@ impl Geometry {
 
 impl Footprint {
     /// The primitive as the view sees it.
+    #[inline]
     pub(super) fn new(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> Self {
-        let Some((mut footprint, support)) = Self::prepare(shape, scanner, view, projection) else {
+        let Some((mut plane, geometry, support)) = Self::prepare(shape, scanner, view, projection) else {
             return Self::default();
         };
         let [rows, columns] = [scanner.detector.rows, scanner.detector.columns];
-        (footprint.rows, footprint.columns) = match support.extents(shape.limit * shape.unit) {
+        let (rows, columns) = match support.extents(shape.limit * shape.unit) {
             Some([row, column]) => (row.indices(rows), column.indices(columns)),
             None => (0..rows, 0..columns),
         };
-        footprint
+        plane.bound(&rows, &columns);
+        Self { seen: true, plane, rows, columns, geometry }
     }
 
     /// The box of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has it.
@@ -91,7 +93,7 @@ impl Footprint {
         const NONE: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
         let [[top, bottom], [left, right]] = match Self::prepare(shape, scanner, view, projection) {
             None => [NONE; 2],
-            Some((_, support)) => {
+            Some((_, _, support)) => {
                 support.extents(shape.reach * shape.unit).map_or([ALL; 2], |both| both.map(|e| [e.low, e.high]))
             }
         };
@@ -99,7 +101,13 @@ impl Footprint {
     }
 
     /// All but the rows and columns, which follow from the support. `None` for a primitive that is left out.
-    fn prepare(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> Option<(Self, Support)> {
+    #[inline(always)]
+    fn prepare(
+        shape: &Shape,
+        scanner: &Scanner,
+        view: &View,
+        projection: Projection,
+    ) -> Option<(Plane, Geometry, Support)> {
         let detector = &scanner.detector;
         let m = view.to_camera(shape.mean);
         let (kappa, slope, step_u, step_v) = match scanner.beam {
@@ -153,7 +161,7 @@ impl Footprint {
         // The determinant of c is taken from its factors, which have all their digits.
         let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
         let support = Support { centre: [row_centre, column_centre], steps: [step_v, step_u], c, det_c, s, k };
-        Some((Self { seen: true, plane, geometry, ..Self::default() }, support))
+        Some((plane, geometry, support))
     }
 
     /// Whether any pixel can see it.

@@ -28,6 +28,9 @@ pub(super) const STRIP: usize = 2 * DEPTH;
 /// Registers in a batch: several columns of a small footprint, at least one of a large one.
 const BATCH: usize = 2 * DEPTH;
 
+/// Columns of a support that is too small for its outline to be worth its while.
+const PLUMP: usize = 24;
+
 /// A primitive seen on a plane of pixels, in coordinates in which its form is a sum of squares:
 ///
 /// ```text
@@ -56,6 +59,10 @@ pub(super) struct Plane {
     pub(super) weight: f64,
     /// Largest x that counts.
     pub(super) limit: f64,
+    /// Largest δ/unit within the support.
+    pub(super) most: f64,
+    /// Whether the support's box has corners worth leaving out.
+    pub(super) corners: bool,
 }
 
 /// A plane on which a primitive is seen, and where its pixels are on the canvas.
@@ -102,6 +109,23 @@ impl Plane {
         let delta = y * y + z * z + self.floor;
         let h = 1.0 + self.h_y * y + self.h_z * z;
         delta / (h * h + self.k * delta) <= self.limit
+    }
+
+    /// Finds [`Self::most`] and [`Self::corners`] for a support within these rows and columns. From `x ≤ limit`, which is
+    /// `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
+    #[inline(always)]
+    pub(super) fn bound(&mut self, rows: &Range<usize>, columns: &Range<usize>) {
+        // h is linear: its value in the middle, and how far it goes from there to a corner.
+        let middle = |range: &Range<usize>| 0.5 * (range.start as f64 + range.end as f64 - 1.0);
+        let across = middle(columns) - self.column_centre;
+        let y = self.b * (middle(rows) - self.row_centre - self.slant * across);
+        let steps = [self.h_y * self.b, self.h_z * self.a - self.h_y * self.b * self.slant];
+        let reach = 0.5 * (steps[0].abs() * rows.len() as f64 + steps[1].abs() * columns.len() as f64);
+        let h = (1.0 + self.h_y * y + self.h_z * (self.a * across + self.shift)).abs() + reach;
+        let free = 1.0 - self.limit * self.k;
+        self.most = if free > 0.0 { self.limit * h * h / free } else { f64::INFINITY };
+        // Small ellipses along the axes fill their registers as well as an outline could.
+        self.corners = columns.len() > PLUMP || (self.slant * columns.len() as f64).abs() > 0.5 * rows.len() as f64;
     }
 }
 
@@ -191,19 +215,28 @@ impl<L: Lanes> Column<L> {
     #[inline(always)]
     fn new(plane: &Plane, first_row: usize, column: usize) -> Self {
         let left = column as f64 - plane.column_centre;
-        let across = |i: usize| left + (i % (L::WIDTH / 2)) as f64;
-        let ridge = |i: usize| plane.row_centre - first_row as f64 + plane.slant * across(i);
-        let z = L::from_fn(|i| L::Scalar::from_f64(plane.a * across(i) + plane.shift));
+        let top = plane.row_centre - first_row as f64;
+        let across: [f64; WIDEST] = std::array::from_fn(|i| left + i as f64);
+        let ridge = across.map(|across| top + plane.slant * across);
+        let whole = ridge.map(f64::floor);
+        let z = both_rows::<L>(across.map(|across| plane.a * across + plane.shift));
         Self {
             z,
             floor: z * z + real(plane.floor),
             h: real::<L>(plane.h_z) * z + real(1.0),
-            ridge: [
-                L::from_fn(|i| L::Scalar::from_f64(ridge(i).floor())),
-                L::from_fn(|i| L::Scalar::from_f64(ridge(i) - ridge(i).floor())),
-            ],
+            ridge: [both_rows(whole), both_rows(std::array::from_fn(|i| ridge[i] - whole[i]))],
         }
     }
+}
+
+/// Columns of the widest register.
+const WIDEST: usize = 8;
+
+/// The same values in both rows of a register, which may have fewer columns.
+#[inline(always)]
+fn both_rows<L: Lanes>(values: [f64; WIDEST]) -> L {
+    let values = values.map(L::Scalar::from_f64);
+    L::from_rows(&values[..L::WIDTH / 2], &values[..L::WIDTH / 2])
 }
 
 /// The same number in every lane.
@@ -255,7 +288,7 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
     let shared = Shared::<R::Lanes>::new(any);
     let mut filled = 0;
     for Slice { plane, columns, first: begin, .. } in slices {
-        let outline = Outline::new::<EXACT>(plane, &rows, columns);
+        let outline = Outline::new(plane);
         for strip in rows.clone().step_by(STRIP) {
             let strip = strip..rows.end.min(strip + STRIP);
             for first in columns.clone().step_by(half) {
@@ -330,7 +363,7 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool, const SO
     let mut total = Totals::<R::Lanes>::default();
     let (mut filled, mut ended) = (0, 0);
     for Slice { plane, columns, first: begin, x: slice } in slices {
-        let outline = Outline::new::<EXACT>(plane, &rows, columns);
+        let outline = Outline::new(plane);
         for strip in rows.clone().step_by(STRIP) {
             let strip = strip..rows.end.min(strip + STRIP);
             for first in columns.clone().step_by(half) {

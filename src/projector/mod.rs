@@ -29,6 +29,7 @@ pub use contributions::{Contribution, rank};
 pub use kernels::{KernelPair, Kernels};
 pub use profile::profile;
 pub use view::ViewField;
+pub use voxelizer::GridField;
 
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
@@ -46,7 +47,7 @@ pub(crate) mod bytes {
     /// In a view.
     pub(crate) const VIEW: usize = size_of::<super::footprint::Footprint>();
     /// On a grid.
-    pub(crate) const GRID: usize = size_of::<super::voxelizer::Solid>();
+    pub(crate) const GRID: usize = size_of::<(usize, super::voxelizer::Solid)>();
 }
 
 /// How a cone beam's rays are taken through a primitive. In a parallel beam both are the same.
@@ -166,6 +167,6 @@ pub fn voxelize_vjp<R: Kernels>(
 ) -> Parameters {
     let field = Field::<R>::new(primitives, cutoff);
     let mut gradient = field.zero_gradient();
-    field.pull_back_voxels(grid, cotangent, &mut gradient);
+    field.on(grid).pull_back(cotangent, &mut gradient);
     field.finish(&gradient)
 }

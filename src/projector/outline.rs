@@ -16,27 +16,9 @@ impl<'a> Outline<'a> {
     /// How much wider it is than the support, so that no rounding of the lanes leads out of it.
     const SPARE: f64 = 1e-3;
 
-    /// From `x ≤ limit`, which is `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
     #[inline(always)]
-    pub(super) fn new<const EXACT: bool>(plane: &'a Plane, rows: &Range<usize>, columns: &Range<usize>) -> Self {
-        let most = if EXACT { Self::most(plane, rows, columns) } else { plane.limit };
-        Self { plane, squares: most * (1.0 + Self::SPARE) - plane.floor, per_y: 1.0 / plane.b }
-    }
-
-    /// What δ/unit may be at most.
-    fn most(plane: &Plane, rows: &Range<usize>, columns: &Range<usize>) -> f64 {
-        let h = |row: usize, column: usize| {
-            let across = column as f64 - plane.column_centre;
-            let y = plane.b * (row as f64 - plane.row_centre - plane.slant * across);
-            (1.0 + plane.h_y * y + plane.h_z * (plane.a * across + plane.shift)).abs()
-        };
-        let (last_row, last_column) = (rows.end.max(1) - 1, columns.end.max(1) - 1);
-        let h = h(rows.start, columns.start)
-            .max(h(rows.start, last_column))
-            .max(h(last_row, columns.start))
-            .max(h(last_row, last_column));
-        let free = 1.0 - plane.limit * plane.k;
-        if free > 0.0 { plane.limit * h * h / free } else { f64::INFINITY }
+    pub(super) fn new(plane: &'a Plane) -> Self {
+        Self { plane, squares: plane.most * (1.0 + Self::SPARE) - plane.floor, per_y: 1.0 / plane.b }
     }
 
     /// The registers, of a strip of `rows` (even start), that pixels of the support in `width` columns from `first` on can
@@ -44,6 +26,9 @@ impl<'a> Outline<'a> {
     #[inline(always)]
     pub(super) fn registers(&self, rows: &Range<usize>, first: usize, width: usize) -> Range<usize> {
         let plane = self.plane;
+        if !plane.corners {
+            return 0..rows.len().div_ceil(2);
+        }
         let left = first as f64 - plane.column_centre;
         let right = (first + width - 1) as f64 - plane.column_centre;
         let (z0, z1) = (plane.a * left + plane.shift, plane.a * right + plane.shift);
@@ -77,7 +62,7 @@ mod tests {
         let (mut walked, mut boxed, mut useful) = (0, 0, 0);
         for number in 0..400 {
             let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
-            let plane = Plane {
+            let mut plane = Plane {
                 row_centre: draw(10.0, 50.0),
                 column_centre: draw(10.0, 50.0),
                 slant: draw(-2.0, 2.0),
@@ -96,7 +81,9 @@ mod tests {
             let bottom = pixels.last().unwrap().0 + 1;
             let columns = pixels.iter().map(|p| p.1).min().unwrap()..pixels.iter().map(|p| p.1).max().unwrap() + 1;
             let rows = top & !1..bottom;
-            let outline = Outline::new::<true>(&plane, &rows, &columns);
+            plane.bound(&rows, &columns);
+            plane.corners = true;
+            let outline = Outline::new(&plane);
             useful += pixels.len();
             for strip in rows.clone().step_by(STRIP) {
                 let strip = strip..rows.end.min(strip + STRIP);

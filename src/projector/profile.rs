@@ -30,7 +30,8 @@ pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
         } else {
             (Kernel::StudentT, nu, student_t::horizon::<R>(nu))
         };
-        let plane = Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, ..Plane::default() };
+        let plane =
+            Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, most: limit, ..Plane::default() };
         canvas.clear(0..1);
         let slice = Slice { plane, columns: 0..1, first: 0, x: 0.0 };
         (R::kernels(kernel, Projection::Affine).forward)(&[slice], 0..1, &mut canvas, &mut scratch);

@@ -17,7 +17,7 @@ pub(super) struct Shape {
     /// Length of the given quaternion.
     norm: f64,
     /// 1/s.
-    inverse_scale: DVec3,
+    pub(super) inverse_scale: DVec3,
     /// `M = diag(1/s)·Rᵀ`, so that `Σ⁻¹ = MᵀM` and δ = |M(x-μ)|².
     pub(super) whitening: DMat3,
     pub(super) density: f64,

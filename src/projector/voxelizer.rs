@@ -14,7 +14,7 @@ use glam::{DVec2, DVec3};
 use ndarray::{Array3, ArrayView3};
 use std::ops::Range;
 
-/// Primitives whose gradients one task gathers.
+/// Primitives among which one task gathers gradients.
 const GATHER: usize = 32;
 /// Slices that one task adds up.
 const SLAB: usize = 4;
@@ -41,7 +41,13 @@ pub(super) struct Solid {
 }
 
 impl Solid {
+    /// A primitive of which no voxel is within a sphere around its support is left empty, without further ado.
     pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
+        let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
+        let last = grid.min + grid.size();
+        if (shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any() {
+            return Self::default();
+        }
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
         let b = length(my);
@@ -57,6 +63,8 @@ impl Solid {
             q: (shape.nu + 3.0) / 2.0,
             weight: shape.density,
             limit: shape.limit,
+            most: shape.limit,
+            corners: true,
             ..Plane::default()
         };
         let xx = shape.determinant() / (b * a * root);
@@ -157,37 +165,51 @@ pub(super) fn strips(rows: Range<usize>) -> impl Iterator<Item = Range<usize>> {
     rows.clone().step_by(STRIP).map(move |first| first..rows.end.min(first + STRIP))
 }
 
+/// A [`Field`] on a grid: the primitives that reach any of its voxels.
+pub struct GridField<'a, R> {
+    field: &'a Field<R>,
+    grid: Grid,
+    /// Each with its index in the model, in order.
+    solids: Vec<(usize, Solid)>,
+}
+
 impl<R: Kernels> Field<R> {
-    fn solids(&self, grid: &Grid) -> Vec<Solid> {
-        let mut solids = vec![Solid::default(); self.shapes.len()];
-        threads::for_each_chunk(&mut solids, CHUNK, |chunk, solids| {
-            for (solid, shape) in solids.iter_mut().zip(&self.shapes[chunk * CHUNK..]) {
-                *solid = Solid::new(shape, grid);
-            }
+    /// The field on a grid.
+    pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
+        let chunks = threads::map(self.shapes.len().div_ceil(CHUNK), |chunk| {
+            let all = (chunk * CHUNK..).zip(&self.shapes[chunk * CHUNK..]).take(CHUNK);
+            let solids = all.map(|(i, shape)| (i, Solid::new(shape, grid)));
+            solids.filter(|(_, solid)| !solid.slices().is_empty()).collect::<Vec<_>>()
         });
-        solids
+        GridField { field: self, grid: *grid, solids: chunks.concat() }
     }
 
-    /// Values at the voxel centres, `[x, y, z]`.
+    /// Values at the voxel centres of a grid, `[x, y, z]`.
     pub fn voxels(&self, grid: &Grid) -> Array3<R> {
-        let [nx, ny, nz] = grid.shape;
-        let solids = self.solids(grid);
+        self.on(grid).voxels()
+    }
+}
+
+impl<R: Kernels> GridField<'_, R> {
+    /// Values at the voxel centres, `[x, y, z]`.
+    pub fn voxels(&self) -> Array3<R> {
+        let [nx, ny, nz] = self.grid.shape;
         let mut members = vec![Vec::new(); nx.div_ceil(SLAB)];
-        for (i, solid) in solids.iter().enumerate().filter(|(_, solid)| !solid.slices().is_empty()) {
+        for (place, (_, solid)) in self.solids.iter().enumerate() {
             for slab in &mut members[solid.first / SLAB..=(solid.last - 1) / SLAB] {
-                slab.push(i as u32);
+                slab.push(place as u32);
             }
         }
-        let kernel = R::kernels(self.kernel, Projection::Affine).forward;
+        let kernel = R::kernels(self.field.kernel, Projection::Affine).forward;
         let mut volume = vec![R::ZERO; nx * ny * nz];
         threads::for_each_chunk(&mut volume, SLAB * ny * nz, |slab, voxels| {
             let range = slab * SLAB..nx.min((slab + 1) * SLAB);
             let tall = ny.next_multiple_of(2);
             let mut canvas = Canvas::<R>::new(range.len() * tall, nz);
             let (stride, mut scratch, mut slices) = (canvas.stride, Scratch::new(), Vec::new());
-            for &i in &members[slab] {
-                let solid = &solids[i as usize];
-                solid.slices_on(range.clone(), grid, tall * stride, stride, &mut slices);
+            for &place in &members[slab] {
+                let solid = &self.solids[place as usize].1;
+                solid.slices_on(range.clone(), &self.grid, tall * stride, stride, &mut slices);
                 kernel(&slices, solid.rows(), &mut canvas, &mut scratch);
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
@@ -201,11 +223,11 @@ impl<R: Kernels> Field<R> {
     ///
     /// # Panics
     /// If the cotangent does not have the grid's shape, or the gradient belongs to another field.
-    pub fn pull_back_voxels(&self, grid: &Grid, cotangent: ArrayView3<'_, R>, gradient: &mut FieldGradient) {
+    pub fn pull_back(&self, cotangent: ArrayView3<'_, R>, gradient: &mut FieldGradient) {
+        let Self { field, grid, solids } = self;
         let [nx, ny, nz] = grid.shape;
         assert_eq!(cotangent.shape(), grid.shape, "shape of the cotangent");
-        assert_eq!(gradient.shapes.len(), self.shapes.len(), "primitives of the gradient");
-        let solids = self.solids(grid);
+        assert_eq!(gradient.shapes.len(), field.shapes.len(), "primitives of the gradient");
         let tall = ny.next_multiple_of(2);
         let mut canvas = Canvas::<R>::new(nx * tall, nz);
         let stride = canvas.stride;
@@ -214,15 +236,16 @@ impl<R: Kernels> Field<R> {
                 row[..nz].iter_mut().enumerate().for_each(|(z, value)| *value = cotangent[[x, y, z]]);
             }
         });
-        let kernel = R::kernels(self.kernel, Projection::Affine).solid;
+        let kernel = R::kernels(field.kernel, Projection::Affine).solid;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
+            let first = chunk * GATHER;
+            let [begin, end] = [first, first + GATHER].map(|limit| solids.partition_point(|(i, _)| *i < limit));
             let (mut scratch, mut slices) = (Scratch::new(), Vec::new());
-            for (i, gradient) in gradients.iter_mut().enumerate() {
-                let solid = &solids[chunk * GATHER + i];
+            for (i, solid) in &solids[begin..end] {
                 solid.slices_on(0..nx, grid, tall * stride, stride, &mut slices);
                 if !slices.is_empty() {
                     let sums = kernel(&slices, solid.rows(), &canvas, &mut scratch);
-                    gradient.add(&pull_back(&sums, &self.shapes[chunk * GATHER + i]));
+                    gradients[i - first].add(&pull_back(&sums, &field.shapes[*i]));
                 }
             }
         });

@@ -263,9 +263,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn total_variation(&self, field: &Field<R>, iteration: usize, gradient: &mut FieldGradient) -> f64 {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
-        let (value, mut cotangent) = tv(field.voxels(&block).view());
+        let there = field.on(&block);
+        let (value, mut cotangent) = tv(there.voxels().view());
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
-        field.pull_back_voxels(&block, cotangent.view(), gradient);
+        there.pull_back(cotangent.view(), gradient);
         value
     }
 
@@ -282,8 +283,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
         let settings = wavelet.settings();
         let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
-        let loss = wavelet_loss(field.voxels(&block).view(), &routing, &settings);
-        field.pull_back_voxels(&block, loss.gradient.view(), gradient);
+        let there = field.on(&block);
+        let loss = wavelet_loss(there.voxels().view(), &routing, &settings);
+        there.pull_back(loss.gradient.view(), gradient);
         Ok(loss.value)
     }
 
