@@ -1,7 +1,8 @@
 //! Mean absolute difference.
 
+use super::of_pairs;
 use crate::numeric::{Real, reduce};
-use ndarray::{Array2, ArrayView2, Zip};
+use ndarray::{Array2, ArrayView2};
 
 /// Value and gradient of `L1 = (1/N) Σ |p - t|` over the N pixels of an image.
 ///
@@ -14,12 +15,8 @@ pub fn l1<R: Real>(prediction: ArrayView2<R>, target: ArrayView2<R>) -> (f64, Ar
     assert_eq!(prediction.shape(), target.shape(), "L1 of a prediction and a target of different shapes");
     let n = prediction.len().max(1) as f64;
     let slope = R::from_f64(1.0 / n);
-    let mut distance = Array2::default(prediction.raw_dim());
-    let mut gradient = Array2::default(prediction.raw_dim());
-    Zip::from(&mut distance).and(&mut gradient).and(prediction).and(target).for_each(|distance, gradient, &p, &t| {
-        *distance = (p - t).abs();
-        *gradient = slope * sign(p - t);
-    });
+    let distance = of_pairs(prediction, target, |p, t| (p - t).abs());
+    let gradient = of_pairs(prediction, target, |p, t| slope * sign(p - t));
     (reduce::sum(distance.as_slice().expect("a new array is contiguous")) / n, gradient)
 }
 

@@ -9,8 +9,11 @@ pub mod tv;
 
 pub use ssim::{Ssim, SsimTarget};
 
-use crate::numeric::Real;
-use ndarray::{Array2, ArrayView2, Zip};
+use crate::numeric::{Real, threads};
+use ndarray::{Array2, ArrayView2};
+
+/// Pixels that one task compares: a constant, so the cut does not depend on the threads.
+const CHUNK: usize = 4096;
 
 /// What a projection has to answer for: the parts of the data loss and its gradient.
 #[derive(Clone, Debug)]
@@ -38,12 +41,24 @@ pub fn image_loss<R: Real>(
     prediction: ArrayView2<R>,
     target: &SsimTarget<R>,
 ) -> ImageLoss<R> {
-    let (l1, mut cotangent) = l1::l1(prediction, target.image());
-    let (similarity, gradient) = ssim.value_and_gradient(prediction, target);
+    let (l1, of_l1) = l1::l1(prediction, target.image());
+    let (similarity, of_ssim) = ssim.value_and_gradient(prediction, target);
     let minus_weight = R::from_f64(-weight);
-    Zip::from(&mut cotangent).and(&gradient).for_each(|d, &g| *d += minus_weight * g);
+    let cotangent = of_pairs(of_l1.view(), of_ssim.view(), |d, g| d + minus_weight * g);
     let d_ssim = 1.0 - similarity;
     ImageLoss { total: l1 + weight * d_ssim, l1, d_ssim, cotangent }
+}
+
+/// `of(a, b)` for each pixel of two images of the same shape.
+fn of_pairs<R: Real>(a: ArrayView2<R>, b: ArrayView2<R>, of: impl Fn(R, R) -> R + Sync + Send) -> Array2<R> {
+    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
+    let [left, right] = [&a, &b].map(|image| image.as_slice().expect("standard layout"));
+    let mut values = Array2::default(a.raw_dim());
+    threads::for_each_chunk(values.as_slice_mut().expect("a new array is contiguous"), CHUNK, |chunk, values| {
+        let pairs = left[chunk * CHUNK..].iter().zip(&right[chunk * CHUNK..]);
+        values.iter_mut().zip(pairs).for_each(|(value, (&a, &b))| *value = of(a, b));
+    });
+    values
 }
 
 #[cfg(test)]

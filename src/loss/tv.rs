@@ -1,8 +1,8 @@
 //! Total variation of a block of voxels.
 
 use super::l1::sign;
-use crate::numeric::{Real, reduce};
-use ndarray::{Array3, ArrayView3, Axis, Slice, Zip};
+use crate::numeric::{Real, reduce, threads};
+use ndarray::{Array3, ArrayView3};
 
 /// Value and gradient of the anisotropic total variation per difference,
 /// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
@@ -13,30 +13,78 @@ use ndarray::{Array3, ArrayView3, Axis, Slice, Zip};
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let block = block.as_standard_layout();
     let mut gradient = Array3::default(block.raw_dim());
-    let pairs = |axis: usize| block.len() - block.len() / block.shape()[axis].max(1);
-    let number = (0..3).map(pairs).sum::<usize>();
+    let number = (0..3).map(|axis| differences(block.dim().into(), axis)).sum::<usize>();
     if number == 0 {
         return (0.0, gradient);
     }
+    let values = block.as_slice().expect("standard layout");
+    let distances = (0..3).map(|axis| reduce::sum(&distances(values, block.dim().into(), axis)));
+    let value = distances.sum::<f64>() / number as f64;
     let slope = R::from_f64(1.0 / number as f64);
-    let mut sum = 0.0;
-    for axis in (0..3).map(Axis) {
-        let (before, after) = (Slice::new(0, Some(-1), 1), Slice::new(1, None, 1));
-        let step = &block.slice_axis(axis, after) - &block.slice_axis(axis, before);
-        let distance = step.mapv(R::abs);
-        sum += reduce::sum(distance.as_slice().expect("a new array is contiguous"));
-        let push = step.mapv(|d| slope * sign(d));
-        Zip::from(&mut gradient.slice_axis_mut(axis, after)).and(&push).for_each(|g, &p| *g += p);
-        Zip::from(&mut gradient.slice_axis_mut(axis, before)).and(&push).for_each(|g, &p| *g -= p);
+    let slices = gradient.as_slice_mut().expect("a new array is contiguous");
+    let (_, ny, nz) = block.dim();
+    threads::for_each_chunk(slices, ny * nz, |x, slice| push(values, block.dim().into(), slope, x, slice));
+    (value, gradient)
+}
+
+/// Number of differences along an axis.
+fn differences(shape: [usize; 3], axis: usize) -> usize {
+    let voxels = shape.iter().product::<usize>();
+    voxels - voxels / shape[axis].max(1)
+}
+
+/// |Δ f| along an axis, in the order of the voxels before.
+fn distances<R: Real>(values: &[R], shape: [usize; 3], axis: usize) -> Vec<R> {
+    let [_, ny, nz] = shape;
+    let offset = [ny * nz, nz, 1][axis];
+    let (rows, length) = (ny - usize::from(axis == 1), nz - usize::from(axis == 2));
+    let mut distances = vec![R::ZERO; differences(shape, axis)];
+    if !distances.is_empty() {
+        threads::for_each_chunk(&mut distances, rows * length, |x, distances| {
+            for (y, distances) in distances.chunks_exact_mut(length).enumerate() {
+                let first = (x * ny + y) * nz;
+                let (before, after) = (&values[first..][..length], &values[first + offset..][..length]);
+                distances
+                    .iter_mut()
+                    .zip(before)
+                    .zip(after)
+                    .for_each(|((d, &before), &after)| *d = (after - before).abs());
+            }
+        });
     }
-    (sum / number as f64, gradient)
+    distances
+}
+
+/// The gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
+fn push<R: Real>(values: &[R], [nx, ny, nz]: [usize; 3], slope: R, x: usize, slice: &mut [R]) {
+    for (axis, offset) in [ny * nz, nz, 1].into_iter().enumerate() {
+        let inner = usize::from(axis == 2);
+        for (y, gradient) in slice.chunks_exact_mut(nz).enumerate() {
+            let first = (x * ny + y) * nz;
+            let (begins, ends) = match axis {
+                0 => (x == 0, x == nx - 1),
+                1 => (y == 0, y == ny - 1),
+                _ => (false, false),
+            };
+            if !begins {
+                let (before, here) = (&values[first + inner - offset..], &values[first + inner..]);
+                let pairs = gradient[inner..].iter_mut().zip(before).zip(here);
+                pairs.for_each(|((g, &before), &here)| *g += slope * sign(here - before));
+            }
+            if !ends {
+                let (here, after) = (&values[first..], &values[first + offset..]);
+                let pairs = gradient[..nz - inner].iter_mut().zip(here).zip(after);
+                pairs.for_each(|((g, &here), &after)| *g -= slope * sign(after - here));
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::loss::testing::assert_matches_central_differences;
-    use ndarray::array;
+    use ndarray::{Zip, array};
 
     #[test]
     fn value_and_gradient_are_those_computed_by_hand() {

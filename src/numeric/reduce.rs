@@ -1,13 +1,25 @@
 //! Sums whose tree depends on the length alone, accumulated in f64.
 
-use super::Real;
+use super::{Real, threads};
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
+/// Values that one worker adds up, so that handing them over costs little beside.
+const SHARE: usize = 1 << 13;
+
+/// Where the tree divides `n` values.
+fn middle(n: usize) -> usize {
+    n.div_ceil(2 * LEAF) * LEAF
+}
 
 /// Pairwise sum: leaves of 32 values in order, halves joined left to right.
 pub fn sum<R: Real>(values: &[R]) -> f64 {
-    sum_by(values.len(), &|i| values[i].to_f64())
+    if values.len() <= SHARE {
+        return sum_by(values.len(), &|i| values[i].to_f64());
+    }
+    let (left, right) = values.split_at(middle(values.len()));
+    let (left, right) = threads::both(|| sum(left), || sum(right));
+    left + right
 }
 
 /// Pairwise sum of `term(0) … term(n-1)`, with the same tree as [`sum`].
@@ -16,8 +28,8 @@ pub fn sum_by(n: usize, term: &impl Fn(usize) -> f64) -> f64 {
         if to - from <= LEAF {
             (from..to).fold(0.0, |total, i| total + term(i))
         } else {
-            let middle = from + (to - from).div_ceil(2 * LEAF) * LEAF;
-            tree(from, middle, term) + tree(middle, to, term)
+            let between = from + middle(to - from);
+            tree(from, between, term) + tree(between, to, term)
         }
     }
     tree(0, n, term)
@@ -32,6 +44,14 @@ mod tests {
         let values = vec![0.1_f32; 1 << 20];
         let exact = f64::from(0.1_f32) * values.len() as f64;
         assert!((sum(&values) - exact).abs() <= 1e-9 * exact);
+    }
+
+    #[test]
+    fn many_values_have_the_tree_of_few() {
+        for n in [SHARE, SHARE + 1, 3 * SHARE - 7, 1 << 17] {
+            let values: Vec<f64> = (0..n).map(|i| 1.0 / (i as f64 + 1.7)).collect();
+            assert_eq!(sum(&values), sum_by(n, &|i| values[i]));
+        }
     }
 
     #[test]

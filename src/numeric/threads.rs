@@ -55,9 +55,19 @@ pub fn count() -> usize {
     rayon::current_num_threads()
 }
 
+/// `(a(), b())`, at the same time if a worker is free.
+pub fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+    rayon::join(a, b)
+}
+
 /// `[f(0), f(1), … f(n-1)]`, computed in parallel, in index order.
 pub fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     (0..n).into_par_iter().with_max_len(1).map(f).collect()
+}
+
+/// As [`map`] for work so small that many neighbours belong in one task.
+pub fn map_many<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..n).into_par_iter().with_min_len(64).map(f).collect()
 }
 
 /// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).

@@ -148,11 +148,6 @@ impl<R: Real> Canvas<R> {
     pub(super) fn row(&self, row: usize, columns: usize) -> &[R] {
         &self.pixels[row * self.stride..][..columns]
     }
-
-    /// The pixels of one row.
-    pub(super) fn row_mut(&mut self, row: usize, columns: usize) -> &mut [R] {
-        &mut self.pixels[row * self.stride..][..columns]
-    }
 }
 
 /// The intermediate values of a batch of registers. Kept from call to call: clearing it would cost as much as a small
@@ -288,31 +283,23 @@ pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
     let shared = Shared::<R::Lanes>::new(any);
     let mut filled = 0;
     for Slice { plane, columns, first: begin, .. } in slices {
-        let outline = Outline::new(plane);
-        for strip in rows.clone().step_by(STRIP) {
-            let strip = strip..rows.end.min(strip + STRIP);
-            for first in columns.clone().step_by(half) {
-                let registers = outline.registers(&strip, first, half);
-                if registers.is_empty() {
-                    continue;
-                }
-                if filled + registers.len() > BATCH {
-                    paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
-                    filled = 0;
-                }
-                let column = Column::new(plane, strip.start, first);
-                let top = begin + (strip.start - rows.start) * canvas.stride + first;
-                for j in registers {
-                    let (_, delta, _, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
-                    if EXACT {
-                        scratch.root[filled] = root;
-                    }
-                    scratch.x[filled] = if EXACT { delta * (root * root) } else { delta };
-                    scratch.pixel[filled] = top + 2 * j * canvas.stride;
-                    filled += 1;
-                }
+        Outline::new(plane).walk(&rows, columns, half, |strip, first, registers| {
+            if filled + registers.len() > BATCH {
+                paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
+                filled = 0;
             }
-        }
+            let column = Column::new(plane, strip.start, first);
+            let top = begin + (strip.start - rows.start) * canvas.stride + first;
+            for j in registers {
+                let (_, delta, _, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
+                if EXACT {
+                    scratch.root[filled] = root;
+                }
+                scratch.x[filled] = if EXACT { delta * (root * root) } else { delta };
+                scratch.pixel[filled] = top + 2 * j * canvas.stride;
+                filled += 1;
+            }
+        });
     }
     paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
 }
@@ -363,39 +350,31 @@ pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool, const SO
     let mut total = Totals::<R::Lanes>::default();
     let (mut filled, mut ended) = (0, 0);
     for Slice { plane, columns, first: begin, x: slice } in slices {
-        let outline = Outline::new(plane);
-        for strip in rows.clone().step_by(STRIP) {
-            let strip = strip..rows.end.min(strip + STRIP);
-            for first in columns.clone().step_by(half) {
-                let registers = outline.registers(&strip, first, half);
-                if registers.is_empty() {
-                    continue;
-                }
-                if filled + registers.len() > BATCH {
-                    gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
-                    (filled, ended) = (0, 0);
-                }
-                let column = Column::new(plane, strip.start, first);
-                let top = begin + (strip.start - rows.start) * cotangent.stride + first;
-                for j in registers {
-                    let (y, delta, h, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
-                    let x = if EXACT { delta * (root * root) } else { delta };
-                    let (top, bottom) = cotangent.pixels[top + 2 * j * cotangent.stride..].split_at(cotangent.stride);
-                    let w = R::Lanes::from_rows(&top[..half], &bottom[..half]);
-                    let w = if EXACT { w * root } else { w };
-                    // Beyond the limit x becomes 0 as well: no power of it may overflow.
-                    scratch.x[filled] = x.select_le(shared.limit, x, zero);
-                    scratch.w[filled] = x.select_le(shared.limit, w, zero);
-                    scratch.y[filled] = y;
-                    if EXACT {
-                        (scratch.delta[filled], scratch.h[filled], scratch.root[filled]) = (delta, h, root);
-                    }
-                    filled += 1;
-                }
-                scratch.columns[ended] = Ended { z: column.z, slice: *slice, end: filled };
-                ended += 1;
+        Outline::new(plane).walk(&rows, columns, half, |strip, first, registers| {
+            if filled + registers.len() > BATCH {
+                gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
+                (filled, ended) = (0, 0);
             }
-        }
+            let column = Column::new(plane, strip.start, first);
+            let top = begin + (strip.start - rows.start) * cotangent.stride + first;
+            for j in registers {
+                let (y, delta, h, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
+                let x = if EXACT { delta * (root * root) } else { delta };
+                let (top, bottom) = cotangent.pixels[top + 2 * j * cotangent.stride..].split_at(cotangent.stride);
+                let w = R::Lanes::from_rows(&top[..half], &bottom[..half]);
+                let w = if EXACT { w * root } else { w };
+                // Beyond the limit x becomes 0 as well: no power of it may overflow.
+                scratch.x[filled] = x.select_le(shared.limit, x, zero);
+                scratch.w[filled] = x.select_le(shared.limit, w, zero);
+                scratch.y[filled] = y;
+                if EXACT {
+                    (scratch.delta[filled], scratch.h[filled], scratch.root[filled]) = (delta, h, root);
+                }
+                filled += 1;
+            }
+            scratch.columns[ended] = Ended { z: column.z, slice: *slice, end: filled };
+            ended += 1;
+        });
     }
     gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
     total.sums::<EXACT, SOLID>()

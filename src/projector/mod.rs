@@ -20,6 +20,7 @@ mod kernel;
 mod kernels;
 pub mod naive;
 mod outline;
+mod pairs;
 mod profile;
 mod shape;
 mod view;
@@ -27,6 +28,7 @@ mod voxelizer;
 
 pub use contributions::{Contribution, rank};
 pub use kernels::{KernelPair, Kernels};
+pub use pairs::Pairs;
 pub use profile::profile;
 pub use view::ViewField;
 pub use voxelizer::GridField;

@@ -1,6 +1,6 @@
 //! Which registers of a strip can hold pixels of a primitive's support.
 
-use super::kernel::Plane;
+use super::kernel::{Plane, STRIP};
 use std::ops::Range;
 
 /// Where the support may lie in a box of pixels. Pixels that it leaves out would have added zeros.
@@ -16,15 +16,37 @@ impl<'a> Outline<'a> {
     /// How much wider it is than the support, so that no rounding of the lanes leads out of it.
     const SPARE: f64 = 1e-3;
 
+    /// The outline of a plane that is [bounded](Plane::bound).
     #[inline(always)]
     pub(super) fn new(plane: &'a Plane) -> Self {
         Self { plane, squares: plane.most * (1.0 + Self::SPARE) - plane.floor, per_y: 1.0 / plane.b }
     }
 
+    /// Calls `column(strip, first, registers)` for each column of registers, `half` pixels wide from `first` on, in the
+    /// strips of `rows` (even start): registers are counted from the strip's first row, and there is at least one.
+    #[inline(always)]
+    pub(super) fn walk(
+        &self,
+        rows: &Range<usize>,
+        columns: &Range<usize>,
+        half: usize,
+        mut column: impl FnMut(Range<usize>, usize, Range<usize>),
+    ) {
+        for strip in rows.clone().step_by(STRIP) {
+            let strip = strip..rows.end.min(strip + STRIP);
+            for first in columns.clone().step_by(half) {
+                let registers = self.registers(&strip, first, half);
+                if !registers.is_empty() {
+                    column(strip.clone(), first, registers);
+                }
+            }
+        }
+    }
+
     /// The registers, of a strip of `rows` (even start), that pixels of the support in `width` columns from `first` on can
     /// be in.
     #[inline(always)]
-    pub(super) fn registers(&self, rows: &Range<usize>, first: usize, width: usize) -> Range<usize> {
+    fn registers(&self, rows: &Range<usize>, first: usize, width: usize) -> Range<usize> {
         let plane = self.plane;
         if !plane.corners {
             return 0..rows.len().div_ceil(2);
@@ -51,7 +73,7 @@ impl<'a> Outline<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::STRIP;
+    use super::super::kernel::{Canvas, Scratch, Slice, backward, forward};
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use rand::RngExt;
@@ -104,5 +126,38 @@ mod tests {
             }
         }
         assert!(useful > 20_000 && walked * 6 < boxed * 5, "{walked} of {boxed} for {useful}");
+    }
+
+    #[test]
+    fn an_outline_changes_no_bit_of_an_image_or_a_gradient() {
+        let mut draws = stream(6, Purpose::Phantom, 0, 0);
+        for _ in 0..50 {
+            let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
+            let mut plane = Plane {
+                row_centre: draw(10.0, 50.0),
+                column_centre: draw(10.0, 50.0),
+                slant: draw(-2.0, 2.0),
+                b: draw(0.1, 0.5),
+                a: draw(0.1, 0.5),
+                h_y: draw(-0.1, 0.1),
+                h_z: draw(-0.1, 0.1),
+                k: draw(0.0, 0.02),
+                q: draw(1.0, 20.0),
+                weight: 1.0,
+                limit: draw(0.3, 3.0),
+                ..Plane::default()
+            };
+            let (rows, columns) = (0..64, 0..64);
+            plane.bound(&rows, &columns);
+            let walked = [false, true].map(|corners| {
+                let slice = Slice { plane: Plane { corners, ..plane }, columns: columns.clone(), first: 0, x: 0.0 };
+                let (mut image, mut scratch) = (Canvas::<f32>::new(64, 64), Scratch::new());
+                forward::<f32, true, true>(std::slice::from_ref(&slice), rows.clone(), &mut image, &mut scratch);
+                let sums = backward::<f32, true, true, false>(&[slice], rows.clone(), &image, &mut scratch);
+                ((0..64).map(|row| image.row(row, 64).to_vec()).collect::<Vec<_>>(), sums)
+            });
+            assert!(walked[0].0.concat().iter().any(|&value| value > 0.0), "{plane:?}");
+            assert_eq!(walked[0], walked[1], "{plane:?}");
+        }
     }
 }

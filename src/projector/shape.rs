@@ -95,11 +95,7 @@ impl Shape {
 
     /// All primitives, in parallel.
     pub(super) fn all<R: Real>(primitives: &Primitives, epsilon: f64) -> Vec<Self> {
-        let chunks = threads::map(primitives.len().div_ceil(CHUNK), |chunk| {
-            let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(primitives.len());
-            range.map(|i| Self::new::<R>(primitives, i, epsilon)).collect::<Vec<_>>()
-        });
-        chunks.concat()
+        threads::map_many(primitives.len(), |i| Self::new::<R>(primitives, i, epsilon))
     }
 
     /// `1/(s₁s₂s₃)`, the determinant of the whitening matrix.
@@ -112,43 +108,36 @@ impl Shape {
         self.density.abs() * self.line.0 / self.inverse_scale.min_element() * epsilon
     }
 
-    /// Gradient to mean, scale, quaternion, density and ν, written to row `i`.
+    /// Gradient to mean, scale and quaternion.
     ///
     /// Rotating the body frame by a small ω changes Σ⁻¹ by `R([ω]Λ - Λ[ω])Rᵀ`, Λ = diag(1/s²): the torque of two axes
     /// carries the factor sⱼ/sᵢ - sᵢ/sⱼ and vanishes exactly where they are equal. The gradient to the quaternion
     /// is tangential by construction.
-    fn finish(&self, gradient: &ShapeGradient, i: usize, out: &mut Parameters) {
-        out.mean[i] = gradient.mean.to_array();
-        out.density[i] = gradient.density;
-        out.nu[i] = gradient.nu;
+    fn finish(&self, gradient: &ShapeGradient) -> ([f64; 3], [f64; 3], [f64; 4]) {
         let d = gradient.precision;
         let inverse = self.inverse_scale;
-        out.scale[i] = [0, 1, 2].map(|k| -2.0 * inverse[k] * d.col(k)[k]);
+        let scale = [0, 1, 2].map(|k| -2.0 * inverse[k] * d.col(k)[k]);
         let torque = |a: usize, b: usize| 2.0 * d.col(b)[a] * (inverse[a] / inverse[b] - inverse[b] / inverse[a]);
         let q = self.rotation * DQuat::from_xyzw(torque(1, 2), torque(2, 0), torque(0, 1), 0.0);
-        out.quaternion[i] = [q.w, q.x, q.y, q.z].map(|x| 2.0 * x / self.norm);
+        (gradient.mean.to_array(), scale, [q.w, q.x, q.y, q.z].map(|x| 2.0 * x / self.norm))
     }
 }
 
-/// [`Shape::finish`] for all primitives, in parallel.
+/// The gradient to all parameters of all primitives, in parallel.
 pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient]) -> Parameters {
     let m = shapes.len();
-    let parts = threads::map(m.div_ceil(CHUNK), |chunk| {
-        let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(m);
-        let mut part = Parameters::zeros(range.len());
-        for (row, i) in range.enumerate() {
-            shapes[i].finish(&gradients[i], row, &mut part);
+    let mut all = Parameters::zeros(m);
+    let Parameters { mean, scale, quaternion, density, nu } = &mut all;
+    let rest = quaternion.chunks_mut(CHUNK).zip(density.chunks_mut(CHUNK)).zip(nu.chunks_mut(CHUNK));
+    let mut rows: Vec<_> = mean.chunks_mut(CHUNK).zip(scale.chunks_mut(CHUNK)).zip(rest).collect();
+    threads::for_each_chunk(&mut rows, 1, |chunk, rows| {
+        let ((mean, scale), ((quaternion, density), nu)) = &mut rows[0];
+        for row in 0..mean.len() {
+            let i = chunk * CHUNK + row;
+            (mean[row], scale[row], quaternion[row]) = shapes[i].finish(&gradients[i]);
+            (density[row], nu[row]) = (gradients[i].density, gradients[i].nu);
         }
-        part
     });
-    let mut all = Parameters::default();
-    for part in parts {
-        all.mean.extend(part.mean);
-        all.scale.extend(part.scale);
-        all.quaternion.extend(part.quaternion);
-        all.density.extend(part.density);
-        all.nu.extend(part.nu);
-    }
     all
 }
 

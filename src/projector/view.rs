@@ -3,7 +3,6 @@
 use super::footprint::{Footprint, from_even};
 use super::kernel::{Canvas, STRIP, Scratch};
 use super::kernels::Kernels;
-use super::shape::CHUNK;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::{Beam, Scanner, View};
@@ -11,6 +10,8 @@ use ndarray::{Array2, ArrayView2};
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
+/// Primitives that one task sorts into bands.
+const BIN: usize = 4096;
 
 /// The footprints of a [`Field`]'s primitives on the detector of one view.
 pub struct ViewField<'a, R> {
@@ -26,12 +27,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
-        let mut footprints = vec![Footprint::default(); field.shapes.len()];
-        threads::for_each_chunk(&mut footprints, CHUNK, |chunk, footprints| {
-            for (footprint, shape) in footprints.iter_mut().zip(&field.shapes[chunk * CHUNK..]) {
-                *footprint = Footprint::new(shape, scanner, &view, projection);
-            }
-        });
+        let footprint = |i: usize| Footprint::new(&field.shapes[i], scanner, &view, projection);
+        let footprints = threads::map_many(field.shapes.len(), footprint);
         Self { field, scanner: *scanner, view, projection, footprints }
     }
 
@@ -63,12 +60,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// The image `[v, u]`: bands of 32 rows in parallel, primitives in index order.
     pub fn image(&self) -> Array2<R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
-        let mut members = vec![Vec::new(); rows.div_ceil(STRIP)];
-        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
-            for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
-                band.push(i as u32);
-            }
-        }
+        let members = self.members(rows.div_ceil(STRIP));
         let kernel = R::kernels(self.field.kernel, self.projection).forward;
         let mut image = vec![R::ZERO; rows * columns];
         threads::for_each_chunk(&mut image, STRIP * columns, |band, pixels| {
@@ -76,7 +68,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             let height = pixels.len() / columns;
             let mut canvas = Canvas::<R>::new(height, columns);
             let mut scratch = Scratch::new();
-            for &i in &members[band] {
+            for &i in members.iter().flat_map(|chunk| &chunk[band]) {
                 let footprint = &self.footprints[i as usize];
                 let rows = footprint.rows_in(origin..origin + height);
                 let slice = footprint.slice((rows.start - origin) * canvas.stride);
@@ -88,6 +80,20 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             }
         });
         Array2::from_shape_vec((rows, columns), image).expect("bands make up the image")
+    }
+
+    /// The primitives that reach each of `bands` bands, in index order: `[chunk of primitives][band]`.
+    fn members(&self, bands: usize) -> Vec<Vec<Vec<u32>>> {
+        threads::map(self.footprints.len().div_ceil(BIN), |chunk| {
+            let mut members = vec![Vec::new(); bands];
+            let all = (chunk * BIN..).zip(&self.footprints[chunk * BIN..]).take(BIN);
+            for (i, footprint) in all.filter(|(_, footprint)| !footprint.is_empty()) {
+                for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
+                    band.push(i as u32);
+                }
+            }
+            members
+        })
     }
 
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
@@ -118,11 +124,14 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
         let mut canvas = Canvas::<R>::new(rows, columns);
-        for (row, values) in cotangent.outer_iter().enumerate() {
-            let pixels = canvas.row_mut(row, columns);
-            pixels.iter_mut().zip(values).for_each(|(pixel, &value)| *pixel = value);
-            self.times_ray_length(row, pixels);
-        }
+        let stride = canvas.stride;
+        threads::for_each_chunk(&mut canvas.pixels, STRIP * stride, |band, pixels| {
+            for (row, pixels) in (band * STRIP..rows).zip(pixels.chunks_exact_mut(stride)) {
+                let pixels = &mut pixels[..columns];
+                pixels.iter_mut().zip(cotangent.row(row)).for_each(|(pixel, &value)| *pixel = value);
+                self.times_ray_length(row, pixels);
+            }
+        });
         let kernel = R::kernels(self.field.kernel, self.projection).backward;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
             let first = chunk * GATHER;

@@ -168,9 +168,9 @@ pub(super) fn strips(rows: Range<usize>) -> impl Iterator<Item = Range<usize>> {
 /// A [`Field`] on a grid: the primitives that reach any of its voxels.
 pub struct GridField<'a, R> {
     field: &'a Field<R>,
-    grid: Grid,
+    pub(super) grid: Grid,
     /// Each with its index in the model, in order.
-    solids: Vec<(usize, Solid)>,
+    pub(super) solids: Vec<(usize, Solid)>,
 }
 
 impl<R: Kernels> Field<R> {
@@ -249,5 +249,46 @@ impl<R: Kernels> GridField<'_, R> {
                 }
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use crate::primitives::{Parameters, Primitives};
+    use rand::RngExt;
+
+    #[test]
+    fn primitives_are_left_out_only_where_they_reach_no_voxel() {
+        let mut random = stream(7, Purpose::Phantom, 0, 0);
+        let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+        let m = 3000;
+        let parameters = Parameters {
+            mean: (0..m).map(|_| [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)]).collect(),
+            scale: (0..m).map(|_| [draw(0.005, 0.1), draw(0.005, 0.1), draw(0.005, 0.1)]).collect(),
+            quaternion: (0..m).map(|_| [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0), 0.1]).collect(),
+            density: vec![1.0; m],
+            nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
+        };
+        let field = Field::<f32>::new(&Primitives::new(parameters).unwrap(), 1e-2);
+        let grid = Grid::cube(24).block([5, 8, 11], [6, 7, 5]);
+        let there = field.on(&grid);
+        let mut kept = there.solids.iter().map(|(i, _)| *i).peekable();
+        let (mut left_out, mut reaching) = (0, 0);
+        for (i, shape) in field.shapes.iter().enumerate() {
+            let delta = |x: usize, y: usize, z: usize| {
+                let place = grid.min + (DVec3::new(x as f64, y as f64, z as f64) + 0.5) * grid.spacing;
+                (shape.whitening * (place - shape.mean)).length_squared() / shape.unit
+            };
+            let voxels = (0..6 * 7 * 5).map(|j| delta(j / 35, j / 5 % 7, j % 5));
+            let reaches = voxels.fold(f64::INFINITY, f64::min) <= shape.limit;
+            reaching += usize::from(reaches);
+            if kept.next_if_eq(&i).is_none() {
+                left_out += 1;
+                assert!(!reaches, "primitive {i}");
+            }
+        }
+        assert!(reaching > 100 && left_out > 2000, "{reaching} reach, {left_out} left out");
     }
 }
