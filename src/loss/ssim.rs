@@ -171,13 +171,16 @@ impl<R: Real> Ssim<R> {
         self.weigh(std::array::from_fn(|t| &line[t..][..out.len()]), out);
     }
 
-    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards. The columns are the inner
-    /// loop, over contiguous slices, so that the compiler makes vectors of it.
+    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards. One pass over contiguous slices of one
+    /// length, so that the compiler makes vectors of it.
     fn weigh(&self, x: [&[R]; TAPS], out: &mut [R]) {
-        out.iter_mut().zip(x[RADIUS]).for_each(|(out, &centre)| *out = self.weights[0] * centre);
-        for d in 1..=RADIUS {
-            let (weight, before, after) = (self.weights[d], x[RADIUS - d], x[RADIUS + d]);
-            out.iter_mut().zip(before).zip(after).for_each(|((out, &x), &y)| *out += weight * (x + y));
+        let x = x.map(|x| &x[..out.len()]);
+        for (j, out) in out.iter_mut().enumerate() {
+            let mut sum = self.weights[0] * x[RADIUS][j];
+            for d in 1..=RADIUS {
+                sum += self.weights[d] * (x[RADIUS - d][j] + x[RADIUS + d][j]);
+            }
+            *out = sum;
         }
     }
 }

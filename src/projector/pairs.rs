@@ -1,4 +1,4 @@
-//! How much of the work of an image or a volume is of use.
+//! How much of the work of an image or a volume is of use. Not in the paper.
 
 use super::kernel::Plane;
 use super::kernels::Kernels;

@@ -1,0 +1,199 @@
+//! The passes beside the projector, each against what the machine can do at most.
+//!
+//! First the machine is measured, all threads at once: multiply-adds of whole f32 registers per second, and bytes per
+//! second of a copy between arrays that no cache holds. A pass cannot take less than its arithmetic (operations on whole
+//! registers, counted in the source, one a multiply-add at most) nor less than its traffic (what has to come from memory
+//! and go there, if the data are too large for the caches): the longer one is its bound, and the share is bound / time.
+//! `cargo bench --bench passes`
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use ndarray::{Array2, Array3};
+use std::cell::RefCell;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+use trgs::confidence::{Coverage, Settings};
+use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use trgs::numeric::{Lanes, Real, threads};
+use trgs::optim::Adam;
+use trgs::primitives::{Parameters, Primitives};
+use trgs::projector::Field;
+use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::wavelet::{Routing, wavelet_loss};
+
+type F32s = <f32 as Real>::Lanes;
+type F64s = <f64 as Real>::Lanes;
+
+const VIEWS: usize = 18;
+const SIDE: usize = 32;
+
+/// What all threads together can do in a second.
+struct Machine {
+    /// Operations on whole registers of f32.
+    operations: f64,
+    /// Bytes read and bytes written by a copy.
+    bytes: f64,
+}
+
+impl Machine {
+    fn measure() -> Self {
+        let workers = threads::count();
+        let fastest = |work: &dyn Fn()| {
+            let time = |_| {
+                let began = Instant::now();
+                work();
+                began.elapsed().as_secs_f64()
+            };
+            (0..7).map(time).fold(f64::INFINITY, f64::min)
+        };
+        const CHAINS: usize = 12;
+        const STEPS: usize = 4_000_000;
+        let chains = || {
+            black_box(threads::map(workers, |worker| {
+                let [mut sums, factor] = [1e-3, 0.999].map(|x| [F32s::splat(x + worker as f32 * 1e-6); CHAINS]);
+                for _ in 0..STEPS {
+                    for (sum, factor) in sums.iter_mut().zip(factor) {
+                        *sum = sum.fma(factor, factor);
+                    }
+                }
+                sums.map(|sum| sum.sum())
+            }));
+        };
+        let length = 1 << 25;
+        let (from, to) = (vec![1.0_f32; length], RefCell::new(vec![0.0_f32; length]));
+        let copy = || {
+            let part = length / workers / 4;
+            threads::for_each_chunk(&mut to.borrow_mut(), part, |i, to| {
+                to.copy_from_slice(&from[i * part..][..to.len()]);
+            });
+        };
+        Self {
+            operations: (workers * CHAINS * STEPS) as f64 / fastest(&chains),
+            bytes: 8.0 * length as f64 / fastest(&copy),
+        }
+    }
+}
+
+/// What a pass has to do at least.
+struct Work {
+    /// Operations on whole registers.
+    operations: f64,
+    /// Bytes from and to memory.
+    bytes: f64,
+}
+
+/// `m` turned primitives all over the volume, by a sequence of low discrepancy.
+fn primitives(m: usize, scale: f64) -> Primitives {
+    let at = |i: usize, factor: f64| ((i as f64 * factor).fract() - 0.5) * 1.6;
+    Primitives::new(Parameters {
+        mean: (0..m).map(|i| [at(i, 0.819_172_5), at(i, 0.671_043_6), at(i, 0.549_700_5)]).collect(),
+        scale: (0..m).map(|i| [1.0, 1.15, 0.85 + 0.06 * (i % 7) as f64].map(|s| s * scale)).collect(),
+        quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
+        density: vec![0.1; m],
+        nu: (0..m).map(|i| 5.0 + (i % 30) as f64).collect(),
+    })
+    .expect("valid primitives")
+}
+
+fn all(c: &mut Criterion) {
+    let machine = Machine::measure();
+    println!(
+        "this machine, {} threads: {:.2}e9 operations on registers of {} f32 and {:.1}e9 bytes copied a second\n",
+        threads::count(),
+        machine.operations / 1e9,
+        F32s::WIDTH,
+        machine.bytes / 1e9
+    );
+    let mut group = c.benchmark_group("passes");
+    group.sample_size(10).warm_up_time(Duration::from_millis(300)).measurement_time(Duration::from_secs(2));
+    let mut rows = Vec::new();
+    let mut pass = |name: &'static str, work: Work, run: &dyn Fn()| {
+        let (mut spent, mut runs) = (Duration::ZERO, 0);
+        group.bench_function(name, |b| {
+            b.iter_custom(|n| {
+                let began = Instant::now();
+                (0..n).for_each(|_| run());
+                spent += began.elapsed();
+                runs += n as u32;
+                began.elapsed()
+            });
+        });
+        if runs > 0 {
+            rows.push((name, work, spent.as_secs_f64() / f64::from(runs)));
+        }
+    };
+    let (f32s, f64s) = (F32s::WIDTH as f64, F64s::WIDTH as f64);
+    let voxels = (SIDE * SIDE * SIDE) as f64;
+
+    // 12 blurs along a row or a column, 16 operations each; the index and its slopes 36; L1 and sums 15.
+    let (ssim, pixels) = (Ssim::<f32>::default(), 512 * 512);
+    let picture = |k: usize| Array2::from_shape_fn((512, 512), |(v, u)| ((v * k + u * 3) % 11) as f32 / 11.0);
+    let (image, target) = (picture(5), SsimTarget::new(&ssim, picture(7).view()));
+    let work = Work { operations: 243.0 * pixels as f64 / f32s, bytes: 0.0 };
+    pass("L1 and SSIM with gradient, 512²", work, &|| {
+        black_box(image_loss(&ssim, 0.25, image.view(), &target));
+    });
+
+    // Three differences, their sums in f64 (two registers for one of f32), six signs that are added.
+    let block = Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 13.0);
+    let work = Work { operations: 54.0 * voxels / f32s, bytes: 0.0 };
+    pass("total variation with gradient, 32³", work, &|| {
+        black_box(tv(block.view()));
+    });
+
+    // Forward 43 operations for a register of lanes, backward 51, as the kernels have them (README.md).
+    let physical = primitives(5_000, 0.04);
+    let field = Field::<f32>::new(&physical, 1e-3);
+    let grid = Grid::cube(64).block([16; 3], [SIDE; 3]);
+    let gradient = RefCell::new(field.zero_gradient());
+    let registers = field.on(&grid).pairs().evaluated as f64 / f32s;
+    pass(
+        "voxels of a 32³ block of 64³, 5,000 primitives",
+        Work { operations: 43.0 * registers, bytes: 0.0 },
+        &|| {
+            black_box(field.on(&grid).voxels());
+        },
+    );
+    pass("and back", Work { operations: 51.0 * registers, bytes: 0.0 }, &|| {
+        field.on(&grid).pull_back(block.view(), &mut gradient.borrow_mut());
+    });
+
+    // 14 operations in f64, three divisions and a root among them; value and two moments there and back, a gradient.
+    let n = 650_000;
+    let (adam, values) = (RefCell::new(Adam::new(n, [0.9, 0.999], 1e-15)), RefCell::new(vec![0.5; n]));
+    let slopes: Vec<f64> = (0..n).map(|i| (i % 17) as f64 - 8.0).collect();
+    let work = Work { operations: 14.0 * n as f64 / f64s, bytes: 56.0 * n as f64 };
+    pass("Adam, 50,000 primitives of 13 numbers", work, &|| {
+        adam.borrow_mut().step(&mut values.borrow_mut(), &slopes, 1e-4);
+    });
+
+    // For each point of the sphere and each view: a product of two vectors 5, its square, a difference, the least.
+    let pitch = 4.0 / 512.0;
+    let detector = Detector { rows: 512, columns: 512, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
+    let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
+    let (settings, angles) = (Settings::default(), Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU));
+    let coverage = Coverage::new(settings);
+    let points = (physical.len() * VIEWS * settings.sphere_points) as f64;
+    pass("confidence, 5,000 primitives, 18 views", Work { operations: 8.0 * points / f64s, bytes: 0.0 }, &|| {
+        black_box(coverage.confidence(&physical, &scanner, &angles));
+    });
+
+    // Six bands of 25: the band alone 2, differences 3, their strength 7, flux 4, transposes 6, coefficients 1, sum 2. The
+    // transform and its inverse 8 each, weights and sums 13.
+    let routing =
+        Routing { high: Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x + 3 * y + 5 * z) % 9) as u16), neighbours: 8 };
+    let operations = (6.0 * 25.0 + 29.0) * voxels / f32s;
+    pass("wavelet loss with gradient, 32³", Work { operations, bytes: 0.0 }, &|| {
+        black_box(wavelet_loss(block.view(), &routing, &trgs::wavelet::Settings::default()));
+    });
+    group.finish();
+
+    println!("\n| pass | ms | bound, ms | by | share |\n|---|---|---|---|---|");
+    for (name, work, seconds) in rows {
+        let [arithmetic, traffic] = [work.operations / machine.operations, work.bytes / machine.bytes];
+        let (bound, by) = if arithmetic > traffic { (arithmetic, "arithmetic") } else { (traffic, "memory") };
+        println!("| {name} | {:.3} | {:.3} | {by} | {:.0} % |", seconds * 1e3, bound * 1e3, 100.0 * bound / seconds);
+    }
+}
+
+criterion_group!(benches, all);
+criterion_main!(benches);
