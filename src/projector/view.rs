@@ -172,3 +172,34 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::{Parameters, Primitives};
+    use crate::scene::{Detector, Grid};
+    use std::ops::Range;
+
+    #[test]
+    fn every_primitive_of_many_is_in_the_image_once() {
+        let pitch = 4.0 / 40.0;
+        let detector = Detector { rows: 70, columns: 40, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(8) };
+        let at = |i: usize, factor: f64| ((i as f64 * factor).fract() - 0.5) * 1.6;
+        // Densities that differ from one to the next and from chunk to chunk.
+        let some = |range: Range<usize>| {
+            let primitives = Primitives::new(Parameters {
+                mean: range.clone().map(|i| [at(i, 0.819), at(i, 0.671), 0.7 * at(i, 0.549)]).collect(),
+                scale: vec![[0.04, 0.05, 0.06]; range.len()],
+                quaternion: vec![[1.0, 0.2, -0.1, 0.3]; range.len()],
+                density: range.clone().map(|i| 0.1 + (i % 7) as f64 + (i / BIN) as f64).collect(),
+                nu: vec![8.0; range.len()],
+            });
+            Field::<f64>::new(&primitives.unwrap(), 1e-3).view(&scanner, 0.4, Projection::Exact).image()
+        };
+        let (whole, sum) = (some(0..2 * BIN + 100), some(0..1000) + some(1000..BIN) + some(BIN..2 * BIN + 100));
+        let peak = whole.fold(0.0, |peak: f64, &value| peak.max(value));
+        assert!(whole.indexed_iter().all(|(place, value)| (value - sum[place]).abs() < 1e-12 * peak), "{peak}");
+        assert!(whole.row(30).sum() > 0.0 && whole.row(40).sum() > 0.0);
+    }
+}
