@@ -16,7 +16,7 @@
 //! ```
 
 use crate::numeric::elementary::exp;
-use crate::numeric::{Real, reduce, threads};
+use crate::numeric::{Lanes, Real, reduce, threads};
 use ndarray::{Array2, ArrayView2};
 use std::ops::Range;
 
@@ -171,16 +171,24 @@ impl<R: Real> Ssim<R> {
         self.weigh(std::array::from_fn(|t| &line[t..][..out.len()]), out);
     }
 
-    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards. One pass over contiguous slices of one
-    /// length, so that the compiler makes vectors of it.
+    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards: a register at a time, then what is left.
     fn weigh(&self, x: [&[R]; TAPS], out: &mut [R]) {
         let x = x.map(|x| &x[..out.len()]);
-        for (j, out) in out.iter_mut().enumerate() {
-            let mut sum = self.weights[0] * x[RADIUS][j];
-            for d in 1..=RADIUS {
-                sum += self.weights[d] * (x[RADIUS - d][j] + x[RADIUS + d][j]);
+        let whole = out.len() / R::Lanes::WIDTH * R::Lanes::WIDTH;
+        let weights = self.weights.map(R::Lanes::splat);
+        for j in (0..whole).step_by(R::Lanes::WIDTH) {
+            let at = |t: usize| R::Lanes::from_slice(&x[t][j..]);
+            let mut sum = weights[0] * at(RADIUS);
+            for (d, &weight) in weights.iter().enumerate().skip(1) {
+                sum += weight * (at(RADIUS - d) + at(RADIUS + d));
             }
-            *out = sum;
+            sum.write(&mut out[j..]);
+        }
+        for (j, out) in out.iter_mut().enumerate().skip(whole) {
+            *out = self.weights[0] * x[RADIUS][j];
+            for (d, &weight) in self.weights.iter().enumerate().skip(1) {
+                *out += weight * (x[RADIUS - d][j] + x[RADIUS + d][j]);
+            }
         }
     }
 }
