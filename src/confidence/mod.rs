@@ -31,7 +31,7 @@ pub use nu::{nu_loss, nu_target};
 pub use rank::{Spread, spearman};
 
 use crate::error::{Error, Result};
-use crate::numeric::elementary::power_of_two_below;
+use crate::numeric::elementary::{length, power_of_two_below};
 use crate::numeric::threads;
 use crate::primitives::{Primitives, rotation};
 use crate::scene::{Beam, Scanner, View};
@@ -149,7 +149,7 @@ impl Coverage {
         into.clear();
         for view in views.iter().filter(|view| sees(scanner, view, mean)) {
             let direction = to_local * towards_source(scanner, view, mean);
-            let ratio = alpha / (scale * direction).length() / self.settings.kappa;
+            let ratio = alpha / length(scale * direction) / self.settings.kappa;
             let radius = self.settings.r_max * if ratio < 1.0 { ratio } else { 1.0 };
             into.push(Tube { direction, nearest: 1.0 - radius * radius });
         }
@@ -175,7 +175,7 @@ fn sees(scanner: &Scanner, view: &View, point: DVec3) -> bool {
 /// Unit vector against the ray through a point that the view sees.
 fn towards_source(scanner: &Scanner, view: &View, point: DVec3) -> DVec3 {
     match scanner.beam {
-        Beam::Cone { .. } => (view.source - point) / (view.source - point).length(),
+        Beam::Cone { .. } => (view.source - point) / length(view.source - point),
         Beam::Parallel { .. } => -view.w,
     }
 }

@@ -38,10 +38,10 @@ impl Sphere {
         for [x, y, z] in &self.rows {
             let mut outside = Row::splat(f64::INFINITY);
             for tube in tubes {
-                let [ux, uy, uz] = tube.direction.to_array().map(Row::splat);
-                let nearest = Row::splat(tube.nearest);
-                let along = *x * ux + *y * uy + *z * uz;
-                outside = (nearest - along * along).at_most(outside);
+                // Not a `map` of the array: the compiler leaves it a call, with the sums in memory.
+                let DVec3 { x: ux, y: uy, z: uz } = tube.direction;
+                let along = *x * Row::splat(ux) + *y * Row::splat(uy) + *z * Row::splat(uz);
+                outside = (Row::splat(tube.nearest) - along * along).at_most(outside);
             }
             covered += outside.select_le(zero, one, zero);
         }

@@ -4,6 +4,9 @@ use super::l1::sign;
 use crate::numeric::{Real, reduce, threads};
 use ndarray::{Array3, ArrayView3};
 
+/// Slices along x that one task works on: a constant, so the cut does not depend on the threads.
+const SLAB: usize = 8;
+
 /// Value and gradient of the anisotropic total variation per difference,
 /// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
 ///
@@ -23,7 +26,11 @@ pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let slope = R::from_f64(1.0 / number as f64);
     let slices = gradient.as_slice_mut().expect("a new array is contiguous");
     let (_, ny, nz) = block.dim();
-    threads::for_each_chunk(slices, ny * nz, |x, slice| push(values, block.dim().into(), slope, x, slice));
+    threads::for_each_chunk(slices, SLAB * ny * nz, |slab, slices| {
+        for (x, slice) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz)) {
+            push(values, block.dim().into(), slope, x, slice);
+        }
+    });
     (value, gradient)
 }
 
@@ -40,9 +47,9 @@ fn distances<R: Real>(values: &[R], shape: [usize; 3], axis: usize) -> Vec<R> {
     let (rows, length) = (ny - usize::from(axis == 1), nz - usize::from(axis == 2));
     let mut distances = vec![R::ZERO; differences(shape, axis)];
     if !distances.is_empty() {
-        threads::for_each_chunk(&mut distances, rows * length, |x, distances| {
-            for (y, distances) in distances.chunks_exact_mut(length).enumerate() {
-                let first = (x * ny + y) * nz;
+        threads::for_each_chunk(&mut distances, SLAB * rows * length, |slab, distances| {
+            for (row, distances) in distances.chunks_exact_mut(length).enumerate() {
+                let first = ((slab * SLAB + row / rows) * ny + row % rows) * nz;
                 let (before, after) = (&values[first..][..length], &values[first + offset..][..length]);
                 distances
                     .iter_mut()
