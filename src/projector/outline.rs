@@ -78,26 +78,32 @@ mod tests {
     use crate::numeric::rng::{Purpose, stream};
     use rand::RngExt;
 
+    /// A plane whose support is in the middle of 64 × 64 pixels.
+    fn any(draw: &mut impl FnMut(f64, f64) -> f64) -> Plane {
+        Plane {
+            row_centre: draw(10.0, 50.0),
+            column_centre: draw(10.0, 50.0),
+            slant: draw(-2.0, 2.0),
+            b: draw(0.1, 0.5),
+            a: draw(0.1, 0.5),
+            h_y: draw(-0.1, 0.1),
+            h_z: draw(-0.1, 0.1),
+            k: draw(0.0, 0.02),
+            q: draw(1.0, 20.0),
+            weight: 1.0,
+            limit: draw(0.3, 3.0),
+            ..Plane::default()
+        }
+    }
+
     #[test]
     fn an_outline_holds_every_pixel_of_the_support_and_little_else() {
         let mut draws = stream(5, Purpose::Phantom, 0, 0);
         let (mut walked, mut boxed, mut useful) = (0, 0, 0);
         for number in 0..400 {
             let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
-            let mut plane = Plane {
-                row_centre: draw(10.0, 50.0),
-                column_centre: draw(10.0, 50.0),
-                slant: draw(-2.0, 2.0),
-                b: draw(0.1, 0.5),
-                a: draw(0.1, 0.5),
-                shift: draw(-0.1, 0.1),
-                floor: draw(0.0, 0.5),
-                h_y: if number % 2 == 0 { 0.0 } else { draw(-0.1, 0.1) },
-                h_z: draw(-0.1, 0.1),
-                k: draw(0.0, 0.02),
-                limit: draw(0.3, 3.0),
-                ..Plane::default()
-            };
+            let shifted = Plane { shift: draw(-0.1, 0.1), floor: draw(0.0, 0.5), ..any(&mut draw) };
+            let mut plane = if number % 2 == 0 { Plane { h_y: 0.0, ..shifted } } else { shifted };
             let pixels: Vec<_> = (0..64 * 64).map(|i| (i / 64, i % 64)).filter(|&(r, c)| plane.reaches(r, c)).collect();
             let Some(&(top, _)) = pixels.first() else { continue };
             let bottom = pixels.last().unwrap().0 + 1;
@@ -133,20 +139,7 @@ mod tests {
         let mut draws = stream(6, Purpose::Phantom, 0, 0);
         for _ in 0..50 {
             let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
-            let mut plane = Plane {
-                row_centre: draw(10.0, 50.0),
-                column_centre: draw(10.0, 50.0),
-                slant: draw(-2.0, 2.0),
-                b: draw(0.1, 0.5),
-                a: draw(0.1, 0.5),
-                h_y: draw(-0.1, 0.1),
-                h_z: draw(-0.1, 0.1),
-                k: draw(0.0, 0.02),
-                q: draw(1.0, 20.0),
-                weight: 1.0,
-                limit: draw(0.3, 3.0),
-                ..Plane::default()
-            };
+            let mut plane = any(&mut draw);
             let (rows, columns) = (0..64, 0..64);
             plane.bound(&rows, &columns);
             let walked = [false, true].map(|corners| {
