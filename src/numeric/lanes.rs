@@ -59,6 +59,9 @@ pub fn real<R: Real>(value: f64) -> R {
     R::from_f64(value)
 }
 
+/// Below √2 - 1: the largest x whose logarithm of 1+x [`Lanes::log2_1p_near`] takes.
+pub const NEAR: f64 = 0.4142;
+
 /// `WIDTH` scalars that are computed together.
 pub trait Lanes:
     Copy
@@ -112,6 +115,10 @@ pub trait Lanes:
     fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
     /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0.
     fn log2_1p(self) -> Self;
+    /// [`Self::log2_1p`] for x from 0 to [`NEAR`]: the same bits in fewer steps, for 1+x has the exponent 0 there.
+    fn log2_1p_near(self) -> Self {
+        self.log2_1p()
+    }
     /// `2^t` for `-HORIZON ≤ t ≤ 0`.
     fn exp2(self) -> Self;
     /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
@@ -342,6 +349,12 @@ macro_rules! precision {
                 let $f = self.fma(scale, scale - one);
                 let (factor, series) = $series;
                 factor.fma(series, k - Self::splat(INTEGER))
+            }
+            #[inline(always)]
+            fn log2_1p_near(self) -> Self {
+                let $f = self;
+                let (factor, series) = $series;
+                factor * series
             }
 
             // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits.

@@ -6,4 +6,4 @@ pub mod reduce;
 pub mod rng;
 pub mod threads;
 
-pub use lanes::{Lanes, Real, real};
+pub use lanes::{Lanes, NEAR, Real, real};

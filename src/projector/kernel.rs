@@ -17,7 +17,7 @@
 //! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
 
 use super::outline::Outline;
-use crate::numeric::{Lanes, Real};
+use crate::numeric::{Lanes, NEAR, Real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
@@ -100,7 +100,25 @@ pub(super) struct Sums {
     pub(super) x: [f64; 4],
 }
 
+/// How log2(1+x) is found in all of a support.
+enum Logarithm {
+    /// A Gaussian has none.
+    None,
+    /// No x within the support is beyond [`NEAR`].
+    Near,
+    Any,
+}
+
 impl Plane {
+    #[inline(always)]
+    fn logarithm<const STUDENT: bool>(&self) -> Logarithm {
+        match STUDENT {
+            false => Logarithm::None,
+            true if self.limit <= NEAR => Logarithm::Near,
+            true => Logarithm::Any,
+        }
+    }
+
     /// Whether a pixel lies within the support: x ≤ limit.
     pub(super) fn reaches(&self, row: usize, column: usize) -> bool {
         let across = column as f64 - self.column_centre;
@@ -317,8 +335,11 @@ fn paint<R: Real, const STUDENT: bool, const EXACT: bool>(
     let (minus_q, weight, zero) = (real::<R::Lanes>(-plane.q), real(plane.weight), R::Lanes::default());
     let Scratch { x, root, power, pixel, .. } = scratch;
     let (x, root, power, pixel) = (&x[..filled], &root[..filled], &mut power[..filled], &pixel[..filled]);
-    for (power, &x) in power.iter_mut().zip(x) {
-        *power = if STUDENT { minus_q * x.log2_1p() } else { -x };
+    let logs = power.iter_mut().zip(x);
+    match plane.logarithm::<STUDENT>() {
+        Logarithm::None => logs.for_each(|(power, &x)| *power = -x),
+        Logarithm::Near => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p_near()),
+        Logarithm::Any => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p()),
     }
     for power in &mut *power {
         *power = power.exp2();
@@ -396,8 +417,13 @@ fn gather<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
     let (minus_slope, slope_x) = (real::<R::Lanes>(-slope), real::<R::Lanes>(slope_x));
     let Scratch { x, y, delta, h, root, w, log, power, columns, .. } = scratch;
     let (log, power) = (&mut log[..filled], &mut power[..filled]);
+    let logs = log.iter_mut().zip(&*x);
+    match plane.logarithm::<STUDENT>() {
+        Logarithm::None => {}
+        Logarithm::Near => logs.for_each(|(log, x)| *log = x.log2_1p_near()),
+        Logarithm::Any => logs.for_each(|(log, x)| *log = x.log2_1p()),
+    }
     if STUDENT {
-        log.iter_mut().zip(&*x).for_each(|(log, x)| *log = x.log2_1p());
         power.iter_mut().zip(&*log).for_each(|(power, &log)| *power = (minus_q_1 * log).exp2());
     } else {
         power.iter_mut().zip(&*x).for_each(|(power, &x)| *power = (-x).exp2());

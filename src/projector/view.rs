@@ -7,11 +7,14 @@ use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
+use std::slice::from_ref;
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
 /// Primitives that one task sorts into bands.
 const BIN: usize = 4096;
+/// Footprints that a band fetches at a time: they lie far apart, and the memory answers several as fast as one.
+const FETCH: usize = 16;
 
 /// The footprints of a [`Field`]'s primitives on the detector of one view.
 pub struct ViewField<'a, R> {
@@ -68,11 +71,17 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             let height = pixels.len() / columns;
             let mut canvas = Canvas::<R>::new(height, columns);
             let mut scratch = Scratch::new();
-            for &i in members.iter().flat_map(|chunk| &chunk[band]) {
-                let footprint = &self.footprints[i as usize];
-                let rows = footprint.rows_in(origin..origin + height);
-                let slice = footprint.slice((rows.start - origin) * canvas.stride);
-                kernel(&[slice], rows, &mut canvas, &mut scratch);
+            let mut fetched = Vec::with_capacity(FETCH);
+            for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
+                fetched.clear();
+                fetched.extend(some.iter().map(|&i| {
+                    let footprint = &self.footprints[i as usize];
+                    let rows = footprint.rows_in(origin..origin + height);
+                    (footprint.slice((rows.start - origin) * canvas.stride), rows)
+                }));
+                for (slice, rows) in &fetched {
+                    kernel(from_ref(slice), rows.clone(), &mut canvas, &mut scratch);
+                }
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
                 pixels.copy_from_slice(canvas.row(row, columns));
