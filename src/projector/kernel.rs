@@ -1,7 +1,7 @@
 //! **HOT.** One primitive over a strip of pixels: the only code that runs once per (pixel, primitive).
 //!
 //! A SIMD register is `WIDTH/2` columns × 2 rows of pixels. The work is split into stages that each run over a batch
-//! of registers (distance, logarithm, exponential, use), so that the long chains of one register hide behind those of
+//! of registers (distance, logarithm, exponential, use; forward, the last two at once), so that the long chains of one register hide behind those of
 //! the others. Within a column of registers the coordinate z of [`Plane`] is constant: half of the quadratic form and
 //! two thirds of the moments leave the inner loop.
 //!
@@ -341,10 +341,8 @@ fn paint<R: Real, const STUDENT: bool, const EXACT: bool>(
         Logarithm::Near => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p_near()),
         Logarithm::Any => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p()),
     }
-    for power in &mut *power {
-        *power = power.exp2();
-    }
     for (((&x, &root), &power), &pixel) in x.iter().zip(root).zip(&*power).zip(pixel) {
+        let power = power.exp2();
         let value = if EXACT { power * root } else { power };
         let value = x.select_le(shared.limit, value * weight, zero);
         let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
