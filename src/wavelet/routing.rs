@@ -2,6 +2,7 @@
 
 use super::Settings;
 use crate::error::{Error, Result};
+use crate::numeric::elementary::length;
 use crate::numeric::threads;
 use crate::scene::Grid;
 use glam::DVec3;
@@ -9,8 +10,11 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use ndarray::Array3;
 use std::num::NonZero;
 
-/// Voxels whose neighbours one task looks for: a constant, so the cut does not depend on the threads.
-const CHUNK: usize = 256;
+/// Voxels along each side of a cell, whose neighbours are looked for together. Sides of a block are even.
+const CELL: usize = 2;
+/// The most that a cell's half diagonal may be of the distance in which its middle has K primitives: beyond, too many
+/// are near the cell for most of its voxels.
+const CROWDED: f64 = 0.6;
 /// Squared distances that the tree reports closer together than this, relatively, may be equal: it rounds in an order of its own.
 const TIE: f64 = 1e-12;
 
@@ -57,10 +61,19 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
     let nearest = Nearest::new(means, neighbours)?;
     let mut high = Array3::default(grid.shape);
     let [_, ny, nz] = grid.shape;
-    threads::for_each_chunk(high.as_slice_mut().expect("a new array"), CHUNK, |chunk, high| {
-        for (i, high) in high.iter_mut().enumerate() {
-            let voxel = chunk * CHUNK + i;
-            *high = nearest.count(grid.centre([voxel / (ny * nz), voxel / nz % ny, voxel % nz]), &confident);
+    threads::for_each_chunk(high.as_slice_mut().expect("a new array"), CELL * ny * nz, |slab, high| {
+        let mut order = Vec::with_capacity(neighbours);
+        for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
+            let first = [slab * CELL, y, z];
+            let middle = grid.min + (DVec3::from(first.map(|i| i as f64)) + 0.5 * CELL as f64) * grid.spacing;
+            let cell = nearest.cell(middle, 0.5 * (CELL - 1) as f64 * length(grid.spacing));
+            for [i, j, k] in (0..CELL * CELL * CELL).map(|n| [n / (CELL * CELL), n / CELL % CELL, n % CELL]) {
+                let centre = grid.centre([first[0] + i, y + j, z + k]);
+                high[(i * ny + y + j) * nz + z + k] = match &cell {
+                    Some(near) => nearest.count_among(near, centre, &confident, &mut order),
+                    None => nearest.count(centre, &confident),
+                };
+            }
         }
     });
     Ok(Routing { high, neighbours })
@@ -91,6 +104,48 @@ impl<'a> Nearest<'a> {
         Ok(Self { points, tree, neighbours })
     }
 
+    /// All that can be a neighbour of a centre within `radius` of the middle, the nearest to the middle first. `None` if the
+    /// primitives are so dense that these are many.
+    ///
+    /// K primitives within d of the middle are within d + radius of the centre, so are all of its neighbours, and these within
+    /// d + 2·radius of the middle.
+    fn cell(&self, middle: DVec3, radius: f64) -> Option<Vec<(u32, DVec3)>> {
+        let (k, query) = (NonZero::new(self.neighbours).expect("at least one neighbour"), middle.to_array());
+        let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(k).execute();
+        let distance = found.last()?.distance.sqrt();
+        if radius > CROWDED * distance {
+            return None;
+        }
+        let reach = distance + 2.0 * radius;
+        let limit = reach * reach * (1.0 + TIE) + f64::MIN_POSITIVE;
+        let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).execute();
+        Some(within.iter().map(|near| (near.item, self.point(near.item))).collect())
+    }
+
+    /// The number of confident ones among the neighbours of a centre, all of which are among these. `order` is room to work.
+    fn count_among(
+        &self,
+        near: &[(u32, DVec3)],
+        centre: DVec3,
+        confident: &[bool],
+        order: &mut Vec<(f64, u32)>,
+    ) -> u16 {
+        let nearer = |a: &(f64, u32), b: &(f64, u32)| a.0 < b.0 || a.0 == b.0 && a.1 < b.1;
+        order.clear();
+        for &(i, point) in near {
+            let one = ((point - centre).length_squared(), i);
+            if order.len() == self.neighbours {
+                if nearer(&order[order.len() - 1], &one) {
+                    continue;
+                }
+                order.pop();
+            }
+            let place = order.iter().rposition(|other| nearer(other, &one)).map_or(0, |last| last + 1);
+            order.insert(place, one);
+        }
+        order.iter().filter(|(_, i)| confident[*i as usize]).count() as u16
+    }
+
     /// The number of confident ones among the neighbours of a centre.
     fn count(&self, centre: DVec3, confident: &[bool]) -> u16 {
         let (k, query) = (self.neighbours, centre.to_array());
@@ -110,7 +165,11 @@ impl<'a> Nearest<'a> {
     }
 
     fn distance(&self, i: u32, centre: DVec3) -> f64 {
-        (DVec3::from(self.points[i as usize]) - centre).length_squared()
+        (self.point(i) - centre).length_squared()
+    }
+
+    fn point(&self, i: u32) -> DVec3 {
+        self.points[i as usize].into()
     }
 }
 
