@@ -140,7 +140,7 @@ fn all(c: &mut Criterion) {
         black_box(tv(block.view()));
     });
 
-    // Forward 43 operations for a register of lanes, backward 51, as the kernels have them (README.md).
+    // Forward 36 operations for a register of lanes, backward 44, as the kernels have them (README.md).
     let physical = primitives(5_000, 0.04);
     let field = Field::<f32>::new(&physical, 1e-3);
     let grid = Grid::cube(64).block([16; 3], [SIDE; 3]);
@@ -148,12 +148,12 @@ fn all(c: &mut Criterion) {
     let registers = field.on(&grid).pairs().evaluated as f64 / f32s;
     pass(
         "voxels of a 32³ block of 64³, 5,000 primitives",
-        Work { operations: 43.0 * registers, bytes: 0.0 },
+        Work { operations: 36.0 * registers, bytes: 0.0 },
         &|| {
             black_box(field.on(&grid).voxels());
         },
     );
-    pass("and back", Work { operations: 51.0 * registers, bytes: 0.0 }, &|| {
+    pass("and back", Work { operations: 44.0 * registers, bytes: 0.0 }, &|| {
         field.on(&grid).pull_back(block.view(), &mut gradient.borrow_mut());
     });
 

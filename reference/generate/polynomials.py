@@ -1,6 +1,6 @@
 """Constants of the project's own elementary functions, with their error bounds.
 
-Prints Rust-ready tables for log2 and exp2 in f32 and f64, and the exact coefficients of the
+Prints Rust-ready tables for log2, exp2 and the inverse root near 1 in f32 and f64, and the exact coefficients of the
 asymptotic series of the ratio Gamma(z)/Gamma(z + 1/2) that the line integral of the Student-t
 kernel needs [Eq. 5].
 
@@ -130,6 +130,17 @@ def exp2(rust_type, degrees):
         show(f"total degree {degree}, P low order first", c, error, rust_type)
 
 
+# ---------------------------------------------------------------------------- 1/sqrt(1+e)
+
+def inverse_root(rust_type, cases):
+    print(f"==== {rust_type}: 1/sqrt(1+e) = 1 + e P(e), |e| <= top, relative error of the root")
+    round_to = np.float32 if rust_type == "f32" else np.float64
+    function = lambda e: (1 / mp.sqrt(1 + e) - 1) / e
+    for top, degree in cases:
+        c, error = fit_rounded(function, lambda e: abs(e) * mp.sqrt(1 + e), -top, top, list(range(degree)), round_to)
+        show(f"top {top}, total degree {degree}, P low order first", c, error, rust_type)
+
+
 # ---------------------------------------------------------------------------- Gamma(z)/Gamma(z+1/2)
 
 def bernoulli_numbers(n):
@@ -193,4 +204,7 @@ if __name__ == "__main__":
     log2_f64()
     exp2("f32", (5, 6))
     exp2("f64", (10, 11, 12))
+    inverse_root("f32", ((mpf(1) / 16, 4), (mpf(1) / 4, 7)))
+    # The first guess at a step of third order: its error ends as 2.5 times its cube.
+    inverse_root("f64", ((mpf(1) / 4, 6),))
     gamma_ratio()

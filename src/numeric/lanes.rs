@@ -4,6 +4,10 @@
 //! registers emulates it lane by lane, so sums have the same tree everywhere. `a * b + c` is rounded twice on every
 //! build and [`Lanes::fma`] once on every build, also where the processor has no such instruction.
 
+use super::polynomials::{
+    EXP2_F32, EXP2_F64, each, log2_of_1_plus_f32, log2_of_1_plus_f64, nearer_to_root, one_plus, root_near_f32,
+    root_near_f64, root_nearest_f32,
+};
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -62,6 +66,9 @@ pub fn real<R: Real>(value: f64) -> R {
 /// Below √2 - 1: the largest x whose logarithm of 1+x [`Lanes::log2_1p_near`] takes.
 pub const NEAR: f64 = 0.4142;
 
+/// The largest |e| whose root of 1+e [`Lanes::rsqrt_1p_nearest`] takes, and [`Lanes::rsqrt_1p_near`].
+pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
+
 /// `WIDTH` scalars that are computed together.
 pub trait Lanes:
     Copy
@@ -107,83 +114,42 @@ pub trait Lanes:
     fn sqrt(self) -> Self;
     /// `1/√self` for positive normal numbers, to two units in the last place.
     fn rsqrt(self) -> Self;
+    /// `1/√(1+self)` for lanes from -1/4 to 1/4, to two units in the last place.
+    fn rsqrt_1p_near(self) -> Self;
+    /// The same for lanes from -1/16 to 1/16, other last bits in fewer steps.
+    fn rsqrt_1p_nearest(self) -> Self {
+        self.rsqrt_1p_near()
+    }
     /// Absolute value.
     fn abs(self) -> Self;
     /// The smaller of both, `other` where `self` is NaN.
     fn at_most(self, other: Self) -> Self;
     /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
     fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
-    /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0.
-    fn log2_1p(self) -> Self;
-    /// [`Self::log2_1p`] for x from 0 to [`NEAR`]: the same bits in fewer steps, for 1+x has the exponent 0 there.
-    fn log2_1p_near(self) -> Self {
-        self.log2_1p()
+    /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0; of several registers, so that each step
+    /// of one hides those of the others.
+    fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N];
+    /// [`Self::log2_1p_each`] for x from 0 to [`NEAR`]: the same bits in fewer steps, for 1+x has the exponent 0 there.
+    fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+        Self::log2_1p_each(x)
     }
-    /// `2^t` for `-HORIZON ≤ t ≤ 0`.
-    fn exp2(self) -> Self;
+    /// `2^t` for `-HORIZON ≤ t ≤ 0`, of several registers.
+    fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N];
+    /// [`Self::log2_1p_each`] of one.
+    fn log2_1p(self) -> Self {
+        Self::log2_1p_each([self])[0]
+    }
+    /// [`Self::log2_1p_near_each`] of one.
+    fn log2_1p_near(self) -> Self {
+        Self::log2_1p_near_each([self])[0]
+    }
+    /// [`Self::exp2_each`] of one.
+    fn exp2(self) -> Self {
+        Self::exp2_each([self])[0]
+    }
     /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
     fn sum(self) -> f64;
 }
-
-/// `c[0] + c[1] x + c[2] x² + …`, the even and the odd powers by Horner's rule in x²: two chains of half the length, fused.
-#[inline(always)]
-fn polynomial<L: Lanes, const N: usize>(x: L, coefficients: &[L::Scalar; N]) -> L {
-    let square = x * x;
-    let chain = |last: usize| {
-        let mut value = L::splat(coefficients[last]);
-        for k in (0..last / 2).rev() {
-            value = value.fma(square, L::splat(coefficients[2 * k + last % 2]));
-        }
-        value
-    };
-    let (last, before) = (chain(N - 1), chain(N - 2));
-    if N % 2 == 1 { x.fma(before, last) } else { x.fma(last, before) }
-}
-
-// The coefficients are minimax in relative error, from reference/generate/polynomials.py.
-
-/// `log2(1+f) = f·P(f)` on [√½-1, √2-1]; 2.9e-8.
-#[allow(clippy::approx_constant, reason = "the first coefficient of a minimax polynomial is near log2 e, not it")]
-const LOG2_F32: [f32; 9] = [
-    1.442695e+00,
-    -7.213474e-01,
-    4.8090905e-01,
-    -3.6070004e-01,
-    2.8795016e-01,
-    -2.3902889e-01,
-    2.1552761e-01,
-    -2.0669751e-01,
-    1.2560181e-01,
-];
-/// `log2(1+f) = s·Q(s²)` with `s = f/(2+f)`, same interval; 1.4e-17.
-const LOG2_F64: [f64; 8] = [
-    2.8853900817779268e+00,
-    9.617966939261154e-01,
-    5.770780162765302e-01,
-    4.121986000339649e-01,
-    3.205971463235787e-01,
-    2.6240400417314974e-01,
-    2.1918244659274513e-01,
-    2.305381423985441e-01,
-];
-/// `2^t = 1 + t·P(t)` on [-½, ½]; 3.0e-9.
-#[allow(clippy::approx_constant, reason = "as above, with ln 2")]
-const EXP2_F32: [f32; 6] = [6.931472e-01, 2.4022648e-01, 5.5503596e-02, 9.618499e-03, 1.339097e-03, 1.5329279e-04];
-/// `2^t = 1 + t·P(t)` on [-½, ½]; 4.1e-18.
-#[allow(clippy::approx_constant, reason = "as above, with ln 2")]
-const EXP2_F64: [f64; 11] = [
-    6.931471805599453e-01,
-    2.4022650695910108e-01,
-    5.550410866482172e-02,
-    9.618129107601608e-03,
-    1.3333558146546372e-03,
-    1.5403530449030215e-04,
-    1.5252733634030488e-05,
-    1.3215438839373654e-06,
-    1.0178159958915822e-07,
-    7.073232407660214e-09,
-    4.4388850923243237e-10,
-];
 
 /// The first eight values.
 #[inline(always)]
@@ -208,7 +174,7 @@ macro_rules! precision {
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
         rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, rounder $rounder:literal, exp2 $exp2:ident,
         pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
-        log2_of_1_plus |$f:ident| $series:expr
+        log2_of_1_plus $log2_of_1_plus:ident, root_of_1_plus $root_near:ident, nearest $root_nearest:ident
     ) => {
         impl Real for $scalar {
             type Lanes = $lanes;
@@ -309,16 +275,20 @@ macro_rules! precision {
                     Self::from_fn(|i| a[i].mul_add(b[i], c[i]))
                 }
             }
-            // Half of the exponent with a linear mantissa is within 3.5 %; a step of third order takes an error ε to 2.5 ε³.
+            // Half of the exponent with a linear mantissa is within 3.5 %.
             #[inline(always)]
             fn rsqrt(self) -> Self {
                 let bits: $bits = bytemuck::cast(self);
-                let mut root: Self = bytemuck::cast($bits::splat($magic) - bits.unbounded_shr_scalar(1));
-                for _ in 0..$steps {
-                    let error = (-self * root).fma(root, Self::splat(1.0));
-                    root = (root * error).fma(error.fma(Self::splat(0.375), Self::splat(0.5)), root);
-                }
-                root
+                let root: Self = bytemuck::cast($bits::splat($magic) - bits.unbounded_shr_scalar(1));
+                (0..$steps).fold(root, |root, _| nearer_to_root(root, self))
+            }
+            #[inline(always)]
+            fn rsqrt_1p_near(self) -> Self {
+                $root_near(self)
+            }
+            #[inline(always)]
+            fn rsqrt_1p_nearest(self) -> Self {
+                $root_nearest(self)
             }
             #[inline(always)]
             fn abs(self) -> Self {
@@ -336,36 +306,43 @@ macro_rules! precision {
             // 1+x = 2^k·(1+f) with 1+f in [√½, √2): the exponent k is read off the rounded 1+x, then
             // f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
             #[inline(always)]
-            fn log2_1p(self) -> Self {
+            fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N] {
                 const ROOT_HALF: $unsigned = std::$scalar::consts::FRAC_1_SQRT_2.to_bits();
                 // The bits of 2^mantissa: an integer or-ed into them is the number 2^mantissa + integer.
                 const INTEGER: $scalar = ((1 as $unsigned) << $mantissa) as $scalar;
                 const ONE_BITS: $unsigned = (1.0 as $scalar).to_bits();
                 let one = Self::splat(1.0);
-                let bits: $bits = bytemuck::cast(one + self);
-                let exponent = (bits - $bits::splat(ROOT_HALF)).unbounded_shr_scalar($mantissa);
-                let scale: Self = bytemuck::cast($bits::splat(ONE_BITS) - exponent.unbounded_shl_scalar($mantissa));
-                let k: Self = bytemuck::cast(exponent | $bits::splat(INTEGER.to_bits()));
-                let $f = self.fma(scale, scale - one);
-                let (factor, series) = $series;
-                factor.fma(series, k - Self::splat(INTEGER))
+                let exponent: [$bits; N] = x.map(|x| {
+                    let bits: $bits = bytemuck::cast(one + x);
+                    (bits - $bits::splat(ROOT_HALF)).unbounded_shr_scalar($mantissa)
+                });
+                let f: [Self; N] = each(|i| {
+                    let bits = $bits::splat(ONE_BITS) - exponent[i].unbounded_shl_scalar($mantissa);
+                    let scale: Self = bytemuck::cast(bits);
+                    x[i].fma(scale, scale - one)
+                });
+                let (factor, series) = $log2_of_1_plus(f);
+                each(|i| {
+                    let k: Self = bytemuck::cast(exponent[i] | $bits::splat(INTEGER.to_bits()));
+                    factor[i].fma(series[i], k - Self::splat(INTEGER))
+                })
             }
             #[inline(always)]
-            fn log2_1p_near(self) -> Self {
-                let $f = self;
-                let (factor, series) = $series;
-                factor * series
+            fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+                let (factor, series) = $log2_of_1_plus(x);
+                each(|i| factor[i] * series[i])
             }
 
-            // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits.
+            // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits, from where it goes into the exponent.
             #[inline(always)]
-            fn exp2(self) -> Self {
-                const ONE_BITS: $unsigned = (1.0 as $scalar).to_bits();
-                let shifted = self + Self::splat($rounder);
-                let fraction = self - (shifted - Self::splat($rounder));
-                let bits: $bits = bytemuck::cast(shifted);
-                let scale: Self = bytemuck::cast(bits.unbounded_shl_scalar($mantissa) + $bits::splat(ONE_BITS));
-                fraction.fma(polynomial(fraction, &$exp2), Self::splat(1.0)) * scale
+            fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
+                let shifted = t.map(|t| t + Self::splat($rounder));
+                let fraction: [Self; N] = each(|i| t[i] - (shifted[i] - Self::splat($rounder)));
+                let mantissa = one_plus(fraction, &$exp2);
+                each(|i| {
+                    let [mantissa, exponent]: [$bits; 2] = [mantissa[i], shifted[i]].map(|value| bytemuck::cast(value));
+                    bytemuck::cast(mantissa + exponent.unbounded_shl_scalar($mantissa))
+                })
             }
 
             #[inline(always)]
@@ -398,7 +375,7 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_of_1_plus |f| (f, polynomial(f, &LOG2_F32))
+    log2_of_1_plus log2_of_1_plus_f32, root_of_1_plus root_near_f32, nearest root_nearest_f32
 );
 precision!(
     f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, rounder 6_755_399_441_055_744.0, exp2 EXP2_F64,
@@ -412,10 +389,7 @@ precision!(
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
     },
-    log2_of_1_plus |f| {
-        let s = f / (f + Self::splat(2.0));
-        (s, polynomial(s * s, &LOG2_F64))
-    }
+    log2_of_1_plus log2_of_1_plus_f64, root_of_1_plus root_near_f64, nearest root_near_f64
 );
 
 #[cfg(test)]
@@ -501,6 +475,22 @@ mod tests {
                 let double = f64x8::splat(x).rsqrt().to_array()[3];
                 assert!((double / truth - 1.0).abs() <= 2.0 * f64::EPSILON, "{x}: {double} against {truth}");
             }
+        }
+    }
+
+    #[test]
+    fn roots_near_one_are_within_two_units_in_the_last_place() {
+        let check = |e: f64, single: f32x16, double: f64x8| {
+            let truth = 1.0 / libm::sqrt(1.0 + f64::from(e as f32));
+            let (single, double) = (f64::from(single.to_array()[11]), double.to_array()[6]);
+            assert!((single / truth - 1.0).abs() <= 2.0 * f64::from(f32::EPSILON), "{e}: {single} against {truth}");
+            let truth = 1.0 / libm::sqrt(1.0 + e);
+            assert!((double / truth - 1.0).abs() <= 2.0 * f64::EPSILON, "{e}: {double} against {truth}");
+        };
+        for i in -10_000..=10_000 {
+            let [nearest, near] = NEAR_ONE.map(|most| most * f64::from(i) / 10_000.0);
+            check(near, f32x16::splat(near as f32).rsqrt_1p_near(), f64x8::splat(near).rsqrt_1p_near());
+            check(nearest, f32x16::splat(nearest as f32).rsqrt_1p_nearest(), f64x8::splat(nearest).rsqrt_1p_nearest());
         }
     }
 

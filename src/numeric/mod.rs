@@ -2,8 +2,9 @@
 
 pub mod elementary;
 pub mod lanes;
+mod polynomials;
 pub mod reduce;
 pub mod rng;
 pub mod threads;
 
-pub use lanes::{Lanes, NEAR, Real, real};
+pub use lanes::{Lanes, NEAR, NEAR_ONE, Real, real};

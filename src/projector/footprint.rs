@@ -6,7 +6,8 @@
 //! gradient comes back in the same whitened coordinates, for the same reason.
 
 use super::Projection;
-use super::kernel::{Plane, Slice, Sums};
+use super::kernel::{Plane, Sums};
+use super::patch::Patch;
 use super::shape::{Shape, ShapeGradient};
 use crate::numeric::elementary::{length, unit};
 use crate::scene::{Beam, Scanner, View};
@@ -174,9 +175,9 @@ impl Footprint {
         from_even(self.rows.start.max(band.start)..self.rows.end.min(band.end))
     }
 
-    /// Its only plane; `first` is where the first pixel of the first row to walk is on the canvas.
-    pub(super) fn slice(&self, first: usize) -> Slice {
-        Slice { plane: self.plane, columns: self.columns.clone(), first, x: 0.0 }
+    /// Its part of a canvas in `rows` (even start), the first of which is row `top` there.
+    pub(super) fn patch(&self, rows: Range<usize>, top: usize, stride: usize) -> Patch {
+        Patch::new(&self.plane, rows, self.columns.clone(), top, stride)
     }
 
     /// From sums over pixels to the gradient of mean, precision matrix, density and ν. Mirrors [`Self::new`].

@@ -1,12 +1,13 @@
 //! **HOT.** One primitive over a strip of pixels: the only code that runs once per (pixel, primitive).
 //!
-//! A SIMD register is `WIDTH/2` columns × 2 rows of pixels. The work is split into stages that each run over a batch
-//! of registers (distance, logarithm, exponential, use; forward, the last two at once), so that the long chains of
-//! one register hide behind those of the others. Within a column of registers the coordinate z of [`Plane`] is
-//! constant: half of the quadratic form and two thirds of the moments leave the inner loop.
+//! A SIMD register is `WIDTH/2` columns × 2 rows of pixels, or `WIDTH/4` × 2 of voxels in each of two slices. The work is
+//! split into stages that each run over a batch of registers (distance, logarithm, exponential, use), logarithms and
+//! exponentials of two side by side, so that the long chains of one register hide behind those of the others. Within a
+//! column of registers the coordinate z of [`Plane`] is constant: half of the quadratic form and two thirds of the moments
+//! leave the inner loop.
 //!
 //! Everything is a power of two. With Δ the squared Mahalanobis distance of the primitive's centre from the
-//! ray, x = Δ/unit and root = √r:
+//! ray, x = Δ/unit and root = √(A0/A), 1 in the affine projection:
 //!
 //! | kernel | unit | value per density | source |
 //! |---|---|---|---|
@@ -16,8 +17,9 @@
 //! Accuracy: the profile is within 1.5e-7 (f32) and 5e-16 (f64) of its peak for every ν from 1 to 10⁴.
 //! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
 
-use super::outline::Outline;
-use crate::numeric::{Lanes, NEAR, Real};
+use super::canvas::Board;
+use super::column::{Column, HALF};
+use crate::numeric::{Lanes, NEAR, NEAR_ONE, Real, real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
@@ -27,6 +29,10 @@ const DEPTH: usize = 16;
 pub(super) const STRIP: usize = 2 * DEPTH;
 /// Registers in a batch: several columns of a small footprint, at least one of a large one.
 const BATCH: usize = 2 * DEPTH;
+
+/// Registers whose logarithms, and exponentials, are found side by side: two where they are whole, one where the processor's
+/// are half as wide and as many, and it is two of these already.
+const ABREAST: usize = if cfg!(target_feature = "avx512f") { 2 } else { 1 };
 
 /// Columns of a support that is too small for its outline to be worth its while.
 const PLUMP: usize = 24;
@@ -40,7 +46,7 @@ const PLUMP: usize = 24;
 ///
 /// It is never negative whatever the rounding, and thin oblique primitives keep their digits because a row's distance
 /// from the ridge is taken in pixels, integer part first. The exact projection divides by
-/// `A/A0 = h² + k·δ/unit`, `h = 1 + h_y·y + h_z·z` `[X1]`.
+/// `A/A0 = h² + k·δ/unit = 1 + e`, `h = 1 + h_y·y + h_z·z` `[X1]`. Along a column e is a polynomial of y.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Plane {
     pub(super) row_centre: f64,
@@ -63,24 +69,22 @@ pub(super) struct Plane {
     pub(super) most: f64,
     /// Whether the support's box has corners worth leaving out.
     pub(super) corners: bool,
+    /// Bound on |e| in all registers that may be walked.
+    pub(super) bend: f64,
 }
 
-/// A plane on which a primitive is seen, and where its pixels are on the canvas.
-#[derive(Clone, Debug)]
-pub(super) struct Slice {
-    pub(super) plane: Plane,
-    /// Columns that bound the support.
-    pub(super) columns: Range<usize>,
-    /// Where on the canvas the first pixel of the first row that bounds the support is.
-    pub(super) first: usize,
-    /// The plane's own coordinate, of which [`Sums::x`] are moments.
-    pub(super) x: f64,
-}
+/// A primitive and the registers of a board that its support reaches.
+pub(super) trait Reach<R: Real> {
+    /// What its registers are on.
+    type Board: Board<R>;
+    /// Whether it is seen in slices, so that [`Sums::x`] are wanted.
+    const SOLID: bool;
 
-/// Pixels with room for whole registers: `stride` ≥ columns + WIDTH/2 and an even number of rows.
-pub(super) struct Canvas<R> {
-    pub(super) pixels: Vec<R>,
-    pub(super) stride: usize,
+    /// What all of its registers share.
+    fn plane(&self) -> &Plane;
+    /// Calls `visit(column, place, registers)` for each column of registers within a strip, which holds at least one:
+    /// they are counted from the strip's first row, and `place` is where the one of that row is.
+    fn walk(&self, visit: impl FnMut(Column<R::Lanes>, usize, Range<usize>));
 }
 
 /// `Σ over pixels of cotangent × derivative`, per unit of `weight`, in the terms of [`Plane`].
@@ -109,6 +113,18 @@ enum Logarithm {
     Any,
 }
 
+/// How 1/√(1+e) is found in all registers of a support.
+#[derive(Clone, Copy)]
+enum Root {
+    /// The affine projection has none.
+    None,
+    /// No e is beyond the first of [`NEAR_ONE`].
+    Nearest,
+    /// No e is beyond the second.
+    Near,
+    Any,
+}
+
 impl Plane {
     #[inline(always)]
     fn logarithm<const STUDENT: bool>(&self) -> Logarithm {
@@ -116,6 +132,16 @@ impl Plane {
             false => Logarithm::None,
             true if self.limit <= NEAR => Logarithm::Near,
             true => Logarithm::Any,
+        }
+    }
+
+    #[inline(always)]
+    fn root<const EXACT: bool>(&self) -> Root {
+        match EXACT {
+            false => Root::None,
+            true if self.bend <= NEAR_ONE[0] => Root::Nearest,
+            true if self.bend <= NEAR_ONE[1] => Root::Near,
+            true => Root::Any,
         }
     }
 
@@ -129,8 +155,8 @@ impl Plane {
         delta / (h * h + self.k * delta) <= self.limit
     }
 
-    /// Finds [`Self::most`] and [`Self::corners`] for a support within these rows and columns. From `x ≤ limit`, which is
-    /// `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
+    /// Finds [`Self::most`], [`Self::corners`] and [`Self::bend`] for a support within these rows and columns. The first from
+    /// `x ≤ limit`, which is `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
     #[inline(always)]
     pub(super) fn bound(&mut self, rows: &Range<usize>, columns: &Range<usize>) {
         // h is linear: its value in the middle, and how far it goes from there to a corner.
@@ -139,32 +165,21 @@ impl Plane {
         let y = self.b * (middle(rows) - self.row_centre - self.slant * across);
         let steps = [self.h_y * self.b, self.h_z * self.a - self.h_y * self.b * self.slant];
         let reach = 0.5 * (steps[0].abs() * rows.len() as f64 + steps[1].abs() * columns.len() as f64);
-        let h = (1.0 + self.h_y * y + self.h_z * (self.a * across + self.shift)).abs() + reach;
+        let z = self.a * across + self.shift;
+        let tilt = self.h_y * y + self.h_z * z;
+        let h = (1.0 + tilt).abs() + reach;
         let free = 1.0 - self.limit * self.k;
         self.most = if free > 0.0 { self.limit * h * h / free } else { f64::INFINITY };
         // Small ellipses along the axes fill their registers as well as an outline could.
         self.corners = columns.len() > PLUMP || (self.slant * columns.len() as f64).abs() > 0.5 * rows.len() as f64;
-    }
-}
-
-impl<R: Real> Canvas<R> {
-    /// Zeros for `rows` × `columns`.
-    pub(super) fn new(rows: usize, columns: usize) -> Self {
-        let stride = columns + R::Lanes::WIDTH / 2;
-        Self { pixels: vec![R::ZERO; rows.next_multiple_of(2) * stride], stride }
-    }
-
-    /// Zeros again, in some columns of all rows, to the end of the last column's register.
-    pub(super) fn clear(&mut self, columns: Range<usize>) {
-        let end = columns.end - 1 + R::Lanes::WIDTH / 2;
-        for row in self.pixels.chunks_exact_mut(self.stride) {
-            row[columns.start..end].fill(R::ZERO);
-        }
-    }
-
-    /// The pixels of one row.
-    pub(super) fn row(&self, row: usize, columns: usize) -> &[R] {
-        &self.pixels[row * self.stride..][..columns]
+        // Registers reach beyond the box, by up to two rows and all but one of their columns.
+        let [tall, wide] = [0.5 * rows.len() as f64 + 2.0, 0.5 * columns.len() as f64 + HALF as f64];
+        let y_most = y.abs() + self.b.abs() * (tall + self.slant.abs() * wide);
+        let z_most = z.abs() + self.a.abs() * wide;
+        let tilt = tilt.abs() + steps[0].abs() * tall + steps[1].abs() * wide;
+        let farthest = y_most * y_most + z_most * z_most + self.floor;
+        let bend = tilt * (2.0 + tilt) + self.k * farthest;
+        self.bend = if farthest <= f32::FAR { bend } else { f64::INFINITY };
     }
 }
 
@@ -173,25 +188,21 @@ impl<R: Real> Canvas<R> {
 pub(super) struct Scratch<L> {
     x: [L; BATCH],
     y: [L; BATCH],
-    delta: [L; BATCH],
-    h: [L; BATCH],
     root: [L; BATCH],
     w: [L; BATCH],
     log: [L; BATCH],
     power: [L; BATCH],
-    /// Where a register's first pixel is on the canvas.
-    pixel: [usize; BATCH],
+    /// Where a register is on the board.
+    place: [usize; BATCH],
     columns: [Ended<L>; BATCH],
-    /// Rows of the lanes of a column's registers, from the strip's first row on.
-    row: [L; DEPTH],
 }
 
 /// A column of registers in a batch.
 #[derive(Clone, Copy, Default)]
 struct Ended<L> {
     z: L,
-    /// x of its slice.
-    slice: f64,
+    /// The slices' x. Solids only.
+    x: L,
     /// Where its registers end.
     end: usize,
 }
@@ -202,229 +213,231 @@ impl<L: Lanes> Scratch<L> {
         Self {
             x: empty,
             y: empty,
-            delta: empty,
-            h: empty,
             root: empty,
             w: empty,
             log: empty,
             power: empty,
-            pixel: [0; BATCH],
+            place: [0; BATCH],
             columns: [Ended::default(); BATCH],
-            row: std::array::from_fn(|j| L::from_fn(|i| L::Scalar::from_f64((2 * j + i / (L::WIDTH / 2)) as f64))),
         }
     }
-}
-
-/// What is constant along a column of registers.
-struct Column<L> {
-    z: L,
-    floor: L,
-    h: L,
-    /// The ridge from the strip's first row on: rounded to an integer, and the rest.
-    ridge: [L; 2],
-}
-
-impl<L: Lanes> Column<L> {
-    #[inline(always)]
-    fn new(plane: &Plane, first_row: usize, column: usize) -> Self {
-        let left = column as f64 - plane.column_centre;
-        let top = plane.row_centre - first_row as f64;
-        let across: [f64; WIDEST] = std::array::from_fn(|i| left + i as f64);
-        let ridge = across.map(|across| top + plane.slant * across);
-        let whole = ridge.map(f64::floor);
-        let z = both_rows::<L>(across.map(|across| plane.a * across + plane.shift));
-        Self {
-            z,
-            floor: z * z + real(plane.floor),
-            h: real::<L>(plane.h_z) * z + real(1.0),
-            ridge: [both_rows(whole), both_rows(std::array::from_fn(|i| ridge[i] - whole[i]))],
-        }
-    }
-}
-
-/// Columns of the widest register.
-const WIDEST: usize = 8;
-
-/// The same values in both rows of a register, which may have fewer columns.
-#[inline(always)]
-fn both_rows<L: Lanes>(values: [f64; WIDEST]) -> L {
-    let values = values.map(L::Scalar::from_f64);
-    L::from_rows(&values[..L::WIDTH / 2], &values[..L::WIDTH / 2])
 }
 
 /// The same number in every lane.
 #[inline(always)]
-fn real<L: Lanes>(value: f64) -> L {
-    L::splat(L::Scalar::from_f64(value))
+pub(super) fn all<L: Lanes>(value: f64) -> L {
+    L::splat(real(value))
+}
+
+/// Where a register's lanes are, seen from the primitive.
+struct Sight<L> {
+    y: L,
+    x: L,
+    /// Exact projection only: 1/√(1+e) and its square.
+    root: L,
+    square: L,
 }
 
 /// What all kernels need of a plane, in every lane.
-struct Shared<L> {
-    b: L,
+struct Shared<L: Lanes> {
+    minus_b: L,
     h_y: L,
     k: L,
     limit: L,
+    root: Root,
+    /// Rows of a strip's registers.
+    down: [L::Scalar; DEPTH],
 }
 
 impl<L: Lanes> Shared<L> {
     #[inline(always)]
-    fn new(plane: &Plane) -> Self {
-        Self { b: real(plane.b), h_y: real(plane.h_y), k: real(plane.k), limit: real(plane.limit) }
+    fn new<const EXACT: bool>(plane: &Plane) -> Self {
+        Self {
+            minus_b: all(-plane.b),
+            h_y: all(plane.h_y),
+            k: all(plane.k),
+            limit: all(plane.limit),
+            root: plane.root::<EXACT>(),
+            down: std::array::from_fn(|j| real((2 * j) as f64)),
+        }
     }
 
-    /// Distances of one register: y, δ/unit, h, and √r = 1/√(h²+k·δ/unit).
+    /// Calls `visit(j, sight)` for the registers j of a column.
     #[inline(always)]
-    fn distances<const EXACT: bool>(&self, column: &Column<L>, row: L) -> (L, L, L, L) {
-        let y = self.b * (row - column.ridge[0] - column.ridge[1]);
-        let delta = y.fma(y, column.floor).at_most(real(L::Scalar::FAR));
-        if EXACT {
-            let h = self.h_y.fma(y, column.h);
-            (y, delta, h, h.fma(h, self.k * delta).rsqrt())
-        } else {
-            (y, delta, L::default(), L::default())
+    fn look(&self, column: &Column<L>, registers: Range<usize>, visit: impl FnMut(usize, Sight<L>)) {
+        // e is a polynomial of y.
+        let bend = [
+            self.h_y.fma(self.h_y, self.k),
+            self.h_y * (column.tilt + column.tilt + all(2.0)),
+            column.tilt.fma(column.tilt + all(2.0), self.k * column.floor),
+        ];
+        let e = |y: L| y.fma(y.fma(bend[0], bend[1]), bend[2]);
+        match self.root {
+            Root::None => self.each(column, registers, |_, delta| (delta, L::default()), visit),
+            Root::Nearest => self.each(column, registers, |y, delta| (delta, e(y).rsqrt_1p_nearest()), visit),
+            Root::Near => self.each(column, registers, |y, delta| (delta, e(y).rsqrt_1p_near()), visit),
+            Root::Any => {
+                // Far from the centre e could overflow, and beside the source 1+e would lose its digits.
+                let root = |y: L, delta: L| {
+                    let delta = delta.at_most(all(L::Scalar::FAR));
+                    let h = self.h_y.fma(y, column.tilt + all(1.0));
+                    (delta, h.fma(h, self.k * delta).rsqrt())
+                };
+                self.each(column, registers, root, visit);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn each(
+        &self,
+        column: &Column<L>,
+        registers: Range<usize>,
+        root: impl Fn(L, L) -> (L, L),
+        mut visit: impl FnMut(usize, Sight<L>),
+    ) {
+        for j in registers {
+            let y = (column.ridge[0] - L::splat(self.down[j])).fma(self.minus_b, column.ridge[1]);
+            let (delta, root) = root(y, y.fma(y, column.floor));
+            let square = root * root;
+            let x = if matches!(self.root, Root::None) { delta } else { delta * square };
+            visit(j, Sight { y, x, root, square });
         }
     }
 }
 
-/// Adds a primitive onto the canvas, in any number of planes.
-///
-/// `rows` (even start) and each plane's columns bound the support; pixels beyond `limit` add nothing.
+/// Adds a primitive onto a board; pixels beyond `limit` get nothing.
 #[inline]
-pub(super) fn forward<R: Real, const STUDENT: bool, const EXACT: bool>(
-    slices: &[Slice],
-    rows: Range<usize>,
-    canvas: &mut Canvas<R>,
+pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
+    target: &T,
+    board: &mut T::Board,
     scratch: &mut Scratch<R::Lanes>,
 ) {
-    let half = R::Lanes::WIDTH / 2;
-    let Some(Slice { plane: any, .. }) = slices.first() else { return };
-    let shared = Shared::<R::Lanes>::new(any);
+    let plane = target.plane();
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
+    let step = board.step();
     let mut filled = 0;
-    for Slice { plane, columns, first: begin, .. } in slices {
-        Outline::new(plane).walk(&rows, columns, half, |strip, first, registers| {
-            if filled + registers.len() > BATCH {
-                paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
-                filled = 0;
+    target.walk(|column, place, registers| {
+        if filled + registers.len() > BATCH {
+            paint::<R, T::Board, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
+            filled = 0;
+        }
+        shared.look(&column, registers, |j, sight| {
+            if EXACT {
+                scratch.root[filled] = sight.root;
             }
-            let column = Column::new(plane, strip.start, first);
-            let top = begin + (strip.start - rows.start) * canvas.stride + first;
-            for j in registers {
-                let (_, delta, _, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
-                if EXACT {
-                    scratch.root[filled] = root;
-                }
-                scratch.x[filled] = if EXACT { delta * (root * root) } else { delta };
-                scratch.pixel[filled] = top + 2 * j * canvas.stride;
-                filled += 1;
-            }
+            scratch.x[filled] = sight.x;
+            scratch.place[filled] = place + j * step;
+            filled += 1;
         });
-    }
-    paint::<R, STUDENT, EXACT>(any, &shared, filled, scratch, canvas);
+    });
+    paint::<R, T::Board, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
 }
 
-/// Adds the values of a batch, whose first `filled` registers have their distances, onto the canvas.
+/// Adds the values of a batch, whose first `filled` registers have their distances, onto the board.
 #[inline(always)]
-fn paint<R: Real, const STUDENT: bool, const EXACT: bool>(
+fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
     shared: &Shared<R::Lanes>,
     filled: usize,
     scratch: &mut Scratch<R::Lanes>,
-    canvas: &mut Canvas<R>,
+    board: &mut B,
 ) {
-    let half = R::Lanes::WIDTH / 2;
-    let (minus_q, weight, zero) = (real::<R::Lanes>(-plane.q), real(plane.weight), R::Lanes::default());
-    let Scratch { x, root, power, pixel, .. } = scratch;
-    let (x, root, power, pixel) = (&x[..filled], &root[..filled], &mut power[..filled], &pixel[..filled]);
-    let logs = power.iter_mut().zip(x);
+    let (weight, zero) = (all(plane.weight), R::Lanes::default());
+    let Scratch { x, root, log, power, place, .. } = scratch;
     match plane.logarithm::<STUDENT>() {
-        Logarithm::None => logs.for_each(|(power, &x)| *power = -x),
-        Logarithm::Near => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p_near()),
-        Logarithm::Any => logs.for_each(|(power, &x)| *power = minus_q * x.log2_1p()),
+        Logarithm::None => powers(filled, -1.0, x, power),
+        Logarithm::Near => logarithms::<_, true>(filled, x, log),
+        Logarithm::Any => logarithms::<_, false>(filled, x, log),
     }
-    for (((&x, &root), &power), &pixel) in x.iter().zip(root).zip(&*power).zip(pixel) {
-        let power = power.exp2();
+    if STUDENT {
+        powers(filled, -plane.q, log, power);
+    }
+    let (x, root, power, place) = (&x[..filled], &root[..filled], &power[..filled], &place[..filled]);
+    for (((&x, &root), &power), &place) in x.iter().zip(root).zip(power).zip(place) {
         let value = if EXACT { power * root } else { power };
-        let value = x.select_le(shared.limit, value * weight, zero);
-        let (top, bottom) = canvas.pixels[pixel..].split_at_mut(canvas.stride);
-        value.add_to_rows(&mut top[..half], &mut bottom[..half]);
+        board.add(place, x.select_le(shared.limit, value * weight, zero));
     }
 }
 
-/// Sums `cotangent × derivative` of a primitive over `rows` (even start) × the columns of each plane.
+/// log2(1+x) of the first `filled` registers, several at a time: one beyond is of an earlier batch, nobody reads its log.
+#[inline(always)]
+fn logarithms<L: Lanes, const NEARBY: bool>(filled: usize, x: &[L; BATCH], log: &mut [L; BATCH]) {
+    let (x, log) = (x.as_chunks::<ABREAST>().0, log.as_chunks_mut().0);
+    for (x, log) in x.iter().zip(log).take(filled.div_ceil(ABREAST)) {
+        *log = if NEARBY { L::log2_1p_near_each(*x) } else { L::log2_1p_each(*x) };
+    }
+}
+
+/// 2^(factor·exponent), the same way.
+#[inline(always)]
+fn powers<L: Lanes>(filled: usize, factor: f64, exponent: &[L; BATCH], power: &mut [L; BATCH]) {
+    let factor = all::<L>(factor);
+    let (exponent, power) = (exponent.as_chunks::<ABREAST>().0, power.as_chunks_mut().0);
+    for (exponent, power) in exponent.iter().zip(power).take(filled.div_ceil(ABREAST)) {
+        *power = L::exp2_each(exponent.map(|exponent| factor * exponent));
+    }
+}
+
+/// Sums `cotangent × derivative` of a primitive over all pixels of its support.
 ///
-/// With a = w·root·(1+x)^-(q+1) and b = a·r: ∂/∂(δ/unit) = k·g - q·b, ∂/∂h = 2·h·g, ∂/∂k = g·δ/unit, where
-/// g = b·((q-½)x - ½) is the derivative to h²+k·δ/unit. For the Gaussian ln 2 stands for q and q-½, and
-/// 2^-x for the power.
+/// With a = w·root·(1+x)^-(q+1) and b = a·root²: ∂/∂(δ/unit) = k·g - q·b, ∂/∂h = 2·h·g, ∂/∂k = g·δ/unit, where
+/// g = b·((q-½)x - ½) is the derivative to 1+e. For the Gaussian ln 2 stands for q and q-½, and 2^-x for the power. As h
+/// and δ/unit are polynomials of y and z, moments of b and of b·x are all that is summed.
 #[inline]
-pub(super) fn backward<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
-    slices: &[Slice],
-    rows: Range<usize>,
-    cotangent: &Canvas<R>,
+pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
+    target: &T,
+    cotangent: &T::Board,
     scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
-    let half = R::Lanes::WIDTH / 2;
-    let Some(Slice { plane: any, .. }) = slices.first() else { return Sums::default() };
-    let shared = Shared::<R::Lanes>::new(any);
+    let plane = target.plane();
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
+    let step = cotangent.step();
     let zero = R::Lanes::default();
     let mut total = Totals::<R::Lanes>::default();
     let (mut filled, mut ended) = (0, 0);
-    for Slice { plane, columns, first: begin, x: slice } in slices {
-        Outline::new(plane).walk(&rows, columns, half, |strip, first, registers| {
-            if filled + registers.len() > BATCH {
-                gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
-                (filled, ended) = (0, 0);
+    target.walk(|column, place, registers| {
+        if filled + registers.len() > BATCH {
+            gather::<R, T, STUDENT, EXACT>(plane, filled, ended, scratch, &mut total);
+            (filled, ended) = (0, 0);
+        }
+        shared.look(&column, registers, |j, Sight { y, x, root, square }| {
+            let w = cotangent.load(place + j * step);
+            let w = if EXACT { w * root } else { w };
+            // Beyond the limit x becomes 0 as well: no power of it may overflow.
+            scratch.x[filled] = x.select_le(shared.limit, x, zero);
+            scratch.w[filled] = x.select_le(shared.limit, w, zero);
+            scratch.y[filled] = y;
+            if EXACT {
+                scratch.root[filled] = square;
             }
-            let column = Column::new(plane, strip.start, first);
-            let top = begin + (strip.start - rows.start) * cotangent.stride + first;
-            for j in registers {
-                let (y, delta, h, root) = shared.distances::<EXACT>(&column, scratch.row[j]);
-                let x = if EXACT { delta * (root * root) } else { delta };
-                let (top, bottom) = cotangent.pixels[top + 2 * j * cotangent.stride..].split_at(cotangent.stride);
-                let w = R::Lanes::from_rows(&top[..half], &bottom[..half]);
-                let w = if EXACT { w * root } else { w };
-                // Beyond the limit x becomes 0 as well: no power of it may overflow.
-                scratch.x[filled] = x.select_le(shared.limit, x, zero);
-                scratch.w[filled] = x.select_le(shared.limit, w, zero);
-                scratch.y[filled] = y;
-                if EXACT {
-                    (scratch.delta[filled], scratch.h[filled], scratch.root[filled]) = (delta, h, root);
-                }
-                filled += 1;
-            }
-            scratch.columns[ended] = Ended { z: column.z, slice: *slice, end: filled };
-            ended += 1;
+            filled += 1;
         });
-    }
-    gather::<R, STUDENT, EXACT, SOLID>(any, &shared, filled, ended, scratch, &mut total);
-    total.sums::<EXACT, SOLID>()
+        scratch.columns[ended] = Ended { z: column.z, x: column.x, end: filled };
+        ended += 1;
+    });
+    gather::<R, T, STUDENT, EXACT>(plane, filled, ended, scratch, &mut total);
+    let slopes = if STUDENT { [plane.q, plane.q - 0.5] } else { [LN_2; 2] };
+    total.sums::<EXACT>(plane, slopes, T::SOLID)
 }
 
 /// Adds a batch to the sums: its first `filled` registers, in its first `ended` columns.
 #[inline(always)]
-fn gather<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
+fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
-    shared: &Shared<R::Lanes>,
     filled: usize,
     ended: usize,
     scratch: &mut Scratch<R::Lanes>,
     total: &mut Totals<R::Lanes>,
 ) {
-    let minus_point_five = real::<R::Lanes>(-0.5);
-    let minus_q_1 = real::<R::Lanes>(-(plane.q + 1.0));
-    let (slope, slope_x) = if STUDENT { (plane.q, plane.q - 0.5) } else { (LN_2, LN_2) };
-    let (minus_slope, slope_x) = (real::<R::Lanes>(-slope), real::<R::Lanes>(slope_x));
-    let Scratch { x, y, delta, h, root, w, log, power, columns, .. } = scratch;
-    let (log, power) = (&mut log[..filled], &mut power[..filled]);
-    let logs = log.iter_mut().zip(&*x);
+    let Scratch { x, y, root, w, log, power, columns, .. } = scratch;
     match plane.logarithm::<STUDENT>() {
-        Logarithm::None => {}
-        Logarithm::Near => logs.for_each(|(log, x)| *log = x.log2_1p_near()),
-        Logarithm::Any => logs.for_each(|(log, x)| *log = x.log2_1p()),
+        Logarithm::None => powers(filled, -1.0, x, power),
+        Logarithm::Near => logarithms::<_, true>(filled, x, log),
+        Logarithm::Any => logarithms::<_, false>(filled, x, log),
     }
     if STUDENT {
-        power.iter_mut().zip(&*log).for_each(|(power, &log)| *power = (minus_q_1 * log).exp2());
-    } else {
-        power.iter_mut().zip(&*x).for_each(|(power, &x)| *power = (-x).exp2());
+        powers(filled, -(plane.q + 1.0), log, power);
     }
     let mut begin = 0;
     for column in &columns[..ended] {
@@ -436,46 +449,48 @@ fn gather<R: Real, const STUDENT: bool, const EXACT: bool, const SOLID: bool>(
             if STUDENT {
                 part.log = value.fma(log[j], part.log);
             }
-            let distance = if EXACT {
-                let b = a * (root[j] * root[j]);
-                let g = b * slope_x.fma(x[j], minus_point_five);
-                let gh = g * h[j];
-                part.h[0] += gh;
-                part.h[1] = gh.fma(y[j], part.h[1]);
-                part.k = g.fma(delta[j], part.k);
-                shared.k.fma(g, minus_slope * b)
-            } else {
-                minus_slope * a
-            };
-            let first = distance * y[j];
-            part.distance[0] += distance;
-            part.distance[1] += first;
-            part.distance[2] = first.fma(y[j], part.distance[2]);
+            let b = if EXACT { a * root[j] } else { a };
+            part.b.add(b, y[j]);
+            if EXACT {
+                part.bx.add(b * x[j], y[j]);
+            }
         }
         total.add::<EXACT>(&part, column.z);
-        if SOLID {
-            total.add_slice(&part, column);
+        if T::SOLID {
+            total.add_slices(&part.b, column);
         }
         begin = column.end;
+    }
+}
+
+/// Something times 1, y, y², summed.
+#[derive(Default)]
+struct Moments<L>([L; 3]);
+
+impl<L: Lanes> Moments<L> {
+    #[inline(always)]
+    fn add(&mut self, value: L, y: L) {
+        let first = value * y;
+        self.0[0] += value;
+        self.0[1] += first;
+        self.0[2] = first.fma(y, self.0[2]);
     }
 }
 
 /// Sums over one column of registers; the powers of z are still to be multiplied in.
 #[derive(Default)]
 struct ColumnSums<L> {
-    distance: [L; 3],
-    h: [L; 2],
-    k: L,
+    b: Moments<L>,
+    bx: Moments<L>,
     value: L,
     log: L,
 }
 
-/// [`Sums`], lane by lane.
+/// Sums over all registers, lane by lane: something times 1, y, z, y², yz, z².
 #[derive(Default)]
 struct Totals<L> {
-    distance: [L; 6],
-    h: [L; 3],
-    k: L,
+    b: [L; 6],
+    bx: [L; 6],
     value: L,
     log: L,
     x: [L; 4],
@@ -484,47 +499,50 @@ struct Totals<L> {
 impl<L: Lanes> Totals<L> {
     #[inline(always)]
     fn add<const EXACT: bool>(&mut self, part: &ColumnSums<L>, z: L) {
-        let times_z = part.distance[0] * z;
-        self.distance[0] += part.distance[0];
-        self.distance[1] += part.distance[1];
-        self.distance[2] += times_z;
-        self.distance[3] += part.distance[2];
-        self.distance[4] += part.distance[1] * z;
-        self.distance[5] += times_z * z;
+        let add = |total: &mut [L; 6], Moments([one, y, yy]): &Moments<L>| {
+            let times_z = *one * z;
+            total[0] += *one;
+            total[1] += *y;
+            total[2] += times_z;
+            total[3] += *yy;
+            total[4] += *y * z;
+            total[5] += times_z * z;
+        };
+        add(&mut self.b, &part.b);
+        if EXACT {
+            add(&mut self.bx, &part.bx);
+        }
         self.value += part.value;
         self.log += part.log;
-        if EXACT {
-            self.h[0] += part.h[0];
-            self.h[1] += part.h[1];
-            self.h[2] += part.h[0] * z;
-            self.k += part.k;
-        }
     }
 
-    /// The moments of x, which is the same in all pixels of a slice.
+    /// The moments of x, which is the same in all voxels of a slice.
     #[inline(always)]
-    fn add_slice(&mut self, part: &ColumnSums<L>, column: &Ended<L>) {
-        let x = real::<L>(column.slice);
-        let times_x = part.distance[0] * x;
+    fn add_slices(&mut self, Moments([one, y, _]): &Moments<L>, column: &Ended<L>) {
+        let times_x = *one * column.x;
         self.x[0] += times_x;
-        self.x[1] += times_x * x;
-        self.x[2] += part.distance[1] * x;
+        self.x[1] += times_x * column.x;
+        self.x[2] += *y * column.x;
         self.x[3] += times_x * column.z;
     }
 
-    fn sums<const EXACT: bool, const SOLID: bool>(&self) -> Sums {
-        let mut sums = Sums {
-            distance: std::array::from_fn(|i| self.distance[i].sum()),
-            value: self.value.sum(),
-            log: self.log.sum(),
-            ..Sums::default()
-        };
+    /// `slopes` are q and q-½.
+    fn sums<const EXACT: bool>(&self, plane: &Plane, [slope, slope_x]: [f64; 2], solid: bool) -> Sums {
+        let sum = |lanes: &[L; 6]| -> [f64; 6] { std::array::from_fn(|i| lanes[i].sum()) };
+        let b = sum(&self.b);
+        let mut sums =
+            Sums { distance: b.map(|b| -slope * b), value: self.value.sum(), log: self.log.sum(), ..Sums::default() };
         if EXACT {
-            sums.h = std::array::from_fn(|i| self.h[i].sum());
-            sums.k = self.k.sum();
+            let Plane { h_y, h_z, k, floor, .. } = *plane;
+            let bx = sum(&self.bx);
+            let g: [f64; 6] = std::array::from_fn(|i| slope_x * bx[i] - 0.5 * b[i]);
+            let [one, y, z, yy, yz, zz] = g;
+            sums.h = [one + h_y * y + h_z * z, y + h_y * yy + h_z * yz, z + h_y * yz + h_z * zz];
+            sums.k = yy + zz + floor * one;
+            sums.distance.iter_mut().zip(g).for_each(|(distance, g)| *distance += k * g);
         }
-        if SOLID {
-            sums.x = std::array::from_fn(|i| self.x[i].sum());
+        if solid {
+            sums.x = std::array::from_fn(|i| -slope * self.x[i].sum());
         }
         sums
     }

@@ -1,20 +1,24 @@
 //! Which kernels a precision has: chosen outside of the loop over primitives, compiled once.
 
 use super::Projection;
-use super::kernel::{self, Canvas, Scratch, Slice, Sums};
+use super::canvas::{Blocks, Canvas};
+use super::kernel::{self, Scratch, Sums};
+use super::patch::Patch;
+use super::solid::Placed;
 use crate::numeric::Real;
 use crate::primitives::Kernel;
-use std::ops::Range;
-
-pub(super) type Forward<R> = fn(&[Slice], Range<usize>, &mut Canvas<R>, &mut Scratch<<R as Real>::Lanes>);
-type Backward<R> = fn(&[Slice], Range<usize>, &Canvas<R>, &mut Scratch<<R as Real>::Lanes>) -> Sums;
 
 /// The kernels for a profile and a projection.
 pub struct KernelPair<R: Real> {
-    pub(super) forward: Forward<R>,
-    pub(super) backward: Backward<R>,
-    /// Backward with the moments that solids need.
-    pub(super) solid: Backward<R>,
+    pub(super) forward: fn(&Patch, &mut Canvas<R>, &mut Scratch<R::Lanes>),
+    pub(super) backward: fn(&Patch, &Canvas<R>, &mut Scratch<R::Lanes>) -> Sums,
+    pub(super) solid: Solids<R>,
+}
+
+/// The kernels for volumes, where the projection does not matter.
+pub(super) struct Solids<R: Real> {
+    pub(super) forward: for<'a> fn(&Placed<'a>, &mut Blocks<R>, &mut Scratch<R::Lanes>),
+    pub(super) backward: for<'a> fn(&Placed<'a>, &Blocks<R>, &mut Scratch<R::Lanes>) -> Sums,
 }
 
 impl<R: Real> KernelPair<R> {
@@ -29,9 +33,12 @@ impl<R: Real> KernelPair<R> {
 
     fn of<const STUDENT: bool, const EXACT: bool>() -> Self {
         Self {
-            forward: kernel::forward::<R, STUDENT, EXACT>,
-            backward: kernel::backward::<R, STUDENT, EXACT, false>,
-            solid: kernel::backward::<R, STUDENT, false, true>,
+            forward: kernel::forward::<R, Patch, STUDENT, EXACT>,
+            backward: kernel::backward::<R, Patch, STUDENT, EXACT>,
+            solid: Solids {
+                forward: |placed, blocks, scratch| kernel::forward::<R, _, STUDENT, false>(placed, blocks, scratch),
+                backward: |placed, blocks, scratch| kernel::backward::<R, _, STUDENT, false>(placed, blocks, scratch),
+            },
         }
     }
 }

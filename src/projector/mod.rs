@@ -4,8 +4,9 @@
 //! |---|---|---|
 //! | whitening matrix, kernel constants | `shape` | `[Eq. 3]`, `[Eq. 5]` |
 //! | quadratic form on the detector, support | `footprint` | `[Eq. 4]`, `[X1]`, `[X2]` |
-//! | pixels, SIMD | `kernel` | `[Eq. 4]`, `[X1]`, `[X3]` |
-//! | registers that hold pixels of the support | `outline` | `[X2]` |
+//! | pixels, SIMD | `kernel`, `column` | `[Eq. 4]`, `[X1]`, `[X3]` |
+//! | registers that hold pixels or voxels of the support | `outline`, `patch`, `solid` | `[X2]` |
+//! | images and volumes as the kernels have them | `canvas` | |
 //! | images band by band, gradients primitive by primitive | `view` | |
 //! | voxels and their adjoint | `voxelizer` | `[Eq. 1]`, `[Eq. 2]` |
 //! | what each primitive adds to one pixel or voxel | `contributions` | `[Eq. 1]` |
@@ -14,6 +15,8 @@
 //!
 //! A pixel adds up its primitives in index order, a primitive its pixels in a fixed tree: no bit depends on threads.
 
+mod canvas;
+mod column;
 mod contributions;
 mod footprint;
 mod kernel;
@@ -21,8 +24,10 @@ mod kernels;
 pub mod naive;
 mod outline;
 mod pairs;
+mod patch;
 mod profile;
 mod shape;
+mod solid;
 mod view;
 mod voxelizer;
 
@@ -49,7 +54,7 @@ pub(crate) mod bytes {
     /// In a view.
     pub(crate) const VIEW: usize = size_of::<super::footprint::Footprint>();
     /// On a grid.
-    pub(crate) const GRID: usize = size_of::<(usize, super::voxelizer::Solid)>();
+    pub(crate) const GRID: usize = size_of::<(usize, super::solid::Solid)>();
 }
 
 /// How a cone beam's rays are taken through a primitive. In a parallel beam both are the same.

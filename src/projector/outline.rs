@@ -73,7 +73,9 @@ impl<'a> Outline<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::{Canvas, Scratch, Slice, backward, forward};
+    use super::super::canvas::Canvas;
+    use super::super::kernel::{Scratch, backward, forward};
+    use super::super::patch::Patch;
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use rand::RngExt;
@@ -143,10 +145,10 @@ mod tests {
             let (rows, columns) = (0..64, 0..64);
             plane.bound(&rows, &columns);
             let walked = [false, true].map(|corners| {
-                let slice = Slice { plane: Plane { corners, ..plane }, columns: columns.clone(), first: 0, x: 0.0 };
                 let (mut image, mut scratch) = (Canvas::<f32>::new(64, 64), Scratch::new());
-                forward::<f32, true, true>(std::slice::from_ref(&slice), rows.clone(), &mut image, &mut scratch);
-                let sums = backward::<f32, true, true, false>(&[slice], rows.clone(), &image, &mut scratch);
+                let patch = Patch::new(&Plane { corners, ..plane }, rows.clone(), columns.clone(), 0, image.stride);
+                forward::<f32, _, true, true>(&patch, &mut image, &mut scratch);
+                let sums = backward::<f32, _, true, true>(&patch, &image, &mut scratch);
                 ((0..64).map(|row| image.row(row, 64).to_vec()).collect::<Vec<_>>(), sums)
             });
             assert!(walked[0].0.concat().iter().any(|&value| value > 0.0), "{plane:?}");

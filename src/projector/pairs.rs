@@ -1,8 +1,10 @@
 //! How much of the work of an image or a volume is of use. Not in the paper.
 
-use super::kernel::Plane;
+use super::canvas::Window;
+use super::footprint::{Footprint, from_even};
+use super::kernel::{Plane, Reach};
 use super::kernels::Kernels;
-use super::outline::Outline;
+use super::solid::Placed;
 use super::{GridField, ViewField};
 use crate::numeric::{Lanes, Real, threads};
 use std::iter::Sum;
@@ -23,12 +25,16 @@ impl Pairs {
         if self.evaluated == 0 { 1.0 } else { self.useful as f64 / self.evaluated as f64 }
     }
 
-    fn of<R: Real>(plane: &Plane, rows: &Range<usize>, columns: &Range<usize>) -> Self {
-        let reached = |row: usize| columns.clone().filter(|&column| plane.reaches(row, column)).count();
-        let mut registers = 0;
-        Outline::new(plane).walk(rows, columns, R::Lanes::WIDTH / 2, |_, _, some| registers += some.len());
-        Self { useful: rows.clone().map(reached).sum(), evaluated: registers * R::Lanes::WIDTH }
+    fn of<R: Real, T: Reach<R>>(target: &T, useful: usize) -> Self {
+        let mut evaluated = 0;
+        target.walk(|_, _, registers| evaluated += registers.len() * R::Lanes::WIDTH);
+        Self { useful, evaluated }
     }
+}
+
+/// Pixels of the support.
+fn useful(plane: &Plane, rows: &Range<usize>, columns: &Range<usize>) -> usize {
+    rows.clone().map(|row| columns.clone().filter(|&column| plane.reaches(row, column)).count()).sum()
 }
 
 impl Sum for Pairs {
@@ -47,8 +53,8 @@ impl<R: Kernels> ViewField<'_, R> {
     /// Not in the paper. Tests: `most_of_the_work_is_of_use`.
     pub fn pairs(&self) -> Pairs {
         let one = |i: usize| {
-            let footprint = &self.footprints[i];
-            Pairs::of::<R>(&footprint.plane, &super::footprint::from_even(footprint.rows.clone()), &footprint.columns)
+            let footprint @ Footprint { plane, rows, columns, .. } = &self.footprints[i];
+            Pairs::of::<R, _>(&footprint.patch(from_even(rows.clone()), 0, 0), useful(plane, rows, columns))
         };
         threads::map_many(self.footprints.len(), one).into_iter().sum()
     }
@@ -59,13 +65,15 @@ impl<R: Kernels> GridField<'_, R> {
     ///
     /// Not in the paper. Tests: `most_of_the_work_is_of_use`.
     pub fn pairs(&self) -> Pairs {
-        let of_slice = |solid: &super::voxelizer::Solid, x: usize| {
-            let slice = solid.slice(x, &self.grid, 0);
-            Pairs::of::<R>(&slice.plane, &solid.rows(), &slice.columns)
-        };
+        let [nx, ny, nz] = self.grid.shape;
+        let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
         let one = |i: usize| {
             let solid = &self.solids[i].1;
-            solid.slices().map(|x| of_slice(solid, x)).sum::<Pairs>()
+            let of_slice = |x: usize| {
+                let (plane, rows, columns) = solid.slice(x);
+                useful(&plane, &rows, &columns)
+            };
+            Pairs::of::<R, _>(&Placed { solid, window: &window }, solid.slices().map(of_slice).sum())
         };
         threads::map_many(self.solids.len(), one).into_iter().sum()
     }

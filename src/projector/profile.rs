@@ -1,8 +1,10 @@
 //! The kernel as a function of the distance alone, in the arithmetic of the images.
 
 use super::Projection;
-use super::kernel::{Canvas, Plane, Scratch, Slice};
+use super::canvas::Canvas;
+use super::kernel::{Plane, Scratch};
 use super::kernels::Kernels;
+use super::patch::Patch;
 use crate::primitives::{Kernel, gaussian, student_t};
 
 /// The kernels `T(δ; ν)` at squared Mahalanobis distances δ `[Eq. 2]`, `[X3]`; `[N]`.
@@ -33,8 +35,8 @@ pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
         let plane =
             Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, most: limit, ..Plane::default() };
         canvas.clear(0..1);
-        let slice = Slice { plane, columns: 0..1, first: 0, x: 0.0 };
-        (R::kernels(kernel, Projection::Affine).forward)(&[slice], 0..1, &mut canvas, &mut scratch);
+        let patch = Patch::new(&plane, 0..1, 0..1, 0, canvas.stride);
+        (R::kernels(kernel, Projection::Affine).forward)(&patch, &mut canvas, &mut scratch);
         canvas.row(0, 1)[0]
     };
     delta.iter().zip(nu).map(one).collect()

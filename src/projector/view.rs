@@ -1,13 +1,13 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
+use super::canvas::Canvas;
 use super::footprint::{Footprint, from_even};
-use super::kernel::{Canvas, STRIP, Scratch};
+use super::kernel::{STRIP, Scratch};
 use super::kernels::Kernels;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
-use std::slice::from_ref;
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
@@ -77,10 +77,11 @@ impl<'a, R: Kernels> ViewField<'a, R> {
                 fetched.extend(some.iter().map(|&i| {
                     let footprint = &self.footprints[i as usize];
                     let rows = footprint.rows_in(origin..origin + height);
-                    (footprint.slice((rows.start - origin) * canvas.stride), rows)
+                    let top = rows.start - origin;
+                    footprint.patch(rows, top, canvas.stride)
                 }));
-                for (slice, rows) in &fetched {
-                    kernel(from_ref(slice), rows.clone(), &mut canvas, &mut scratch);
+                for patch in &fetched {
+                    kernel(patch, &mut canvas, &mut scratch);
                 }
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
@@ -149,8 +150,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
                 let footprint = &self.footprints[first + i];
                 if !footprint.is_empty() {
                     let rows = from_even(footprint.rows.clone());
-                    let slice = footprint.slice(rows.start * canvas.stride);
-                    let sums = kernel(&[slice], rows, &canvas, &mut scratch);
+                    let top = rows.start;
+                    let sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, &mut scratch);
                     let shape = &self.field.shapes[first + i];
                     gradient.add(&footprint.pull_back(shape, &self.view, self.projection, &sums));
                 }

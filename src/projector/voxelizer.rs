@@ -1,133 +1,24 @@
 //! The field at voxel centres, and the adjoint. A slice of the grid along x is a plane of pixels (rows = y, columns = z)
-//! for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`. A primitive's slices go through
-//! them together: most are a few registers.
+//! for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`. A register is in two slices, and all
+//! of a primitive's slices go through the kernels together: most are a few registers.
 
-use super::footprint::{Extent, from_even, symmetric};
-use super::kernel::{Canvas, Plane, STRIP, Scratch, Slice, Sums};
+use super::canvas::{Blocks, Window};
+use super::footprint::symmetric;
+use super::kernel::{Scratch, Sums};
 use super::kernels::Kernels;
 use super::shape::{CHUNK, Shape, ShapeGradient};
+use super::solid::{Placed, Solid};
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::elementary::{length, unit};
+use crate::numeric::elementary::unit;
 use crate::numeric::threads;
 use crate::scene::Grid;
 use glam::{DVec2, DVec3};
 use ndarray::{Array3, ArrayView3};
-use std::ops::Range;
 
 /// Primitives among which one task gathers gradients.
 const GATHER: usize = 32;
-/// Slices that one task adds up.
-const SLAB: usize = 4;
-
-/// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
-/// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
-#[derive(Clone, Debug, Default)]
-pub(super) struct Solid {
-    /// The part that all slices share; `slant` is along z.
-    plane: Plane,
-    /// Rows by which the ridge moves per length along x, and what z and x gain, in units of √unit.
-    ridge_x: f64,
-    ax: f64,
-    xx: f64,
-    /// Half extent of a slice's form of 1, in columns.
-    half: f64,
-    /// Rows of the support in all slices, from an even one.
-    rows: Range<usize>,
-    /// Slice of the centre, with a fraction, and the distance of slices.
-    centre: f64,
-    step: f64,
-    first: usize,
-    last: usize,
-}
-
-impl Solid {
-    /// A primitive of which no voxel is within a sphere around its support is left empty, without further ado.
-    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
-        let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
-        let last = grid.min + grid.size();
-        if (shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any() {
-            return Self::default();
-        }
-        let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
-        let (yz, yx) = (my.cross(mz), my.cross(mx));
-        let b = length(my);
-        let a = length(yz) / b;
-        let root = shape.unit.sqrt();
-        let place = (shape.mean - grid.min) / grid.spacing - 0.5;
-        let plane = Plane {
-            row_centre: place.y,
-            column_centre: place.z,
-            slant: -my.dot(mz) / (b * b) * grid.spacing.z / grid.spacing.y,
-            b: b * grid.spacing.y / root,
-            a: a * grid.spacing.z / root,
-            q: (shape.nu + 3.0) / 2.0,
-            weight: shape.density,
-            limit: shape.limit,
-            most: shape.limit,
-            corners: true,
-            ..Plane::default()
-        };
-        let xx = shape.determinant() / (b * a * root);
-        let ridge_x = -my.dot(mx) / (b * b * grid.spacing.y);
-        let ax = yz.dot(yx) / (b * b * a * root);
-        let radius = shape.limit.sqrt();
-        let slices = reach(place.x, grid.spacing.x, radius / xx, grid.shape[0]);
-        // How far the ridge of each of the unit sphere's axes leads, in rows.
-        let tall =
-            length(DVec3::new((ridge_x - plane.slant * ax / plane.a) / xx, 1.0 / plane.b, plane.slant / plane.a));
-        Self {
-            plane,
-            ridge_x,
-            ax,
-            xx,
-            half: 1.0 / plane.a,
-            rows: from_even(reach(place.y, 1.0, radius * tall, grid.shape[1])),
-            centre: place.x,
-            step: grid.spacing.x,
-            first: slices.start,
-            last: slices.end,
-        }
-    }
-
-    pub(super) fn slices(&self) -> Range<usize> {
-        self.first..self.last
-    }
-
-    /// Rows of the support in all slices.
-    pub(super) fn rows(&self) -> Range<usize> {
-        self.rows.clone()
-    }
-
-    /// The primitive in one slice, with the columns it reaches there. `first` is where the slice's first row and column are
-    /// on the canvas.
-    pub(super) fn slice(&self, slice: usize, grid: &Grid, first: usize) -> Slice {
-        let offset = (slice as f64 - self.centre) * self.step;
-        let mut plane = self.plane;
-        plane.shift = self.ax * offset;
-        let x = self.xx * offset;
-        plane.floor = x * x;
-        plane.row_centre += self.ridge_x * offset;
-        // z = 0 lies in the middle of the slice's ellipse.
-        let middle = plane.column_centre - plane.shift * self.half;
-        let left = (plane.limit - plane.floor).max(0.0).sqrt();
-        let columns = reach(middle, 1.0, left * self.half, grid.shape[2]);
-        Slice { plane, columns, first, x }
-    }
-
-    /// The slices of `range` that it reaches, on a canvas that holds `range` one below the other, `pixels` in each.
-    fn slices_on(&self, range: Range<usize>, grid: &Grid, pixels: usize, stride: usize, slices: &mut Vec<Slice>) {
-        slices.clear();
-        if self.rows.is_empty() {
-            return;
-        }
-        for x in range.start.max(self.first)..range.end.min(self.last) {
-            let slice = self.slice(x, grid, (x - range.start) * pixels + self.rows.start * stride);
-            if !slice.columns.is_empty() {
-                slices.push(slice);
-            }
-        }
-    }
-}
+/// Slices that one task adds up: as many pairs as a solid finds the ends of at a time.
+const SLAB: usize = 8;
 
 /// The gradient of a primitive from the sums over all its slices, in the axes of [`Solid`].
 fn pull_back(sums: &Sums, shape: &Shape) -> ShapeGradient {
@@ -152,17 +43,6 @@ fn pull_back(sums: &Sums, shape: &Shape) -> ShapeGradient {
         0.0
     };
     ShapeGradient { mean, precision, density: sums.value, nu, shadow: DVec2::ZERO }
-}
-
-/// Indices within `half` of `centre`, with a breath of rounding to spare.
-fn reach(centre: f64, step: f64, half: f64, count: usize) -> Range<usize> {
-    Extent::new(centre, step, 0.0, half).indices(count)
-}
-
-/// Strips of [`STRIP`] rows from an even start.
-pub(super) fn strips(rows: Range<usize>) -> impl Iterator<Item = Range<usize>> {
-    let rows = from_even(rows);
-    rows.clone().step_by(STRIP).map(move |first| first..rows.end.min(first + STRIP))
 }
 
 /// A [`Field`] on a grid: the primitives that reach any of its voxels.
@@ -196,24 +76,22 @@ impl<R: Kernels> GridField<'_, R> {
         let [nx, ny, nz] = self.grid.shape;
         let mut members = vec![Vec::new(); nx.div_ceil(SLAB)];
         for (place, (_, solid)) in self.solids.iter().enumerate() {
-            for slab in &mut members[solid.first / SLAB..=(solid.last - 1) / SLAB] {
+            for slab in &mut members[solid.slices().start / SLAB..=(solid.slices().end - 1) / SLAB] {
                 slab.push(place as u32);
             }
         }
-        let kernel = R::kernels(self.field.kernel, Projection::Affine).forward;
+        let kernel = R::kernels(self.field.kernel, Projection::Affine).solid.forward;
         let mut volume = vec![R::ZERO; nx * ny * nz];
         threads::for_each_chunk(&mut volume, SLAB * ny * nz, |slab, voxels| {
-            let range = slab * SLAB..nx.min((slab + 1) * SLAB);
-            let tall = ny.next_multiple_of(2);
-            let mut canvas = Canvas::<R>::new(range.len() * tall, nz);
-            let (stride, mut scratch, mut slices) = (canvas.stride, Scratch::new(), Vec::new());
+            let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
+            let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
+            let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::new());
             for &place in &members[slab] {
-                let solid = &self.solids[place as usize].1;
-                solid.slices_on(range.clone(), &self.grid, tall * stride, stride, &mut slices);
-                kernel(&slices, solid.rows(), &mut canvas, &mut scratch);
+                let placed = Placed { solid: &self.solids[place as usize].1, window: &window };
+                kernel(&placed, &mut blocks, &mut scratch);
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
-                voxels.copy_from_slice(canvas.row(row / ny * tall + row % ny, nz));
+                blocks.read(slices.start + row / ny, row % ny, voxels);
             }
         });
         Array3::from_shape_vec((nx, ny, nz), volume).expect("slabs make up the volume")
@@ -228,25 +106,19 @@ impl<R: Kernels> GridField<'_, R> {
         let [nx, ny, nz] = grid.shape;
         assert_eq!(cotangent.shape(), grid.shape, "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), field.shapes.len(), "primitives of the gradient");
-        let tall = ny.next_multiple_of(2);
-        let mut canvas = Canvas::<R>::new(nx * tall, nz);
-        let stride = canvas.stride;
-        threads::for_each_chunk(&mut canvas.pixels, tall * stride, |x, pixels| {
-            for (y, row) in pixels.chunks_exact_mut(stride).take(ny).enumerate() {
-                row[..nz].iter_mut().enumerate().for_each(|(z, value)| *value = cotangent[[x, y, z]]);
-            }
-        });
-        let kernel = R::kernels(field.kernel, Projection::Affine).solid;
+        let cotangent = cotangent.as_standard_layout();
+        let values = cotangent.as_slice().expect("standard layout");
+        let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
+        let mut blocks = Blocks::<R>::new(window.clone());
+        blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
+        let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
             let first = chunk * GATHER;
             let [begin, end] = [first, first + GATHER].map(|limit| solids.partition_point(|(i, _)| *i < limit));
-            let (mut scratch, mut slices) = (Scratch::new(), Vec::new());
+            let mut scratch = Scratch::new();
             for (i, solid) in &solids[begin..end] {
-                solid.slices_on(0..nx, grid, tall * stride, stride, &mut slices);
-                if !slices.is_empty() {
-                    let sums = kernel(&slices, solid.rows(), &canvas, &mut scratch);
-                    gradients[i - first].add(&pull_back(&sums, &field.shapes[*i]));
-                }
+                let sums = kernel(&Placed { solid, window: &window }, &blocks, &mut scratch);
+                gradients[i - first].add(&pull_back(&sums, &field.shapes[*i]));
             }
         });
     }

@@ -49,16 +49,23 @@ const EXP2_F64: [f64; 11] = [
     4.4388850923243237e-10,
 ];
 
-/// Sum of the even powers plus x times the sum of the odd ones, each by Horner's rule in x², fused.
+const ROOT_F32: [f32; 7] =
+    [-4.9999994e-01, 3.750099e-01, -3.1251863e-01, 2.724889e-01, -2.4487777e-01, 2.5110355e-01, -2.366246e-01];
+const ROOT_NEAREST_F32: [f32; 4] = [-4.9999884e-01, 3.7499842e-01, -3.137006e-01, 2.7469513e-01];
+const ROOT_F64: [f64; 6] = [
+    -5.00005971871159e-01,
+    3.7501053018373964e-01,
+    -3.117243883458679e-01,
+    2.7246239040918496e-01,
+    -2.7059304945533413e-01,
+    2.5136991558173755e-01,
+];
+
+/// Horner's rule, fused.
 macro_rules! polynomial {
-    ($x:expr, $coefficients:expr) => {{
-        let square = $x * $x;
-        let chain = |parity: usize| {
-            let powers = $coefficients.iter().skip(parity).step_by(2).rev();
-            powers.copied().reduce(|sum, next| sum.mul_add(square, next)).unwrap()
-        };
-        $x.mul_add(chain(1), chain(0))
-    }};
+    ($x:expr, $coefficients:expr) => {
+        $coefficients.iter().rev().copied().reduce(|sum, next| sum.mul_add($x, next)).unwrap()
+    };
 }
 
 /// `log2(1+f) + k`.
@@ -71,8 +78,26 @@ fn log2_series_f64(f: f64, k: f64) -> f64 {
     s.mul_add(polynomial!(s * s, LOG2_F64), k)
 }
 
+/// `1/√(1+e)` near e = 0, and nearest to it.
+fn root_near_f32(e: f32) -> f32 {
+    e.mul_add(polynomial!(e, ROOT_F32), 1.0)
+}
+
+fn root_nearest_f32(e: f32) -> f32 {
+    e.mul_add(polynomial!(e, ROOT_NEAREST_F32), 1.0)
+}
+
+fn root_near_f64(e: f64) -> f64 {
+    let root = e.mul_add(polynomial!(e, ROOT_F64), 1.0);
+    let error = (-(e + 1.0) * root).mul_add(root, 1.0);
+    (root * error).mul_add(error.mul_add(0.375, 0.5), root)
+}
+
 macro_rules! plain {
-    ($number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $series:ident, $exp2:ident, rsqrt $magic:literal in $steps:literal) => {
+    (
+        $number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $series:ident, $exp2:ident,
+        rsqrt $magic:literal in $steps:literal, near $near:ident, nearest $nearest:ident
+    ) => {
         /// A number whose lanes are arrays of `W`.
         #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
         pub(crate) struct $number<const W: usize>(pub(crate) $scalar);
@@ -100,9 +125,8 @@ macro_rules! plain {
                 let rounder = 1.5 * ((1 as $unsigned) << $mantissa) as $scalar;
                 let shifted = self.0 + rounder;
                 let fraction = self.0 - (shifted - rounder);
-                let one: $scalar = 1.0;
-                let scale = $scalar::from_bits((shifted.to_bits() << $mantissa).wrapping_add(one.to_bits()));
-                Self(fraction.mul_add(polynomial!(fraction, $exp2), 1.0) * scale)
+                let mantissa = fraction.mul_add(polynomial!(fraction, $exp2), 1.0);
+                Self($scalar::from_bits(mantissa.to_bits().wrapping_add(shifted.to_bits() << $mantissa)))
             }
 
             /// A guess from the bits, then steps of third order.
@@ -188,6 +212,12 @@ macro_rules! plain {
             fn rsqrt(self) -> Self {
                 Self(self.0.map($number::rsqrt))
             }
+            fn rsqrt_1p_near(self) -> Self {
+                Self(self.0.map(|e| $number($near(e.0))))
+            }
+            fn rsqrt_1p_nearest(self) -> Self {
+                Self(self.0.map(|e| $number($nearest(e.0))))
+            }
             fn abs(self) -> Self {
                 Self(self.0.map(Real::abs))
             }
@@ -197,11 +227,11 @@ macro_rules! plain {
             fn select_le(self, limit: Self, yes: Self, no: Self) -> Self {
                 Self::from_fn(|i| if self.0[i] <= limit.0[i] { yes.0[i] } else { no.0[i] })
             }
-            fn log2_1p(self) -> Self {
-                Self(self.0.map($number::log2_1p))
+            fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+                x.map(|x| Self(x.0.map($number::log2_1p)))
             }
-            fn exp2(self) -> Self {
-                Self(self.0.map($number::exp2))
+            fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
+                t.map(|t| Self(t.0.map($number::exp2)))
             }
             /// One half plus the other, until one number is left.
             fn sum(self) -> f64 {
@@ -280,5 +310,5 @@ macro_rules! plain {
     };
 }
 
-plain!(Plain32, Row32, f32, u32, mantissa 23, log2_series_f32, EXP2_F32, rsqrt 0x5f37_5a86 in 2);
-plain!(Plain64, Row64, f64, u64, mantissa 52, log2_series_f64, EXP2_F64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3);
+plain!(Plain32, Row32, f32, u32, mantissa 23, log2_series_f32, EXP2_F32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
+plain!(Plain64, Row64, f64, u64, mantissa 52, log2_series_f64, EXP2_F64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, near root_near_f64, nearest root_near_f64);

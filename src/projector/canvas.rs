@@ -1,0 +1,169 @@
+//! What the kernels read and write: images row by row, volumes in pairs of rows and slices, column by column.
+
+use crate::numeric::{Lanes, Real, threads};
+use std::ops::Range;
+
+/// Scalars with room for whole registers.
+pub(super) trait Board<R: Real> {
+    /// From a register's place to that of the one two rows below.
+    fn step(&self) -> usize;
+    /// The register at a place.
+    fn load(&self, place: usize) -> R::Lanes;
+    /// Adds onto the register at a place.
+    fn add(&mut self, place: usize, value: R::Lanes);
+}
+
+/// An image: a register is `WIDTH/2` pixels of two rows, from any column on.
+pub(super) struct Canvas<R> {
+    /// Row by row; `stride` ≥ columns + WIDTH/2, and an even number of rows.
+    pub(super) pixels: Vec<R>,
+    pub(super) stride: usize,
+}
+
+impl<R: Real> Canvas<R> {
+    /// Zeros for `rows` × `columns`.
+    pub(super) fn new(rows: usize, columns: usize) -> Self {
+        let stride = columns + R::Lanes::WIDTH / 2;
+        Self { pixels: vec![R::ZERO; rows.next_multiple_of(2) * stride], stride }
+    }
+
+    /// Zeros again, in some columns of all rows, to the end of the last column's register.
+    pub(super) fn clear(&mut self, columns: Range<usize>) {
+        let end = columns.end - 1 + R::Lanes::WIDTH / 2;
+        for row in self.pixels.chunks_exact_mut(self.stride) {
+            row[columns.start..end].fill(R::ZERO);
+        }
+    }
+
+    /// The pixels of one row.
+    pub(super) fn row(&self, row: usize, columns: usize) -> &[R] {
+        &self.pixels[row * self.stride..][..columns]
+    }
+}
+
+impl<R: Real> Board<R> for Canvas<R> {
+    #[inline(always)]
+    fn step(&self) -> usize {
+        2 * self.stride
+    }
+
+    #[inline(always)]
+    fn load(&self, place: usize) -> R::Lanes {
+        let half = R::Lanes::WIDTH / 2;
+        let (top, bottom) = self.pixels[place..].split_at(self.stride);
+        R::Lanes::from_rows(&top[..half], &bottom[..half])
+    }
+
+    #[inline(always)]
+    fn add(&mut self, place: usize, value: R::Lanes) {
+        let half = R::Lanes::WIDTH / 2;
+        let (top, bottom) = self.pixels[place..].split_at_mut(self.stride);
+        value.add_to_rows(&mut top[..half], &mut bottom[..half]);
+    }
+}
+
+/// Rows and slices of a register of a volume.
+pub(super) const PAIR: usize = 2;
+/// Voxels of a register with the same column.
+const BUNDLE: usize = PAIR * PAIR;
+
+/// The part of a grid that [`Blocks`] hold: slices from an even one on, all rows, and some columns.
+#[derive(Clone, Debug)]
+pub(super) struct Window {
+    pub(super) slices: Range<usize>,
+    pub(super) rows: usize,
+    pub(super) columns: Range<usize>,
+}
+
+impl Window {
+    /// Columns of a register.
+    pub(super) const fn wide<L: Lanes>() -> usize {
+        L::WIDTH / BUNDLE
+    }
+
+    /// Which of half a register's lanes, those of one row, a lane is in line with.
+    pub(super) const fn twin(lane: usize) -> usize {
+        lane / BUNDLE * PAIR + lane % PAIR
+    }
+
+    /// Row, slice and column of a lane in its register.
+    pub(super) const fn lane(lane: usize) -> [usize; 3] {
+        [lane / PAIR % PAIR, lane % PAIR, lane / BUNDLE]
+    }
+
+    /// From the place of a column to that of the same one two rows below.
+    #[inline(always)]
+    pub(super) fn step<L: Lanes>(&self) -> usize {
+        BUNDLE * (self.columns.len() + Self::wide::<L>())
+    }
+
+    /// Where the first voxel of a column is, in a pair of rows of a pair of slices.
+    #[inline(always)]
+    pub(super) fn place<L: Lanes>(&self, slice: usize, row: usize, column: usize) -> usize {
+        let pairs = (slice - self.slices.start) / PAIR * self.rows.div_ceil(PAIR) + row / PAIR;
+        pairs * self.step::<L>() + BUNDLE * (column - self.columns.start)
+    }
+}
+
+/// A volume: a register is two slices × two rows × `WIDTH/4` columns, from any column on. A small support, about as long as
+/// wide, needs fewer of these than of registers that lie in one slice.
+pub(super) struct Blocks<R> {
+    /// `[slices / 2][rows / 2][columns + WIDTH/4][row][slice]`.
+    voxels: Vec<R>,
+    pub(super) window: Window,
+}
+
+impl<R: Real> Blocks<R> {
+    /// Zeros.
+    pub(super) fn new(window: Window) -> Self {
+        let pairs = window.slices.len().div_ceil(PAIR) * window.rows.div_ceil(PAIR);
+        Self { voxels: vec![R::ZERO; pairs * window.step::<R::Lanes>()], window }
+    }
+
+    /// Zeros again.
+    pub(super) fn clear(&mut self) {
+        self.voxels.fill(R::ZERO);
+    }
+
+    /// Writes all voxels: `row(slice, row)` are the values of one.
+    pub(super) fn fill<'a>(&mut self, row: impl Fn(usize, usize) -> &'a [R] + Send + Sync) {
+        let Window { slices, rows, .. } = self.window.clone();
+        let step = self.window.step::<R::Lanes>();
+        threads::for_each_chunk(&mut self.voxels, rows.div_ceil(PAIR) * step, |pair, voxels| {
+            let first = slices.start + PAIR * pair;
+            for slice in first..slices.end.min(first + PAIR) {
+                for y in 0..rows {
+                    let bundles = voxels[y / PAIR * step..].chunks_exact_mut(BUNDLE);
+                    let place = y % PAIR * PAIR + slice - first;
+                    row(slice, y).iter().zip(bundles).for_each(|(&value, bundle)| bundle[place] = value);
+                }
+            }
+        });
+    }
+
+    /// Reads the values of a row of a slice.
+    pub(super) fn read(&self, slice: usize, row: usize, values: &mut [R]) {
+        let first = self.window.place::<R::Lanes>(slice, row, self.window.columns.start);
+        let place = row % PAIR * PAIR + (slice - self.window.slices.start) % PAIR;
+        let bundles = self.voxels[first..].chunks_exact(BUNDLE);
+        values.iter_mut().zip(bundles).for_each(|(value, bundle)| *value = bundle[place]);
+    }
+}
+
+impl<R: Real> Board<R> for Blocks<R> {
+    #[inline(always)]
+    fn step(&self) -> usize {
+        self.window.step::<R::Lanes>()
+    }
+
+    #[inline(always)]
+    fn load(&self, place: usize) -> R::Lanes {
+        R::Lanes::from_slice(&self.voxels[place..])
+    }
+
+    #[inline(always)]
+    fn add(&mut self, place: usize, value: R::Lanes) {
+        let voxels = &mut self.voxels[place..];
+        (R::Lanes::from_slice(voxels) + value).write(voxels);
+    }
+}

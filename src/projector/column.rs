@@ -1,0 +1,58 @@
+//! A column of registers: what its pixels, or voxels, have in common.
+
+use super::kernel::{Plane, all};
+use crate::numeric::{Lanes, Real, real};
+
+/// Half of the lanes of the widest register.
+pub(super) const HALF: usize = 8;
+
+/// Where half of a register's lanes are in the plane, or in the planes of two slices: those of its first row.
+pub(super) struct Stance<L> {
+    /// Columns from the register's first one on.
+    pub(super) columns: [f64; HALF],
+    pub(super) row_centre: [f64; HALF],
+    pub(super) shift: [f64; HALF],
+    /// Of all lanes: the plane's floor, the row (0 or 1), and the slice's coordinate, of which [`Sums::x`] are moments.
+    pub(super) floor: L,
+    pub(super) row: L,
+    pub(super) x: L,
+}
+
+/// What is constant along a column of registers, in the terms of [`Plane`].
+pub(super) struct Column<L> {
+    pub(super) z: L,
+    pub(super) floor: L,
+    /// h_z·z.
+    pub(super) tilt: L,
+    /// The ridge from the lane's row of the strip's first register on: rounded to an integer, and -b times the rest.
+    pub(super) ridge: [L; 2],
+    pub(super) x: L,
+}
+
+impl<L: Lanes> Column<L> {
+    /// `both` puts the values of half of the lanes into both rows.
+    #[inline(always)]
+    pub(super) fn new(
+        plane: &Plane,
+        stance: &Stance<L>,
+        first_row: usize,
+        column: usize,
+        both: impl Fn([f64; HALF]) -> L,
+    ) -> Self {
+        let (first_row, column) = (first_row as f64, column as f64);
+        // Rounded once, whichever register the column is in.
+        let across: [f64; HALF] = std::array::from_fn(|i| (column + stance.columns[i]) - plane.column_centre);
+        let ridge: [f64; HALF] = std::array::from_fn(|i| stance.row_centre[i] - first_row + plane.slant * across[i]);
+        let whole = ridge.map(f64::floor);
+        // The b that lanes have: y keeps its digits where both parts cancel.
+        let b = real::<L::Scalar>(plane.b).to_f64();
+        let z = both(std::array::from_fn(|i| plane.a * across[i] + stance.shift[i]));
+        Self {
+            z,
+            floor: z * z + stance.floor,
+            tilt: all::<L>(plane.h_z) * z,
+            ridge: [both(whole) - stance.row, both(std::array::from_fn(|i| b * (whole[i] - ridge[i])))],
+            x: stance.x,
+        }
+    }
+}

@@ -1,0 +1,361 @@
+//! A primitive in the grid's slices: what differs from slice to slice, and the registers that its support reaches.
+
+use super::canvas::{Blocks, PAIR, Window};
+use super::column::{self, Column, Stance};
+use super::footprint::Extent;
+use super::kernel::{Plane, Reach, STRIP};
+use super::shape::Shape;
+use crate::numeric::elementary::length;
+use crate::numeric::{Lanes, Real, real};
+use crate::scene::Grid;
+use glam::DVec3;
+use std::ops::Range;
+
+/// How much wider the outline is than the support, so that no rounding leads out of it.
+const SPARE: f64 = 1e-3;
+/// The same of what cancels in single precision, several times.
+const SPARE_CANCELLED: f64 = 1e-6;
+/// Columns of registers in a pair of slices whose ends are found together, with those of as many pairs as lanes allow.
+const ACROSS: usize = 4;
+/// More columns than a grid has.
+const MOST: f64 = 1e6;
+/// Lanes of the widest register.
+const WIDEST: usize = 16;
+
+/// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
+/// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
+#[derive(Clone, Debug, Default)]
+pub(super) struct Solid {
+    /// The part that all slices share; `slant` is along z.
+    plane: Plane,
+    /// Rows by which the ridge moves per length along x, and what z and x gain, in units of √unit.
+    ridge_x: f64,
+    ax: f64,
+    xx: f64,
+    /// Rows and columns that bound the support in all slices.
+    rows: Range<usize>,
+    columns: Range<usize>,
+    /// Slice of the centre, with a fraction, and the distance of slices.
+    centre: f64,
+    step: f64,
+    slices: Range<usize>,
+}
+
+impl Solid {
+    /// A primitive of which no voxel is within a sphere around its support is left empty, without further ado.
+    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
+        let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
+        let last = grid.min + grid.size();
+        if (shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any() {
+            return Self::default();
+        }
+        let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
+        let (yz, yx) = (my.cross(mz), my.cross(mx));
+        let b = length(my);
+        let a = length(yz) / b;
+        let root = shape.unit.sqrt();
+        let place = (shape.mean - grid.min) / grid.spacing - 0.5;
+        let plane = Plane {
+            row_centre: place.y,
+            column_centre: place.z,
+            slant: -my.dot(mz) / (b * b) * grid.spacing.z / grid.spacing.y,
+            b: b * grid.spacing.y / root,
+            a: a * grid.spacing.z / root,
+            q: (shape.nu + 3.0) / 2.0,
+            weight: shape.density,
+            limit: shape.limit,
+            most: shape.limit,
+            corners: true,
+            ..Plane::default()
+        };
+        let xx = shape.determinant() / (b * a * root);
+        let ridge_x = -my.dot(mx) / (b * b * grid.spacing.y);
+        let ax = yz.dot(yx) / (b * b * a * root);
+        let radius = shape.limit.sqrt();
+        let slices = reach(place.x, grid.spacing.x, radius / xx, grid.shape[0]);
+        // How far the ridge of each of the unit sphere's axes leads, in rows, and how far columns do.
+        let tall =
+            length(DVec3::new((ridge_x - plane.slant * ax / plane.a) / xx, 1.0 / plane.b, plane.slant / plane.a));
+        let wide = length(DVec3::new(ax / xx, 0.0, 1.0)) / plane.a;
+        let rows = reach(place.y, 1.0, radius * tall, grid.shape[1]);
+        let columns = reach(place.z, 1.0, radius * wide, grid.shape[2]);
+        Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices }
+    }
+
+    /// Slices of the support.
+    pub(super) fn slices(&self) -> Range<usize> {
+        self.slices.clone()
+    }
+
+    /// Where the plane is in one slice.
+    #[inline(always)]
+    fn level(&self, slice: usize) -> Level {
+        let offset = (slice as f64 - self.centre) * self.step;
+        let x = self.xx * offset;
+        Level { x, row_centre: self.plane.row_centre + self.ridge_x * offset, shift: self.ax * offset, floor: x * x }
+    }
+
+    /// The plane in one slice, and rows and columns that bound the support there.
+    pub(super) fn slice(&self, slice: usize) -> (Plane, Range<usize>, Range<usize>) {
+        let Level { row_centre, shift, floor, .. } = self.level(slice);
+        (Plane { row_centre, shift, floor, ..self.plane }, self.rows.clone(), self.columns.clone())
+    }
+
+    /// Where registers can hold voxels of the support: for [`ACROSS`] columns of registers side by side in each of `WIDTH/4`
+    /// pairs of slices from `slice` on, one pair after the other, in a strip of rows. The first of them all starts at the first
+    /// column, from `column` on, that the pair's support can reach, and `shift` columns further.
+    #[inline(always)]
+    fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, column: usize, shift: usize) -> Ends<L> {
+        let Self { plane, ridge_x, ax, xx, step, .. } = self;
+        let splat = |value: f64| L::splat(real(value));
+        let larger = |a: L, b: L| -(-a).at_most(-b);
+        let wide = Window::wide::<L>();
+        let width = wide as f64 - 1.0;
+        let (offset, left) = ((slice as f64 - self.centre) * step, column as f64 - plane.column_centre);
+        // Slices from the first one on, and columns from a pair's first one on.
+        let along = L::from_fn(|i| L::Scalar::from_index(i / ACROSS * PAIR));
+        let beside = L::from_fn(|i| L::Scalar::from_index(i % ACROSS * wide));
+
+        // What is left of y² + z² in the nearer slice.
+        let x = splat(xx * offset) + splat(xx * step) * along;
+        let next = x + splat(xx * step);
+        let room = splat(plane.limit * (1.0 + SPARE)) - (x * x).at_most(next * next);
+
+        // z is 0 in the middle of a slice's ellipse. What is not a number bounds nothing.
+        let drift = ax * step;
+        let lost = SPARE_CANCELLED
+            * (plane.a * (left.abs() + self.columns.len() as f64)
+                + (ax * offset).abs()
+                + drift.abs() * L::WIDTH as f64);
+        let middle = -left - (ax * offset + drift.max(0.0) + lost) / plane.a - SPARE;
+        let start = splat(middle) - splat(drift / plane.a) * along - room.sqrt() * splat(1.0 / plane.a);
+        let start = larger(start, splat(0.0)).at_most(splat(MOST));
+        let (_, rest) = start.split();
+        let whole = start - rest + rest.select_le(splat(0.0), splat(0.0), splat(1.0));
+        let across = whole + beside + splat(shift as f64);
+
+        // And where z is nearest to 0.
+        let first = plane.a * left + ax * offset + drift.min(0.0) - lost;
+        let z = splat(first) + splat(plane.a) * across + splat(drift) * along;
+        let beyond = z + splat(plane.a * width + drift.abs() + 2.0 * lost);
+        let nearest = larger(larger(z, -beyond), splat(0.0));
+        let room = room - nearest * nearest;
+
+        // So far it can lead from the ridge, which is straight.
+        let (turn, bend) = (ridge_x * step, plane.slant * width);
+        let top = plane.row_centre + ridge_x * offset + plane.slant * left - rows.start as f64;
+        let ridge = splat(top + turn.min(0.0) + bend.min(0.0)) + splat(plane.slant) * across + splat(turn) * along;
+        let led = top.abs() + turn.abs() * L::WIDTH as f64 + plane.slant.abs() * self.columns.len() as f64;
+        let spare = SPARE + SPARE_CANCELLED * led;
+        let reach = room.sqrt() * splat(1.0 / plane.b) + splat(spare);
+        let low = larger(ridge - reach, splat(0.0));
+        let high = (ridge + splat(turn.abs() + bend.abs()) + reach).at_most(splat(rows.len() as f64 - 1.0));
+        let high = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(-1.0), high);
+        [across, low, high].map(|lanes| {
+            let mut values = [L::Scalar::ZERO; WIDEST];
+            lanes.write(&mut values);
+            values
+        })
+    }
+}
+
+/// For each lane the column, from the first one on, and the first and last row of a strip; the last one is below the first
+/// where there is nothing.
+type Ends<L> = [[<L as Lanes>::Scalar; WIDEST]; 3];
+
+/// What differs from slice to slice in a solid's [`Plane`], and the slice's own coordinate x.
+struct Level {
+    x: f64,
+    row_centre: f64,
+    shift: f64,
+    floor: f64,
+}
+
+/// A primitive and the window that is looked at.
+pub(super) struct Placed<'a> {
+    pub(super) solid: &'a Solid,
+    pub(super) window: &'a Window,
+}
+
+impl<R: Real> Reach<R> for Placed<'_> {
+    type Board = Blocks<R>;
+    const SOLID: bool = true;
+
+    #[inline(always)]
+    fn plane(&self) -> &Plane {
+        &self.solid.plane
+    }
+
+    #[inline(always)]
+    fn walk(&self, mut visit: impl FnMut(Column<R::Lanes>, usize, Range<usize>)) {
+        let Self { solid, window } = self;
+        let wide = Window::wide::<R::Lanes>();
+        let (together, abreast) = (PAIR * R::Lanes::WIDTH / ACROSS, ACROSS * wide);
+        let slices = window.slices.start.max(solid.slices.start) & !1..window.slices.end.min(solid.slices.end);
+        let rows = solid.rows.start & !1..solid.rows.end;
+        let columns = window.columns.start.max(solid.columns.start)..window.columns.end.min(solid.columns.end);
+        for some in slices.clone().step_by(together) {
+            for strip in rows.clone().step_by(STRIP) {
+                let strip = strip..rows.end.min(strip + STRIP);
+                for shift in (0..columns.len()).step_by(abreast) {
+                    let [across, low, high] = solid.ends::<R::Lanes>(some, &strip, columns.start, shift);
+                    let ends = across.chunks_exact(ACROSS).zip(low.chunks_exact(ACROSS)).zip(high.chunks_exact(ACROSS));
+                    for (slice, ((across, low), high)) in
+                        (some..slices.end.min(some + together)).step_by(PAIR).zip(ends)
+                    {
+                        let stance = Stance::of_slices([solid.level(slice), solid.level(slice + 1)]);
+                        let there = (columns.start + across[0].to_f64() as usize..columns.end).step_by(wide);
+                        for (column, (low, high)) in there.zip(low.iter().zip(high)) {
+                            if low <= high {
+                                let place = window.place::<R::Lanes>(slice, strip.start, column);
+                                let some = low.to_f64() as usize / PAIR..high.to_f64() as usize / PAIR + 1;
+                                visit(Column::new(&solid.plane, &stance, strip.start, column, both_rows), place, some);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl<L: Lanes> Stance<L> {
+    /// In a row, one slice and the next take turns.
+    #[inline(always)]
+    fn of_slices(pair: [Level; PAIR]) -> Self {
+        let level = |i: usize| &pair[i % PAIR];
+        Self {
+            columns: std::array::from_fn(|i| (i / PAIR) as f64),
+            row_centre: std::array::from_fn(|i| level(i).row_centre),
+            shift: std::array::from_fn(|i| level(i).shift),
+            floor: L::from_fn(|i| real(level(i).floor)),
+            row: L::from_fn(|i| L::Scalar::from_index(Window::lane(i)[0])),
+            x: L::from_fn(|i| real(level(i).x)),
+        }
+    }
+}
+
+/// The same values in both rows of a register, which may have fewer columns.
+#[inline(always)]
+fn both_rows<L: Lanes>(values: [f64; column::HALF]) -> L {
+    let values = values.map(real::<L::Scalar>);
+    L::from_fn(|i| values[Window::twin(i)])
+}
+
+/// Indices within `half` of `centre`, with a breath of rounding to spare.
+fn reach(centre: f64, step: f64, half: f64, count: usize) -> Range<usize> {
+    Extent::new(centre, step, 0.0, half).indices(count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use crate::primitives::{Parameters, Primitives};
+    use rand::RngExt;
+    use std::collections::BTreeSet;
+
+    /// Voxels `[slice, row, column]` of the support, and of the registers that a window's walk visits.
+    fn held<R: Real>(solid: &Solid, window: &Window) -> (Vec<[usize; 3]>, BTreeSet<[usize; 3]>) {
+        let (step, down) = (window.step::<R::Lanes>(), window.rows.div_ceil(PAIR));
+        let mut visited = BTreeSet::new();
+        Reach::<R>::walk(&Placed { solid, window }, |_, place, registers| {
+            assert!(!registers.is_empty());
+            for register in registers.map(|j| place + j * step) {
+                let [pair, row, column] =
+                    [register / step / down, register / step % down, register % step / PAIR / PAIR];
+                for lane in 0..R::Lanes::WIDTH {
+                    let [down, deep, across] = Window::lane(lane);
+                    let voxel = [
+                        window.slices.start + PAIR * pair + deep,
+                        PAIR * row + down,
+                        window.columns.start + column + across,
+                    ];
+                    assert!(visited.insert(voxel), "{voxel:?} twice");
+                }
+            }
+        });
+        let mut support = Vec::new();
+        for slice in solid.slices().start.max(window.slices.start)..solid.slices().end.min(window.slices.end) {
+            let (plane, rows, columns) = solid.slice(slice);
+            for row in rows {
+                let within = columns.clone().filter(|column| window.columns.contains(column));
+                support.extend(within.filter(|&column| plane.reaches(row, column)).map(|column| [slice, row, column]));
+            }
+        }
+        (support, visited)
+    }
+
+    /// Primitives with axes from `thin` to 0.12: more than `some` voxels, and `least` percent of what is visited.
+    fn every_voxel_of_the_support_is_visited_and_few_others<R: Real>(thin: f64, some: usize, least: usize) {
+        let mut random = stream(8, Purpose::Phantom, 0, 0);
+        let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+        let grid = Grid::cube(50).block([3, 2, 1], [45, 47, 49]);
+        let (mut useful, mut walked) = (0, 0);
+        for number in 0..150 {
+            let primitives = Primitives::new(Parameters {
+                mean: vec![[draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)]],
+                scale: vec![std::array::from_fn(|_| thin * libm::pow(0.12 / thin, draw(0.0, 1.0)))],
+                quaternion: vec![[draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0), 0.1]],
+                density: vec![1.0],
+                nu: vec![draw(2.0, 40.0)],
+            });
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let window = match number % 3 {
+                0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
+                _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
+            };
+            let (support, visited) = held::<R>(&solid, &window);
+            let missed = support.iter().find(|voxel| !visited.contains(*voxel));
+            assert_eq!(missed, None, "{solid:?}");
+            useful += support.len();
+            walked += visited.len();
+        }
+        assert!(useful > some && 100 * useful >= least * walked, "{useful} of {walked}");
+    }
+
+    #[test]
+    fn the_walk_visits_every_voxel_of_a_support_and_few_others() {
+        every_voxel_of_the_support_is_visited_and_few_others::<f32>(0.02, 20_000, 42);
+        every_voxel_of_the_support_is_visited_and_few_others::<f64>(0.02, 20_000, 51);
+    }
+
+    /// Needles along (3, 2, 2), through the centres of voxels: nothing may be lost where columns and slices cancel.
+    fn an_oblique_needle_is_visited<R: Real>() {
+        let grid = Grid::cube(200);
+        let window = Window { slices: 0..200, rows: 200, columns: 0..200 };
+        let (half, across) = (0.5 * libm::acos(3.0 / libm::sqrt(17.0)), libm::sqrt(0.5));
+        let turn = [libm::cos(half), 0.0, -across * libm::sin(half), across * libm::sin(half)];
+        for thin in [1e-3, 1e-5, 1e-7, 1e-9] {
+            let primitives = Primitives::new(Parameters {
+                mean: vec![[0.005; 3]],
+                scale: vec![[0.25, thin, thin]],
+                quaternion: vec![turn],
+                density: vec![1.0],
+                nu: vec![5.0],
+            });
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let mut visited = BTreeSet::new();
+            Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
+                visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));
+            });
+            let wide = Window::wide::<R::Lanes>();
+            let centres = (0..66).map(|i| [3 * i + 1, 2 * i + 34]);
+            let on: Vec<_> = centres.filter(|&[x, yz]| solid.slice(x).0.reaches(yz, yz)).collect();
+            let missed = |[x, yz]: &&[usize; 2]| {
+                let place = window.place::<R::Lanes>(*x, *yz, *yz);
+                (0..wide).all(|back| !visited.contains(&(place - back * PAIR * PAIR)))
+            };
+            assert!(on.len() > 30, "{thin}: {}", on.len());
+            assert_eq!(on.iter().find(missed), None, "{thin}");
+        }
+    }
+
+    #[test]
+    fn no_voxel_of_a_needle_far_thinner_than_voxels_is_missed() {
+        an_oblique_needle_is_visited::<f32>();
+        an_oblique_needle_is_visited::<f64>();
+        every_voxel_of_the_support_is_visited_and_few_others::<f32>(1e-3, 1000, 10);
+        every_voxel_of_the_support_is_visited_and_few_others::<f64>(1e-3, 1000, 16);
+    }
+}
