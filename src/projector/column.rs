@@ -12,7 +12,7 @@ pub(super) struct Stance<L> {
     pub(super) columns: [f64; HALF],
     pub(super) row_centre: [f64; HALF],
     pub(super) shift: [f64; HALF],
-    /// Of all lanes: the plane's floor, the row (0 or 1), and the slice's coordinate, of which [`Sums::x`] are moments.
+    /// Of all lanes: the plane's floor, the row (0 or 1), and the slice's coordinate, of which [`Sums::x`](super::kernel::Sums::x) are moments.
     pub(super) floor: L,
     pub(super) row: L,
     pub(super) x: L,
