@@ -5,8 +5,8 @@
 //! build and [`Lanes::fma`] once on every build, also where the processor has no such instruction.
 
 use super::polynomials::{
-    EXP2_F32, EXP2_F64, each, log2_of_1_plus_f32, log2_of_1_plus_f64, nearer_to_root, one_plus, root_near_f32,
-    root_near_f64, root_nearest_f32,
+    EXP2_F32, EXP2_F64, log2_of_1_plus_f32, log2_of_1_plus_f64, nearer_to_root, one_plus, root_near_f32, root_near_f64,
+    root_nearest_f32,
 };
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
@@ -117,9 +117,7 @@ pub trait Lanes:
     /// `1/√(1+self)` for lanes from -1/4 to 1/4, to two units in the last place.
     fn rsqrt_1p_near(self) -> Self;
     /// The same for lanes from -1/16 to 1/16, other last bits in fewer steps.
-    fn rsqrt_1p_nearest(self) -> Self {
-        self.rsqrt_1p_near()
-    }
+    fn rsqrt_1p_nearest(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
     /// The smaller of both, `other` where `self` is NaN.
@@ -316,13 +314,13 @@ macro_rules! precision {
                     let bits: $bits = bytemuck::cast(one + x);
                     (bits - $bits::splat(ROOT_HALF)).unbounded_shr_scalar($mantissa)
                 });
-                let f: [Self; N] = each(|i| {
+                let f: [Self; N] = std::array::from_fn(|i| {
                     let bits = $bits::splat(ONE_BITS) - exponent[i].unbounded_shl_scalar($mantissa);
                     let scale: Self = bytemuck::cast(bits);
                     x[i].fma(scale, scale - one)
                 });
                 let (factor, series) = $log2_of_1_plus(f);
-                each(|i| {
+                std::array::from_fn(|i| {
                     let k: Self = bytemuck::cast(exponent[i] | $bits::splat(INTEGER.to_bits()));
                     factor[i].fma(series[i], k - Self::splat(INTEGER))
                 })
@@ -330,16 +328,16 @@ macro_rules! precision {
             #[inline(always)]
             fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
                 let (factor, series) = $log2_of_1_plus(x);
-                each(|i| factor[i] * series[i])
+                std::array::from_fn(|i| factor[i] * series[i])
             }
 
             // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits, from where it goes into the exponent.
             #[inline(always)]
             fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
                 let shifted = t.map(|t| t + Self::splat($rounder));
-                let fraction: [Self; N] = each(|i| t[i] - (shifted[i] - Self::splat($rounder)));
+                let fraction: [Self; N] = std::array::from_fn(|i| t[i] - (shifted[i] - Self::splat($rounder)));
                 let mantissa = one_plus(fraction, &$exp2);
-                each(|i| {
+                std::array::from_fn(|i| {
                     let [mantissa, exponent]: [$bits; 2] = [mantissa[i], shifted[i]].map(|value| bytemuck::cast(value));
                     bytemuck::cast(mantissa + exponent.unbounded_shl_scalar($mantissa))
                 })

@@ -2,24 +2,19 @@
 //! reference/generate/polynomials.py.
 
 use super::lanes::{Lanes, Real, real};
+use std::array::from_fn;
 use wide::{f32x16, f64x8};
 
 /// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, fused: the fewest steps. Each waits for the one before, but not for
 /// those of the other registers.
 #[inline(always)]
-pub(super) fn polynomial<L: Lanes, const N: usize, const DEGREE: usize>(
+pub(super) fn polynomial<L: Lanes, const N: usize, const TERMS: usize>(
     x: [L; N],
-    coefficients: &[L::Scalar; DEGREE],
+    coefficients: &[L::Scalar; TERMS],
 ) -> [L; N] {
-    let last = [L::splat(coefficients[DEGREE - 1]); N];
-    let step = |values: [L; N], &next| each(|i| values[i].fma(x[i], L::splat(next)));
-    coefficients[..DEGREE - 1].iter().rev().fold(last, step)
-}
-
-/// An array from a function of the place.
-#[inline(always)]
-pub(super) fn each<T, const N: usize>(value: impl FnMut(usize) -> T) -> [T; N] {
-    std::array::from_fn(value)
+    let last = [L::splat(coefficients[TERMS - 1]); N];
+    let step = |values: [L; N], &next| from_fn(|i| values[i].fma(x[i], L::splat(next)));
+    coefficients[..TERMS - 1].iter().rev().fold(last, step)
 }
 
 /// `log2(1+f) = f·P(f)` on [√½-1, √2-1]; 2.9e-8.
@@ -83,12 +78,12 @@ const ROOT_F64: [f64; 6] = [
 
 /// `1 + x·(c[0] + c[1] x + …)`.
 #[inline(always)]
-pub(super) fn one_plus<L: Lanes, const N: usize, const DEGREE: usize>(
+pub(super) fn one_plus<L: Lanes, const N: usize, const TERMS: usize>(
     x: [L; N],
-    coefficients: &[L::Scalar; DEGREE],
+    coefficients: &[L::Scalar; TERMS],
 ) -> [L; N] {
     let rest = polynomial(x, coefficients);
-    each(|i| x[i].fma(rest[i], L::splat(L::Scalar::ONE)))
+    from_fn(|i| x[i].fma(rest[i], L::splat(L::Scalar::ONE)))
 }
 
 /// A step of third order towards `1/√radicand`: from a relative error ε to 2.5 ε³.

@@ -188,6 +188,7 @@ impl Plane {
 pub(super) struct Scratch<L> {
     x: [L; BATCH],
     y: [L; BATCH],
+    /// 1/√(1+e) forward, its square backward.
     root: [L; BATCH],
     w: [L; BATCH],
     log: [L; BATCH],
