@@ -5,7 +5,7 @@
 //! share. After the measurements a table gives milliseconds per iteration and percentages. All cores;
 //! `cargo bench --bench iteration`
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::Criterion;
 use ndarray::Array2;
 use std::cell::RefCell;
 use std::hint::black_box;
@@ -14,6 +14,7 @@ use trgs::confidence::{Coverage, nu_loss, nu_target};
 use trgs::config::Config;
 use trgs::density::{ar, succeed};
 use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use trgs::numeric::threads::Pool;
 use trgs::optim::sghmc::{Phase, Stir};
 use trgs::optim::{Adam, Sghmc};
 use trgs::primitives::activation::Interval;
@@ -62,6 +63,9 @@ struct Shares(RefCell<Vec<(&'static str, Duration, usize)>>);
 impl Shares {
     fn print(&self, name: &str) {
         let parts = self.0.borrow();
+        if parts.is_empty() {
+            return;
+        }
         let each = |(_, time, every): &(&str, Duration, usize)| time.as_secs_f64() * 1e3 / *every as f64;
         let total: f64 = parts.iter().map(each).sum();
         println!("\n{name}: {total:.2} ms per iteration");
@@ -195,10 +199,12 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
     }
 }
 
-fn all(c: &mut Criterion) {
-    bench(c, "64³ voxels, 128² pixels, 5,000 primitives", 17, 64, 128);
-    bench(c, "256³ voxels, 512² pixels, 50,000 primitives", 37, 256, 512);
+/// Among the workers, as a run: work that others hand to them waits for one to wake up.
+fn main() {
+    Pool::new(0).expect("threads").run(|| {
+        let mut criterion = Criterion::default().configure_from_args();
+        bench(&mut criterion, "64³ voxels, 128² pixels, 5,000 primitives", 17, 64, 128);
+        bench(&mut criterion, "256³ voxels, 512² pixels, 50,000 primitives", 37, 256, 512);
+        criterion.final_summary();
+    });
 }
-
-criterion_group!(benches, all);
-criterion_main!(benches);

@@ -63,8 +63,8 @@ pub fn real<R: Real>(value: f64) -> R {
     R::from_f64(value)
 }
 
-/// Below √2 - 1: the largest x whose logarithm of 1+x [`Lanes::log2_1p_near`] takes.
-pub const NEAR: f64 = 0.4142;
+/// Below √2 - 1 and √8 - 1: the largest x whose logarithm of 1+x [`Lanes::log2_1p_nearest`] takes, and [`Lanes::log2_1p_near`].
+pub const NEAR: [f64; 2] = [0.4142, 1.8284];
 
 /// The largest |e| whose root of 1+e [`Lanes::rsqrt_1p_nearest`] takes, and [`Lanes::rsqrt_1p_near`].
 pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
@@ -122,13 +122,22 @@ pub trait Lanes:
     fn abs(self) -> Self;
     /// The smaller of both, `other` where `self` is NaN.
     fn at_most(self, other: Self) -> Self;
+    /// The larger of both, `other` where `self` is NaN.
+    fn at_least(self, other: Self) -> Self;
+    /// Whether `self < limit` in some lane.
+    fn any_below(self, limit: Self) -> bool;
     /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
     fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
     /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0; of several registers, so that each step
     /// of one hides those of the others.
     fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N];
-    /// [`Self::log2_1p_each`] for x from 0 to [`NEAR`]: the same bits in fewer steps, for 1+x has the exponent 0 there.
+    /// [`Self::log2_1p_each`] for x from 0 to the second of [`NEAR`]: the same bits in fewer steps, for 1+x is halved once or
+    /// not at all.
     fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+        Self::log2_1p_each(x)
+    }
+    /// [`Self::log2_1p_each`] for x from 0 to the first of [`NEAR`]: the same bits in fewer steps, for 1+x is as it has to be.
+    fn log2_1p_nearest_each<const N: usize>(x: [Self; N]) -> [Self; N] {
         Self::log2_1p_each(x)
     }
     /// `2^t` for `-HORIZON ≤ t ≤ 0`, of several registers.
@@ -140,6 +149,10 @@ pub trait Lanes:
     /// [`Self::log2_1p_near_each`] of one.
     fn log2_1p_near(self) -> Self {
         Self::log2_1p_near_each([self])[0]
+    }
+    /// [`Self::log2_1p_nearest_each`] of one.
+    fn log2_1p_nearest(self) -> Self {
+        Self::log2_1p_nearest_each([self])[0]
     }
     /// [`Self::exp2_each`] of one.
     fn exp2(self) -> Self {
@@ -297,6 +310,14 @@ macro_rules! precision {
                 self.fast_min(other)
             }
             #[inline(always)]
+            fn at_least(self, other: Self) -> Self {
+                self.fast_max(other)
+            }
+            #[inline(always)]
+            fn any_below(self, limit: Self) -> bool {
+                self.simd_lt(limit).any()
+            }
+            #[inline(always)]
             fn select_le(self, limit: Self, yes: Self, no: Self) -> Self {
                 self.simd_le(limit).select(yes, no)
             }
@@ -327,6 +348,14 @@ macro_rules! precision {
             }
             #[inline(always)]
             fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+                let [zero, half, one] = [0.0, 0.5, 1.0].map(Self::splat);
+                let halved = x.map(|x| (one + x).simd_ge(Self::splat(std::$scalar::consts::SQRT_2)));
+                let f: [Self; N] = std::array::from_fn(|i| halved[i].select(x[i].fma(half, -half), x[i]));
+                let (factor, series) = $log2_of_1_plus(f);
+                std::array::from_fn(|i| factor[i].fma(series[i], halved[i].select(one, zero)))
+            }
+            #[inline(always)]
+            fn log2_1p_nearest_each<const N: usize>(x: [Self; N]) -> [Self; N] {
                 let (factor, series) = $log2_of_1_plus(x);
                 std::array::from_fn(|i| factor[i] * series[i])
             }
@@ -438,6 +467,34 @@ mod tests {
             assert!((double / truth - 1.0).abs() <= 7e-16, "{x}: {double} against {truth}");
             assert!((single / truth_of_single - 1.0).abs() <= 2.5e-7, "{x}: {single} against {truth_of_single}");
         }
+    }
+
+    /// Compares logarithms at as many numbers from 0 to `most`, and at all within a few of √2 - 1.
+    fn assert_same_logarithms<R: Real>(most: f64, short: fn(R::Lanes) -> R::Lanes) {
+        let border = (-40..=40).map(|i| std::f64::consts::SQRT_2 - 1.0 + f64::from(i) * f64::from(f32::EPSILON) / 4.0);
+        let fine = (-40..=40).map(|i| std::f64::consts::SQRT_2 - 1.0 + f64::from(i) * f64::EPSILON / 4.0);
+        let all = (0..=100_000).map(|i| most * f64::from(i) / 100_000.0);
+        for x in all.chain(border).chain(fine).filter(|&x| x <= most) {
+            let x = R::Lanes::splat(R::from_f64(x));
+            assert_eq!(short(x).sum(), x.log2_1p().sum());
+        }
+    }
+
+    #[test]
+    fn logarithms_near_zero_have_the_bits_of_those_anywhere() {
+        assert_same_logarithms::<f32>(NEAR[0], Lanes::log2_1p_nearest);
+        assert_same_logarithms::<f64>(NEAR[0], Lanes::log2_1p_nearest);
+        assert_same_logarithms::<f32>(NEAR[1], Lanes::log2_1p_near);
+        assert_same_logarithms::<f64>(NEAR[1], Lanes::log2_1p_near);
+    }
+
+    #[test]
+    fn comparisons_of_lanes_are_those_of_numbers() {
+        let lanes = f64x8::from_fn(|i| i as f64);
+        assert!(lanes.any_below(f64x8::splat(0.5)) && !lanes.any_below(f64x8::splat(0.0)));
+        assert!(!f64x8::splat(f64::NAN).any_below(f64x8::splat(1.0)));
+        assert_eq!(lanes.at_least(f64x8::splat(3.0)).to_array(), [3.0, 3.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        assert_eq!(f64x8::splat(f64::NAN).at_least(lanes), lanes);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::numeric::threads;
 use serde::{Deserialize, Serialize};
 
 /// Numbers updated together.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 512;
 
 /// Moments of one array of parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Rows updated together.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 256;
 /// Steepness of the gate, and the fraction of the reference density at which it is half open.
 const GATE: (f64, f64) = (100.0, 0.005);
 /// A gate below this is shut: what it would let through is lost in the rounding of any position.

@@ -15,7 +15,7 @@ use crate::numeric::elementary::{logit, sigmoid, softplus, softplus_inverse};
 use crate::numeric::threads;
 
 /// Primitives worked on together.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 256;
 /// How close to a bound a value may be given, as a fraction of the interval.
 const MARGIN: f64 = 1e-5;
 

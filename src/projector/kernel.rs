@@ -108,7 +108,9 @@ pub(super) struct Sums {
 enum Logarithm {
     /// A Gaussian has none.
     None,
-    /// No x within the support is beyond [`NEAR`].
+    /// No x within the support is beyond the first of [`NEAR`].
+    Nearest,
+    /// No x is beyond the second.
     Near,
     Any,
 }
@@ -130,7 +132,8 @@ impl Plane {
     fn logarithm<const STUDENT: bool>(&self) -> Logarithm {
         match STUDENT {
             false => Logarithm::None,
-            true if self.limit <= NEAR => Logarithm::Near,
+            true if self.limit <= NEAR[0] => Logarithm::Nearest,
+            true if self.limit <= NEAR[1] => Logarithm::Near,
             true => Logarithm::Any,
         }
     }
@@ -348,8 +351,9 @@ fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
     let Scratch { x, root, log, power, place, .. } = scratch;
     match plane.logarithm::<STUDENT>() {
         Logarithm::None => powers(filled, -1.0, x, power),
-        Logarithm::Near => logarithms::<_, true>(filled, x, log),
-        Logarithm::Any => logarithms::<_, false>(filled, x, log),
+        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
+        Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
+        Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
     }
     if STUDENT {
         powers(filled, -plane.q, log, power);
@@ -363,10 +367,15 @@ fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
 
 /// log2(1+x) of the first `filled` registers, several at a time: one beyond is of an earlier batch, nobody reads its log.
 #[inline(always)]
-fn logarithms<L: Lanes, const NEARBY: bool>(filled: usize, x: &[L; BATCH], log: &mut [L; BATCH]) {
+fn logarithms<L: Lanes>(
+    filled: usize,
+    x: &[L; BATCH],
+    log: &mut [L; BATCH],
+    of_some: impl Fn([L; ABREAST]) -> [L; ABREAST],
+) {
     let (x, log) = (x.as_chunks::<ABREAST>().0, log.as_chunks_mut().0);
     for (x, log) in x.iter().zip(log).take(filled.div_ceil(ABREAST)) {
-        *log = if NEARBY { L::log2_1p_near_each(*x) } else { L::log2_1p_each(*x) };
+        *log = of_some(*x);
     }
 }
 
@@ -434,8 +443,9 @@ fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     let Scratch { x, y, root, w, log, power, columns, .. } = scratch;
     match plane.logarithm::<STUDENT>() {
         Logarithm::None => powers(filled, -1.0, x, power),
-        Logarithm::Near => logarithms::<_, true>(filled, x, log),
-        Logarithm::Any => logarithms::<_, false>(filled, x, log),
+        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
+        Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
+        Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
     }
     if STUDENT {
         powers(filled, -(plane.q + 1.0), log, power);

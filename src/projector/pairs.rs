@@ -4,7 +4,7 @@ use super::canvas::Window;
 use super::footprint::{Footprint, from_even};
 use super::kernel::{Plane, Reach};
 use super::kernels::Kernels;
-use super::solid::Placed;
+use super::solid::{Placed, Solid};
 use super::{GridField, ViewField};
 use crate::numeric::{Lanes, Real, threads};
 use std::iter::Sum;
@@ -67,15 +67,16 @@ impl<R: Kernels> GridField<'_, R> {
     pub fn pairs(&self) -> Pairs {
         let [nx, ny, nz] = self.grid.shape;
         let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
+        let solids: Vec<&Solid> = self.solids.iter().flatten().map(|(_, solid)| solid).collect();
         let one = |i: usize| {
-            let solid = &self.solids[i].1;
+            let solid = solids[i];
             let of_slice = |x: usize| {
                 let (plane, rows, columns) = solid.slice(x);
                 useful(&plane, &rows, &columns)
             };
             Pairs::of::<R, _>(&Placed { solid, window: &window }, solid.slices().map(of_slice).sum())
         };
-        threads::map_many(self.solids.len(), one).into_iter().sum()
+        threads::map_many(solids.len(), one).into_iter().sum()
     }
 }
 

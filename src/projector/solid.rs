@@ -24,7 +24,7 @@ const WIDEST: usize = 16;
 
 /// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
 /// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Solid {
     /// The part that all slices share; `slant` is along z.
     plane: Plane,
@@ -42,12 +42,13 @@ pub(super) struct Solid {
 }
 
 impl Solid {
-    /// A primitive of which no voxel is within a sphere around its support is left empty, without further ado.
-    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
+    /// `None` if no voxel is within the support.
+    pub(super) fn new(shape: &Shape, grid: &Grid) -> Option<Self> {
         let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
         let last = grid.min + grid.size();
+        // Most are told by a sphere around the support.
         if (shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any() {
-            return Self::default();
+            return None;
         }
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
@@ -79,7 +80,8 @@ impl Solid {
         let wide = length(DVec3::new(ax / xx, 0.0, 1.0)) / plane.a;
         let rows = reach(place.y, 1.0, radius * tall, grid.shape[1]);
         let columns = reach(place.z, 1.0, radius * wide, grid.shape[2]);
-        Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices }
+        let solid = Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices };
+        (!solid.slices.is_empty()).then_some(solid)
     }
 
     /// Slices of the support.
@@ -108,7 +110,6 @@ impl Solid {
     fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, column: usize, shift: usize) -> Ends<L> {
         let Self { plane, ridge_x, ax, xx, step, .. } = self;
         let splat = |value: f64| L::splat(real(value));
-        let larger = |a: L, b: L| -(-a).at_most(-b);
         let wide = Window::wide::<L>();
         let width = wide as f64 - 1.0;
         let (offset, left) = ((slice as f64 - self.centre) * step, column as f64 - plane.column_centre);
@@ -129,7 +130,7 @@ impl Solid {
                 + drift.abs() * L::WIDTH as f64);
         let middle = -left - (ax * offset + drift.max(0.0) + lost) / plane.a - SPARE;
         let start = splat(middle) - splat(drift / plane.a) * along - room.sqrt() * splat(1.0 / plane.a);
-        let start = larger(start, splat(0.0)).at_most(splat(MOST));
+        let start = start.at_least(splat(0.0)).at_most(splat(MOST));
         let (_, rest) = start.split();
         let whole = start - rest + rest.select_le(splat(0.0), splat(0.0), splat(1.0));
         let across = whole + beside + splat(shift as f64);
@@ -138,7 +139,7 @@ impl Solid {
         let first = plane.a * left + ax * offset + drift.min(0.0) - lost;
         let z = splat(first) + splat(plane.a) * across + splat(drift) * along;
         let beyond = z + splat(plane.a * width + drift.abs() + 2.0 * lost);
-        let nearest = larger(larger(z, -beyond), splat(0.0));
+        let nearest = z.at_least(-beyond).at_least(splat(0.0));
         let room = room - nearest * nearest;
 
         // So far it can lead from the ridge, which is straight.
@@ -148,7 +149,7 @@ impl Solid {
         let led = top.abs() + turn.abs() * L::WIDTH as f64 + plane.slant.abs() * self.columns.len() as f64;
         let spare = SPARE + SPARE_CANCELLED * led;
         let reach = room.sqrt() * splat(1.0 / plane.b) + splat(spare);
-        let low = larger(ridge - reach, splat(0.0));
+        let low = (ridge - reach).at_least(splat(0.0));
         let high = (ridge + splat(turn.abs() + bend.abs()) + reach).at_most(splat(rows.len() as f64 - 1.0));
         let high = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(-1.0), high);
         [across, low, high].map(|lanes| {
@@ -300,7 +301,8 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![draw(2.0, 40.0)],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let shape = Shape::new::<R>(&primitives.unwrap(), 0, 1e-2);
+            let Some(solid) = Solid::new(&shape, &grid) else { continue };
             let window = match number % 3 {
                 0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
                 _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
@@ -334,7 +336,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![5.0],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid).unwrap();
             let mut visited = BTreeSet::new();
             Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
                 visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));

@@ -12,7 +12,7 @@ use ndarray::{Array2, ArrayView2};
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
 /// Primitives that one task sorts into bands.
-const BIN: usize = 4096;
+const BIN: usize = 512;
 /// Footprints that a band fetches at a time: they lie far apart, and the memory answers several as fast as one.
 const FETCH: usize = 16;
 
@@ -207,7 +207,7 @@ mod tests {
             });
             Field::<f64>::new(&primitives.unwrap(), 1e-3).view(&scanner, 0.4, Projection::Exact).image()
         };
-        let (whole, sum) = (some(0..2 * BIN + 100), some(0..1000) + some(1000..BIN) + some(BIN..2 * BIN + 100));
+        let (whole, sum) = (some(0..2 * BIN + 100), some(0..200) + some(200..BIN) + some(BIN..2 * BIN + 100));
         let peak = whole.fold(0.0, |peak: f64, &value| peak.max(value));
         assert!(whole.indexed_iter().all(|(place, value)| (value - sum[place]).abs() < 1e-12 * peak), "{peak}");
         assert!(whole.row(30).sum() > 0.0 && whole.row(40).sum() > 0.0);

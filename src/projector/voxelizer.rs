@@ -6,7 +6,7 @@ use super::canvas::{Blocks, Window};
 use super::footprint::symmetric;
 use super::kernel::{Scratch, Sums};
 use super::kernels::Kernels;
-use super::shape::{CHUNK, Shape, ShapeGradient};
+use super::shape::{Shape, ShapeGradient};
 use super::solid::{Placed, Solid};
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::elementary::unit;
@@ -15,8 +15,8 @@ use crate::scene::Grid;
 use glam::{DVec2, DVec3};
 use ndarray::{Array3, ArrayView3};
 
-/// Primitives among which one task gathers gradients.
-const GATHER: usize = 32;
+/// Primitives that one task prepares, and among which one gathers gradients.
+const GATHER: usize = 64;
 /// Slices that one task adds up: as many pairs as a solid finds the ends of at a time.
 const SLAB: usize = 8;
 
@@ -49,19 +49,18 @@ fn pull_back(sums: &Sums, shape: &Shape) -> ShapeGradient {
 pub struct GridField<'a, R> {
     field: &'a Field<R>,
     pub(super) grid: Grid,
-    /// Each with its index in the model, in order.
-    pub(super) solids: Vec<(usize, Solid)>,
+    /// Those of each [`GATHER`] primitives, with their indices in the model, in order.
+    pub(super) solids: Vec<Vec<(usize, Solid)>>,
 }
 
 impl<R: Kernels> Field<R> {
     /// The field on a grid.
     pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
-        let chunks = threads::map(self.shapes.len().div_ceil(CHUNK), |chunk| {
-            let all = (chunk * CHUNK..).zip(&self.shapes[chunk * CHUNK..]).take(CHUNK);
-            let solids = all.map(|(i, shape)| (i, Solid::new(shape, grid)));
-            solids.filter(|(_, solid)| !solid.slices().is_empty()).collect::<Vec<_>>()
+        let solids = threads::map(self.shapes.len().div_ceil(GATHER), |chunk| {
+            let all = (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER);
+            all.filter_map(|(i, shape)| Some((i, Solid::new(shape, grid)?))).collect()
         });
-        GridField { field: self, grid: *grid, solids: chunks.concat() }
+        GridField { field: self, grid: *grid, solids }
     }
 
     /// Values at the voxel centres of a grid, `[x, y, z]`.
@@ -75,9 +74,9 @@ impl<R: Kernels> GridField<'_, R> {
     pub fn voxels(&self) -> Array3<R> {
         let [nx, ny, nz] = self.grid.shape;
         let mut members = vec![Vec::new(); nx.div_ceil(SLAB)];
-        for (place, (_, solid)) in self.solids.iter().enumerate() {
+        for (_, solid) in self.solids.iter().flatten() {
             for slab in &mut members[solid.slices().start / SLAB..=(solid.slices().end - 1) / SLAB] {
-                slab.push(place as u32);
+                slab.push(solid);
             }
         }
         let kernel = R::kernels(self.field.kernel, Projection::Affine).solid.forward;
@@ -86,9 +85,8 @@ impl<R: Kernels> GridField<'_, R> {
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
             let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
             let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::new());
-            for &place in &members[slab] {
-                let placed = Placed { solid: &self.solids[place as usize].1, window: &window };
-                kernel(&placed, &mut blocks, &mut scratch);
+            for solid in &members[slab] {
+                kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
                 blocks.read(slices.start + row / ny, row % ny, voxels);
@@ -113,12 +111,13 @@ impl<R: Kernels> GridField<'_, R> {
         blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
         let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
         threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
-            let first = chunk * GATHER;
-            let [begin, end] = [first, first + GATHER].map(|limit| solids.partition_point(|(i, _)| *i < limit));
+            if solids[chunk].is_empty() {
+                return;
+            }
             let mut scratch = Scratch::new();
-            for (i, solid) in &solids[begin..end] {
+            for (i, solid) in &solids[chunk] {
                 let sums = kernel(&Placed { solid, window: &window }, &blocks, &mut scratch);
-                gradients[i - first].add(&pull_back(&sums, &field.shapes[*i]));
+                gradients[i - chunk * GATHER].add(&pull_back(&sums, &field.shapes[*i]));
             }
         });
     }
@@ -146,7 +145,7 @@ mod tests {
         let field = Field::<f32>::new(&Primitives::new(parameters).unwrap(), 1e-2);
         let grid = Grid::cube(24).block([5, 8, 11], [6, 7, 5]);
         let there = field.on(&grid);
-        let mut kept = there.solids.iter().map(|(i, _)| *i).peekable();
+        let mut kept = there.solids.iter().flatten().map(|(i, _)| *i).peekable();
         let (mut left_out, mut reaching) = (0, 0);
         for (i, shape) in field.shapes.iter().enumerate() {
             let delta = |x: usize, y: usize, z: usize| {

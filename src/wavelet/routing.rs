@@ -3,18 +3,24 @@
 use super::Settings;
 use crate::error::{Error, Result};
 use crate::numeric::elementary::length;
-use crate::numeric::threads;
+use crate::numeric::{Lanes, Real, threads};
 use crate::scene::Grid;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use ndarray::Array3;
 use std::num::NonZero;
 
-/// Voxels along each side of a cell, whose neighbours are looked for together. Sides of a block are even.
-const CELL: usize = 2;
+/// Voxels along each side of a cell, whose neighbours are looked for together.
+const CELL: usize = 4;
+/// Voxels along each side of a bundle, which are told from each other in lanes. Sides of a block are even.
+const BUNDLE: usize = 2;
+/// Voxels of a bundle.
+const LANES: usize = <Row as Lanes>::WIDTH;
+/// A number for each voxel of a bundle.
+type Row = <f64 as Real>::Lanes;
 /// The most that a cell's half diagonal may be of the distance in which its middle has K primitives: beyond, too many
 /// are near the cell for most of its voxels.
-const CROWDED: f64 = 0.6;
+const CROWDED: f64 = 1.5;
 /// The most neighbours for which a cell pays: they are kept in order by insertion.
 const FEW: usize = 64;
 /// Squared distances that the tree reports closer together than this, relatively, may be equal: it rounds in an order of its own.
@@ -64,17 +70,25 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
     let mut high = Array3::default(grid.shape);
     let [_, ny, nz] = grid.shape;
     threads::for_each_chunk(high.as_slice_mut().expect("a new array"), CELL * ny * nz, |slab, high| {
-        let mut order = Vec::with_capacity(neighbours);
+        let (mut near, mut room) = (Vec::new(), Room::default());
+        let deep = high.len() / (ny * nz);
         for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
             let first = [slab * CELL, y, z];
             let middle = grid.min + (DVec3::from(first.map(|i| i as f64)) + 0.5 * CELL as f64) * grid.spacing;
-            let cell = nearest.cell(middle, 0.5 * (CELL - 1) as f64 * length(grid.spacing));
-            for [i, j, k] in (0..CELL * CELL * CELL).map(|n| [n / (CELL * CELL), n / CELL % CELL, n % CELL]) {
-                let centre = grid.centre([first[0] + i, y + j, z + k]);
-                high[(i * ny + y + j) * nz + z + k] = match &cell {
-                    Some(near) => nearest.count_among(near, centre, &confident, &mut order),
-                    None => nearest.count(centre, &confident),
+            let found = nearest.cell(middle, 0.5 * (CELL - 1) as f64 * length(grid.spacing), &confident, &mut near);
+            let side = |length: usize| (0..length.min(CELL)).step_by(BUNDLE);
+            let bundles = side(deep).flat_map(|i| side(ny - y).map(move |j| (i, j)));
+            for (i, j, k) in bundles.flat_map(|(i, j)| side(nz - z).map(move |k| (i, j, k))) {
+                let voxel: [[usize; 3]; LANES] =
+                    std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
+                let centres = voxel.map(|[i, j, k]| grid.centre([first[0] + i, j, k]));
+                let counts = match found {
+                    true => room.count(&near, neighbours, centres),
+                    false => [None; LANES],
                 };
+                for (([i, j, k], centre), count) in voxel.into_iter().zip(centres).zip(counts) {
+                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| nearest.count(centre, &confident));
+                }
             }
         }
     });
@@ -106,49 +120,26 @@ impl<'a> Nearest<'a> {
         Ok(Self { points, tree, neighbours })
     }
 
-    /// All that can be a neighbour of a centre within `radius` of the middle, the nearest to the middle first. `None` if the
+    /// Finds all that can be a neighbour of a centre within `radius` of the middle, the nearest to the middle first. Not if the
     /// primitives are so dense that these are many, or more neighbours are asked for than [`FEW`].
     ///
     /// K primitives within d of the middle are within d + radius of the centre, so are all of its neighbours, and these within
     /// d + 2·radius of the middle.
-    fn cell(&self, middle: DVec3, radius: f64) -> Option<Vec<(u32, DVec3)>> {
-        if self.neighbours > FEW {
-            return None;
-        }
-        let (k, query) = (NonZero::new(self.neighbours)?, middle.to_array());
+    fn cell(&self, middle: DVec3, radius: f64, confident: &[bool], near: &mut Vec<Near>) -> bool {
+        let Some(k) = NonZero::new(self.neighbours).filter(|k| k.get() <= FEW) else { return false };
+        let query = middle.to_array();
         let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(k).execute();
-        let distance = found.last()?.distance.sqrt();
+        let distance = found[k.get() - 1].distance.sqrt();
         if radius > CROWDED * distance {
-            return None;
+            return false;
         }
         let reach = distance + 2.0 * radius;
         let limit = reach * reach * (1.0 + TIE) + f64::MIN_POSITIVE;
         let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).execute();
-        Some(within.iter().map(|near| (near.item, self.point(near.item))).collect())
-    }
-
-    /// The number of confident ones among the neighbours of a centre, all of which are among these. `order` is room to work.
-    fn count_among(
-        &self,
-        near: &[(u32, DVec3)],
-        centre: DVec3,
-        confident: &[bool],
-        order: &mut Vec<(f64, u32)>,
-    ) -> u16 {
-        let nearer = |a: &(f64, u32), b: &(f64, u32)| a.0 < b.0 || a.0 == b.0 && a.1 < b.1;
-        order.clear();
-        for &(i, point) in near {
-            let one = ((point - centre).length_squared(), i);
-            if order.len() == self.neighbours {
-                if nearer(&order[order.len() - 1], &one) {
-                    continue;
-                }
-                order.pop();
-            }
-            let place = order.iter().rposition(|other| nearer(other, &one)).map_or(0, |last| last + 1);
-            order.insert(place, one);
-        }
-        order.iter().filter(|(_, i)| confident[*i as usize]).count() as u16
+        let one = |i: u32| Near { point: self.point(i), confident: f64::from(confident[i as usize]) };
+        near.clear();
+        near.extend(within.iter().map(|near| one(near.item)));
+        true
     }
 
     /// The number of confident ones among the neighbours of a centre.
@@ -175,6 +166,56 @@ impl<'a> Nearest<'a> {
 
     fn point(&self, i: u32) -> DVec3 {
         self.points[i as usize].into()
+    }
+}
+
+/// A primitive that can be a neighbour.
+struct Near {
+    point: DVec3,
+    /// 1 if it is, else 0.
+    confident: f64,
+}
+
+/// Room to work, kept from bundle to bundle.
+#[derive(Default)]
+struct Room {
+    /// Squared distances of all that are near.
+    distances: Vec<Row>,
+    /// The smallest of them, in order.
+    order: Vec<Row>,
+}
+
+impl Room {
+    /// For each centre the number of confident ones among its neighbours, all of which are `near`. `None` where several are as
+    /// near as the last of them.
+    fn count(&mut self, near: &[Near], neighbours: usize, centres: [DVec3; LANES]) -> [Option<u16>; LANES] {
+        let Self { distances, order } = self;
+        let [x, y, z] = [0, 1, 2].map(|axis| Row::from_fn(|lane| centres[lane][axis]));
+        let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
+        distances.clear();
+        order.clear();
+        order.resize(neighbours, Row::splat(f64::INFINITY));
+        for Near { point, .. } in near {
+            let [x, y, z] = [Row::splat(point.x) - x, Row::splat(point.y) - y, Row::splat(point.z) - z];
+            let mut distance = x * x + y * y + z * z;
+            distances.push(distance);
+            if distance.any_below(order[neighbours - 1]) {
+                for nearer in order.iter_mut() {
+                    (*nearer, distance) = (nearer.at_most(distance), nearer.at_least(distance));
+                }
+            }
+        }
+        let last = order[neighbours - 1];
+        let (mut within, mut confident) = (zero, zero);
+        for (distance, near) in distances.iter().zip(near) {
+            let inside = distance.select_le(last, one, zero);
+            within += inside;
+            confident += inside * Row::splat(near.confident);
+        }
+        let [mut all, mut high] = [[0.0; LANES]; 2];
+        within.write(&mut all);
+        confident.write(&mut high);
+        std::array::from_fn(|lane| (all[lane] == neighbours as f64).then_some(high[lane] as u16))
     }
 }
 
