@@ -6,13 +6,14 @@
 //! and go there, if the data are too large for the caches): the longer one is its bound, and the share is bound / time.
 //! `cargo bench --bench passes`
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::Criterion;
 use ndarray::{Array2, Array3};
 use std::cell::RefCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use trgs::numeric::threads::Pool;
 use trgs::numeric::{Lanes, Real, threads};
 use trgs::optim::Adam;
 use trgs::primitives::{Parameters, Primitives};
@@ -195,5 +196,11 @@ fn all(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, all);
-criterion_main!(benches);
+/// Among the workers, as a run: work that others hand to them waits for one to wake up.
+fn main() {
+    Pool::new(0).expect("threads").run(|| {
+        let mut criterion = Criterion::default().configure_from_args();
+        all(&mut criterion);
+        criterion.final_summary();
+    });
+}

@@ -166,7 +166,14 @@ fn draw(growths: &[Growth]) -> Result<(), Box<dyn std::error::Error>> {
             .x_label_area_size(36)
             .y_label_area_size(44)
             .build_cartesian_2d((1.0..70.0).log_scale(), (0.4..70.0).log_scale())?;
-        chart.configure_mesh().x_desc("size, relative to the smallest").light_line_style(WHITE).draw()?;
+        // As many as have room: 1, 2, 5, 10, 20, 50.
+        let few = |x: &f64| {
+            let first = if *x < 10.0 { *x } else { *x / 10.0 };
+            if [1.0, 2.0, 5.0].contains(&first.round()) { format!("{x:.0}") } else { String::new() }
+        };
+        let mut mesh = chart.configure_mesh();
+        mesh.x_desc("size, relative to the smallest").light_line_style(WHITE);
+        mesh.x_label_formatter(&few).y_label_formatter(&|y| format!("{y:.0}")).draw()?;
         chart
             .draw_series(LineSeries::new([(1.0, 1.0), (64.0, 64.0)], BLACK.stroke_width(1)))?
             .label("linear")
