@@ -153,7 +153,9 @@ impl Parameters {
     pub fn check_finite(&self, stage: &'static str, step: usize) -> Result<()> {
         for (number, group) in Group::ALL.into_iter().enumerate() {
             let values = self.group(group);
-            if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+            // Without a way out, so that several are asked at a time.
+            let finite = values.iter().fold(true, |finite, value| finite & value.is_finite());
+            if !finite && let Some(i) = values.iter().position(|value| !value.is_finite()) {
                 let index = vec![number, i / group.width(), i % group.width()];
                 return Err(Error::NonFinite { stage, value: values[i], index, step });
             }

@@ -349,20 +349,31 @@ fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
 ) {
     let (weight, zero) = (all(plane.weight), R::Lanes::default());
     let Scratch { x, root, log, power, place, .. } = scratch;
-    match plane.logarithm::<STUDENT>() {
-        Logarithm::None => powers(filled, -1.0, x, power),
-        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
-        Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
-        Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
-    }
-    if STUDENT {
-        powers(filled, -plane.q, log, power);
-    }
+    profile::<_, STUDENT>(plane, plane.q, filled, x, log, power);
     let (x, root, power, place) = (&x[..filled], &root[..filled], &power[..filled], &place[..filled]);
     for (((&x, &root), &power), &place) in x.iter().zip(root).zip(power).zip(place) {
         let value = if EXACT { power * root } else { power };
         board.add(place, x.select_le(shared.limit, value * weight, zero));
     }
+}
+
+/// (1+x)^-exponent of the first `filled` registers and the logarithms of 1+x, or 2^-x.
+#[inline(always)]
+fn profile<L: Lanes, const STUDENT: bool>(
+    plane: &Plane,
+    exponent: f64,
+    filled: usize,
+    x: &[L; BATCH],
+    log: &mut [L; BATCH],
+    power: &mut [L; BATCH],
+) {
+    match plane.logarithm::<STUDENT>() {
+        Logarithm::None => return powers(filled, -1.0, x, power),
+        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
+        Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
+        Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
+    }
+    powers(filled, -exponent, log, power);
 }
 
 /// log2(1+x) of the first `filled` registers, several at a time: one beyond is of an earlier batch, nobody reads its log.
@@ -441,15 +452,7 @@ fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     total: &mut Totals<R::Lanes>,
 ) {
     let Scratch { x, y, root, w, log, power, columns, .. } = scratch;
-    match plane.logarithm::<STUDENT>() {
-        Logarithm::None => powers(filled, -1.0, x, power),
-        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
-        Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
-        Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
-    }
-    if STUDENT {
-        powers(filled, -(plane.q + 1.0), log, power);
-    }
+    profile::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power);
     let mut begin = 0;
     for column in &columns[..ended] {
         let mut part = ColumnSums::<R::Lanes>::default();

@@ -76,23 +76,24 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
             let first = [slab * CELL, y, z];
             let middle = grid.min + (DVec3::from(first.map(|i| i as f64)) + 0.5 * CELL as f64) * grid.spacing;
             let found = nearest.cell(middle, 0.5 * (CELL - 1) as f64 * length(grid.spacing), &confident, &mut near);
-            let side = |length: usize| (0..length.min(CELL)).step_by(BUNDLE);
-            let bundles = side(deep).flat_map(|i| side(ny - y).map(move |j| (i, j)));
-            for (i, j, k) in bundles.flat_map(|(i, j)| side(nz - z).map(move |k| (i, j, k))) {
-                let voxel: [[usize; 3]; LANES] =
+            for [i, j, k] in bundles([deep, ny - y, nz - z]) {
+                let voxels: [[usize; 3]; LANES] =
                     std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
-                let centres = voxel.map(|[i, j, k]| grid.centre([first[0] + i, j, k]));
-                let counts = match found {
-                    true => room.count(&near, neighbours, centres),
-                    false => [None; LANES],
-                };
-                for (([i, j, k], centre), count) in voxel.into_iter().zip(centres).zip(counts) {
+                let centres = voxels.map(|[i, j, k]| grid.centre([first[0] + i, j, k]));
+                let counts = if found { room.count(&near, neighbours, centres) } else { [None; LANES] };
+                for (([i, j, k], centre), count) in voxels.into_iter().zip(centres).zip(counts) {
                     high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| nearest.count(centre, &confident));
                 }
             }
         }
     });
     Ok(Routing { high, neighbours })
+}
+
+/// The first voxels of a cell's bundles, where the block ends so many voxels beyond the cell's first one.
+fn bundles(sides: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    let side = move |axis: usize| (0..sides[axis].min(CELL)).step_by(BUNDLE);
+    side(0).flat_map(move |i| side(1).flat_map(move |j| side(2).map(move |k| [i, j, k])))
 }
 
 fn check_finite(stage: &'static str, values: &[f64], width: usize) -> Result<()> {
