@@ -3,6 +3,9 @@
 use crate::numeric::{Lanes, Real, threads};
 use std::ops::Range;
 
+/// Half of the lanes of the widest register.
+pub(super) const HALF: usize = 8;
+
 /// Scalars with room for whole registers.
 pub(super) trait Board<R: Real> {
     /// From a register's place to that of the one two rows below.

@@ -1,10 +1,8 @@
 //! A column of registers: what its pixels, or voxels, have in common.
 
-use super::kernel::{Plane, all};
+use super::canvas::HALF;
+use super::plane::{Plane, all};
 use crate::numeric::{Lanes, Real, real};
-
-/// Half of the lanes of the widest register.
-pub(super) const HALF: usize = 8;
 
 /// Where half of a register's lanes are in the plane, or in the planes of two slices: those of its first row.
 pub(super) struct Stance<L> {

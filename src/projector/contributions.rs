@@ -103,8 +103,8 @@ impl<R: Kernels> Field<R> {
             let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::new());
             let mut voxel = [R::ZERO];
             let one = |i: usize| {
-                let Some(solid) = &Solid::new(&self.shapes[i], grid) else { return R::ZERO };
                 blocks.clear();
+                let solid = &Solid::new(&self.shapes[i], grid);
                 kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
                 blocks.read(x, y, &mut voxel);
                 voxel[0]

@@ -6,8 +6,9 @@
 //! gradient comes back in the same whitened coordinates, for the same reason.
 
 use super::Projection;
-use super::kernel::{Plane, Sums};
+use super::kernel::Sums;
 use super::patch::Patch;
+use super::plane::Plane;
 use super::shape::{Shape, ShapeGradient};
 use crate::numeric::elementary::{length, unit};
 use crate::scene::{Beam, Scanner, View};

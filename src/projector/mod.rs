@@ -25,6 +25,7 @@ pub mod naive;
 mod outline;
 mod pairs;
 mod patch;
+mod plane;
 mod profile;
 mod shape;
 mod solid;

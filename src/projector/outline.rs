@@ -1,6 +1,7 @@
 //! Which registers of a strip can hold pixels of a primitive's support.
 
-use super::kernel::{Plane, STRIP};
+use super::kernel::STRIP;
+use super::plane::Plane;
 use std::ops::Range;
 
 /// Where the support may lie in a box of pixels. Pixels that it leaves out would have added zeros.

@@ -2,8 +2,9 @@
 
 use super::canvas::Window;
 use super::footprint::{Footprint, from_even};
-use super::kernel::{Plane, Reach};
+use super::kernel::Reach;
 use super::kernels::Kernels;
+use super::plane::Plane;
 use super::solid::{Placed, Solid};
 use super::{GridField, ViewField};
 use crate::numeric::{Lanes, Real, threads};

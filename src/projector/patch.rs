@@ -1,9 +1,10 @@
 //! A primitive on an image: one plane, and the columns of registers that its support reaches there.
 
-use super::canvas::Canvas;
-use super::column::{Column, HALF, Stance};
-use super::kernel::{Plane, Reach};
+use super::canvas::{Canvas, HALF};
+use super::column::{Column, Stance};
+use super::kernel::Reach;
 use super::outline::Outline;
+use super::plane::Plane;
 use crate::numeric::{Lanes, Real, real};
 use std::ops::Range;
 

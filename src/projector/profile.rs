@@ -2,9 +2,10 @@
 
 use super::Projection;
 use super::canvas::Canvas;
-use super::kernel::{Plane, Scratch};
+use super::kernel::Scratch;
 use super::kernels::Kernels;
 use super::patch::Patch;
+use super::plane::Plane;
 use crate::primitives::{Kernel, gaussian, student_t};
 
 /// The kernels `T(δ; ν)` at squared Mahalanobis distances δ `[Eq. 2]`, `[X3]`; `[N]`.

@@ -1,9 +1,10 @@
 //! A primitive in the grid's slices: what differs from slice to slice, and the registers that its support reaches.
 
-use super::canvas::{Blocks, PAIR, Window};
-use super::column::{self, Column, Stance};
+use super::canvas::{Blocks, HALF, PAIR, Window};
+use super::column::{Column, Stance};
 use super::footprint::Extent;
-use super::kernel::{Plane, Reach, STRIP};
+use super::kernel::{Reach, STRIP};
+use super::plane::Plane;
 use super::shape::Shape;
 use crate::numeric::elementary::length;
 use crate::numeric::{Lanes, Real, real};
@@ -42,14 +43,14 @@ pub(super) struct Solid {
 }
 
 impl Solid {
-    /// `None` if no voxel is within the support.
-    pub(super) fn new(shape: &Shape, grid: &Grid) -> Option<Self> {
+    /// Whether a sphere around a primitive's support meets the grid: most that do not reach it are told by that.
+    pub(super) fn is_near(shape: &Shape, grid: &Grid) -> bool {
         let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
         let last = grid.min + grid.size();
-        // Most are told by a sphere around the support.
-        if (shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any() {
-            return None;
-        }
+        !((shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any())
+    }
+
+    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
         let b = length(my);
@@ -80,8 +81,7 @@ impl Solid {
         let wide = length(DVec3::new(ax / xx, 0.0, 1.0)) / plane.a;
         let rows = reach(place.y, 1.0, radius * tall, grid.shape[1]);
         let columns = reach(place.z, 1.0, radius * wide, grid.shape[2]);
-        let solid = Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices };
-        (!solid.slices.is_empty()).then_some(solid)
+        Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices }
     }
 
     /// Slices of the support.
@@ -238,7 +238,7 @@ impl<L: Lanes> Stance<L> {
 
 /// The same values in both rows of a register, which may have fewer columns.
 #[inline(always)]
-fn both_rows<L: Lanes>(values: [f64; column::HALF]) -> L {
+fn both_rows<L: Lanes>(values: [f64; HALF]) -> L {
     let values = values.map(real::<L::Scalar>);
     L::from_fn(|i| values[Window::twin(i)])
 }
@@ -301,8 +301,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![draw(2.0, 40.0)],
             });
-            let shape = Shape::new::<R>(&primitives.unwrap(), 0, 1e-2);
-            let Some(solid) = Solid::new(&shape, &grid) else { continue };
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
             let window = match number % 3 {
                 0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
                 _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
@@ -336,7 +335,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![5.0],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid).unwrap();
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
             let mut visited = BTreeSet::new();
             Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
                 visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));

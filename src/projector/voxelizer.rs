@@ -58,7 +58,10 @@ impl<R: Kernels> Field<R> {
     pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
         let solids = threads::map(self.shapes.len().div_ceil(GATHER), |chunk| {
             let all = (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER);
-            all.filter_map(|(i, shape)| Some((i, Solid::new(shape, grid)?))).collect()
+            let near = all.filter(|(_, shape)| Solid::is_near(shape, grid));
+            near.map(|(i, shape)| (i, Solid::new(shape, grid)))
+                .filter(|(_, solid)| !solid.slices().is_empty())
+                .collect()
         });
         GridField { field: self, grid: *grid, solids }
     }
