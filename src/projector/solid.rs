@@ -50,6 +50,7 @@ impl Solid {
         !((shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any())
     }
 
+    /// A primitive anywhere: its slices are none where it does not reach the grid.
     pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
         let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
         let (yz, yx) = (my.cross(mz), my.cross(mx));
