@@ -35,8 +35,9 @@ pub fn run(cells: &[Cell], store: &Store, workers: usize, observe: &Observe<'_>)
     for wait in [false, true] {
         let mut open = Vec::new();
         for cell in &cells {
-            if store.find(&cell.id)?.is_none() {
-                open.push(*cell);
+            match store.find(&cell.id)? {
+                None => open.push(*cell),
+                Some(_) => store.clear(&cell.id),
             }
         }
         let work = Work { store, observe, cells: cells.len(), done: AtomicUsize::new(cells.len() - open.len()) };

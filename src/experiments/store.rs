@@ -78,6 +78,16 @@ impl Store {
         Ok(self.find(id)?.is_none().then_some(claim))
     }
 
+    /// Removes the lock of a finished cell whose process died between the two.
+    pub(super) fn clear(&self, id: &str) {
+        let path = self.path(id, "lock");
+        if let Ok(lock) = File::open(&path)
+            && lock.try_lock().is_ok()
+        {
+            drop(Claim { _lock: lock, path });
+        }
+    }
+
     /// Keeps what a cell found.
     pub(super) fn keep(&self, cell: &Cell, finding: &Finding, picture: &[u8]) -> Result<()> {
         let text = serde_json::to_string_pretty(finding).expect("a finding has string keys") + "\n";
