@@ -212,9 +212,17 @@ impl Sizes {
                 &[
                     physical,
                     shapes,
-                    row("gradient", m, projector::bytes::GRADIENT + 2 * NUMBERS * F64 + 3 * F64),
-                    row("footprints in a view or on a block", m, projector::bytes::VIEW.max(projector::bytes::GRID)),
-                    row("lists of primitives by bands or slices", m, 16 * 4),
+                    row(
+                        "gradients of the view, of two blocks and of the parameters",
+                        m,
+                        3 * projector::bytes::GRADIENT + 2 * NUMBERS * F64 + 3 * F64,
+                    ),
+                    row(
+                        "footprints in the view and on both blocks",
+                        m,
+                        projector::bytes::VIEW + 2 * projector::bytes::GRID,
+                    ),
+                    row("lists of primitives by bands and slices", m, 3 * 16 * 4),
                     row("image, loss and cotangent", d, 10 * real),
                     row("block of the total variation", block(config.loss.tv_block), 8 * real),
                     row(

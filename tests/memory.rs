@@ -142,7 +142,7 @@ fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
     std::fs::remove_dir_all(sandbox.path("scan/proj_train")).unwrap();
     let huge = "reconstruct scan --out run --iterations 30000 --set density_control.cap=10000000 --max-memory 2GiB";
     let message = sandbox.refused(huge);
-    assert!(message.contains("got 2.0 GiB") && message.contains("at least 1"), "{message}");
+    assert!(message.contains("got 2.0 GiB") && message.contains("at least 2"), "{message}");
     assert!(!stderr(&sandbox.run("reconstruct scan --out run --max-memory much")).is_empty());
     let pickle = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
     assert!(sandbox.refused(&format!("reconstruct {pickle} --out run --max-memory 3kB")).contains("--max-memory"));

@@ -3,6 +3,7 @@
 
 use crate::error::{Error, Result};
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// A number of workers, kept for several pieces of work.
 pub struct Pool(rayon::ThreadPool);
@@ -73,4 +74,22 @@ pub fn map_many<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<
 /// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).
 pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
     values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
+}
+
+/// As [`for_each_chunk`], with something for a task to work in, which it finds as another left it: no more are made than
+/// work at the same time.
+pub fn for_each_chunk_in<T: Send, S: Send>(
+    values: &mut [T],
+    length: usize,
+    make: impl Fn() -> S + Sync + Send,
+    f: impl Fn(usize, &mut [T], &mut S) + Sync + Send,
+) {
+    let free = Mutex::new(Vec::new());
+    let spare = || free.lock().expect("nobody panics with it");
+    for_each_chunk(values, length, |index, chunk| {
+        let found = spare().pop();
+        let mut space = found.unwrap_or_else(|| Box::new(make()));
+        f(index, chunk, &mut space);
+        spare().push(space);
+    });
 }

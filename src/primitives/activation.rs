@@ -59,20 +59,20 @@ impl Interval {
 impl Activation {
     /// Physical values of raw parameters.
     pub fn forward(&self, raw: &Parameters) -> Primitives {
-        let mut parameters = raw.clone();
-        threads::for_each_chunk(&mut parameters.scale, CHUNK, |_, chunk| {
-            chunk.as_flattened_mut().iter_mut().for_each(|s| *s = self.scale.physical(*s));
-        });
-        threads::for_each_chunk(&mut parameters.density, CHUNK, |_, chunk| {
-            chunk.iter_mut().for_each(|x| *x = softplus(*x))
-        });
-        match self.kernel {
-            Kernel::Gaussian => parameters.nu.fill(f64::INFINITY),
-            Kernel::StudentT => threads::for_each_chunk(&mut parameters.nu, CHUNK, |_, chunk| {
-                chunk.iter_mut().for_each(|x| *x = self.nu.physical(*x))
-            }),
-        }
-        Primitives { kernel: self.kernel, parameters }
+        let m = raw.len();
+        let ((mean, quaternion), (scale, (density, nu))) = threads::both(
+            || (raw.mean.clone(), raw.quaternion.clone()),
+            || {
+                let scale = || threads::map_many(m, |i| raw.scale[i].map(|s| self.scale.physical(s)));
+                let density = || threads::map_many(m, |i| softplus(raw.density[i]));
+                let nu = || match self.kernel {
+                    Kernel::Gaussian => vec![f64::INFINITY; m],
+                    Kernel::StudentT => threads::map_many(m, |i| self.nu.physical(raw.nu[i])),
+                };
+                threads::both(scale, || threads::both(density, nu))
+            },
+        );
+        Primitives { kernel: self.kernel, parameters: Parameters { mean, scale, quaternion, density, nu } }
     }
 
     /// Raw parameters of physical values; values at or outside of a range come to lie just inside.
@@ -90,21 +90,27 @@ impl Activation {
     /// Turns a gradient to the physical values into the gradient to the raw ones, in place.
     pub fn vjp(&self, physical: &Primitives, gradient: &mut Parameters) {
         let values = &physical.parameters;
-        for (d_scale, scale) in gradient.scale.as_flattened_mut().iter_mut().zip(values.scale.as_flattened()) {
-            *d_scale *= self.scale.slope(*scale);
-        }
+        let Parameters { scale, density, nu, .. } = gradient;
+        let of_scale = || {
+            threads::for_each_chunk(scale, CHUNK, |chunk, gradient| {
+                for (d_scale, scale) in gradient.iter_mut().zip(&values.scale[chunk * CHUNK..]) {
+                    d_scale.iter_mut().zip(scale).for_each(|(d_scale, scale)| *d_scale *= self.scale.slope(*scale));
+                }
+            });
+        };
         // d softplus / d raw = 1 - e^-ρ, without the raw value.
-        threads::for_each_chunk(&mut gradient.density, CHUNK, |chunk, gradient| {
-            for (d_density, density) in gradient.iter_mut().zip(&values.density[chunk * CHUNK..]) {
-                *d_density *= -libm::expm1(-density);
-            }
-        });
-        match self.kernel {
-            Kernel::Gaussian => gradient.nu.fill(0.0),
-            Kernel::StudentT => {
-                gradient.nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu))
-            }
-        }
+        let of_density = || {
+            threads::for_each_chunk(density, CHUNK, |chunk, gradient| {
+                for (d_density, density) in gradient.iter_mut().zip(&values.density[chunk * CHUNK..]) {
+                    *d_density *= -libm::expm1(-density);
+                }
+            });
+        };
+        let of_nu = || match self.kernel {
+            Kernel::Gaussian => nu.fill(0.0),
+            Kernel::StudentT => nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu)),
+        };
+        threads::both(of_scale, || threads::both(of_density, of_nu));
     }
 }
 

@@ -318,7 +318,7 @@ impl Extent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::primitives::{Parameters, Primitives};
+    use crate::primitives::{Parameters, Primitives, student_t};
     use crate::scene::{Detector, Grid};
 
     fn scanner() -> Scanner {
@@ -348,7 +348,7 @@ mod tests {
             density: vec![1.0],
             nu: vec![7.0],
         });
-        Shape::new::<f64>(&primitives.unwrap(), 0, cutoff)
+        Shape::new::<f64>(&primitives.unwrap(), 0, student_t::bits(cutoff))
     }
 
     fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {

@@ -39,6 +39,7 @@ pub use profile::profile;
 pub use view::ViewField;
 pub use voxelizer::GridField;
 
+use crate::numeric::threads;
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
 use glam::DVec3;
@@ -86,7 +87,10 @@ impl FieldGradient {
     /// Adds another gradient to the same field.
     pub(crate) fn add(&mut self, other: &Self) {
         assert_eq!(self.shapes.len(), other.shapes.len(), "primitives of the gradients");
-        self.shapes.iter_mut().zip(&other.shapes).for_each(|(gradient, other)| gradient.add(other));
+        threads::for_each_chunk(&mut self.shapes, shape::CHUNK, |chunk, gradients| {
+            let others = &other.shapes[chunk * shape::CHUNK..];
+            gradients.iter_mut().zip(others).for_each(|(gradient, other)| gradient.add(other));
+        });
     }
 
     /// Leaves out what would move centres.

@@ -60,13 +60,12 @@ impl ShapeGradient {
 }
 
 impl Shape {
-    /// Primitive `i` with a relative cutoff ε (0: none), for kernels that run in `R`.
-    pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, epsilon: f64) -> Self {
+    /// Primitive `i`, cut off where it has fallen to 2^-`bits`, for kernels that run in `R`.
+    pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
         let p = &primitives.parameters;
         let (rotation, norm) = rotation::unit(p.quaternion[i]);
         let inverse_scale = 1.0 / DVec3::from_array(p.scale[i]);
         let nu = p.nu[i];
-        let bits = student_t::bits(epsilon);
         let (line, unit, reach, horizon) = match primitives.kernel {
             Kernel::Gaussian => (
                 (gaussian::line_integral(), 0.0),
@@ -93,9 +92,10 @@ impl Shape {
         }
     }
 
-    /// All primitives, in parallel.
+    /// All primitives with a relative cutoff ε (0: none), in parallel.
     pub(super) fn all<R: Real>(primitives: &Primitives, epsilon: f64) -> Vec<Self> {
-        threads::map_many(primitives.len(), |i| Self::new::<R>(primitives, i, epsilon))
+        let bits = student_t::bits(epsilon);
+        threads::map_many(primitives.len(), |i| Self::new::<R>(primitives, i, bits))
     }
 
     /// `1/(s₁s₂s₃)`, the determinant of the whitening matrix.
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn whitening_inverts_the_covariance() {
         let primitives = primitives([0.7, -0.3, 0.5, 0.2]);
-        let m = Shape::new::<f64>(&primitives, 0, 0.0).whitening;
+        let m = Shape::new::<f64>(&primitives, 0, f64::INFINITY).whitening;
         let unit = m * primitives.parameters.covariance(0) * m.transpose();
         assert!((unit - DMat3::IDENTITY).to_cols_array().iter().all(|x| x.abs() < 1e-14), "{unit}");
     }
@@ -170,7 +170,7 @@ mod tests {
         let gradient =
             ShapeGradient { precision: DMat3::from_cols(column(0), column(1), column(2)), ..ShapeGradient::ZERO };
         let to_quaternion = |length: f64| {
-            let shape = Shape::new::<f64>(&primitives([0.7, -0.3, 0.5, 0.2].map(|x| x * length)), 0, 0.0);
+            let shape = Shape::new::<f64>(&primitives([0.7, -0.3, 0.5, 0.2].map(|x| x * length)), 0, f64::INFINITY);
             finish(&[shape], &[gradient]).quaternion[0]
         };
         let ordinary = to_quaternion(1.0);

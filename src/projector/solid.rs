@@ -253,7 +253,7 @@ fn reach(centre: f64, step: f64, half: f64, count: usize) -> Range<usize> {
 mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
-    use crate::primitives::{Parameters, Primitives};
+    use crate::primitives::{Parameters, Primitives, student_t};
     use rand::RngExt;
     use std::collections::BTreeSet;
 
@@ -302,7 +302,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![draw(2.0, 40.0)],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2)), &grid);
             let window = match number % 3 {
                 0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
                 _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
@@ -336,7 +336,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![5.0],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, 1e-2), &grid);
+            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2)), &grid);
             let mut visited = BTreeSet::new();
             Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
                 visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));

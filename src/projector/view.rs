@@ -66,11 +66,10 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let members = self.members(rows.div_ceil(STRIP));
         let kernel = R::kernels(self.field.kernel, self.projection).forward;
         let mut image = vec![R::ZERO; rows * columns];
-        threads::for_each_chunk(&mut image, STRIP * columns, |band, pixels| {
+        threads::for_each_chunk_in(&mut image, STRIP * columns, Scratch::new, |band, pixels, scratch| {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
             let mut canvas = Canvas::<R>::new(height, columns);
-            let mut scratch = Scratch::new();
             let mut fetched = Vec::with_capacity(FETCH);
             for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
                 fetched.clear();
@@ -81,7 +80,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
                     footprint.patch(rows, top, canvas.stride)
                 }));
                 for patch in &fetched {
-                    kernel(patch, &mut canvas, &mut scratch);
+                    kernel(patch, &mut canvas, scratch);
                 }
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
@@ -143,15 +142,14 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             }
         });
         let kernel = R::kernels(self.field.kernel, self.projection).backward;
-        threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
+        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
             let first = chunk * GATHER;
-            let mut scratch = Scratch::new();
             for (i, gradient) in gradients.iter_mut().enumerate() {
                 let footprint = &self.footprints[first + i];
                 if !footprint.is_empty() {
                     let rows = from_even(footprint.rows.clone());
                     let top = rows.start;
-                    let sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, &mut scratch);
+                    let sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
                     let shape = &self.field.shapes[first + i];
                     gradient.add(&footprint.pull_back(shape, &self.view, self.projection, &sums));
                 }

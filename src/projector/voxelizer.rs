@@ -84,12 +84,12 @@ impl<R: Kernels> GridField<'_, R> {
         }
         let kernel = R::kernels(self.field.kernel, Projection::Affine).solid.forward;
         let mut volume = vec![R::ZERO; nx * ny * nz];
-        threads::for_each_chunk(&mut volume, SLAB * ny * nz, |slab, voxels| {
+        threads::for_each_chunk_in(&mut volume, SLAB * ny * nz, Scratch::new, |slab, voxels, scratch| {
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
             let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
-            let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::new());
+            let mut blocks = Blocks::<R>::new(window.clone());
             for solid in &members[slab] {
-                kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
+                kernel(&Placed { solid, window: &window }, &mut blocks, scratch);
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
                 blocks.read(slices.start + row / ny, row % ny, voxels);
@@ -113,13 +113,9 @@ impl<R: Kernels> GridField<'_, R> {
         let mut blocks = Blocks::<R>::new(window.clone());
         blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
         let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
-        threads::for_each_chunk(&mut gradient.shapes, GATHER, |chunk, gradients| {
-            if solids[chunk].is_empty() {
-                return;
-            }
-            let mut scratch = Scratch::new();
+        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
             for (i, solid) in &solids[chunk] {
-                let sums = kernel(&Placed { solid, window: &window }, &blocks, &mut scratch);
+                let sums = kernel(&Placed { solid, window: &window }, &blocks, scratch);
                 gradients[i - chunk * GATHER].add(&pull_back(&sums, &field.shapes[*i]));
             }
         });

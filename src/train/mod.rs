@@ -24,11 +24,11 @@ use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
 use crate::numeric::rng::{self, Purpose};
-use crate::numeric::{real, reduce};
+use crate::numeric::{real, reduce, threads};
 use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
-use crate::primitives::{Activation, Kernel, Parameters, Primitives};
-use crate::projector::{Field, FieldGradient, Kernels};
+use crate::primitives::{Activation, Kernel, Primitives};
+use crate::projector::{Field, FieldGradient, Kernels, ViewField};
 use crate::scene::Volume;
 use crate::scene::dataset::Dataset;
 use crate::wavelet::{route, wavelet_loss};
@@ -216,24 +216,28 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn step(&mut self, iteration: usize) -> Result<Losses> {
         let physical = self.activation.forward(&self.state.raw);
         let field = Field::<R>::new(&physical, self.config.cutoff);
-        let mut gradient = field.zero_gradient();
-        let mut losses = self.data_loss(&field, iteration, &mut gradient);
-        let mut held = (!self.config.loss.blocks_move).then(|| field.zero_gradient());
-        let of_blocks = held.as_mut().unwrap_or(&mut gradient);
-        if self.config.loss.tv > 0.0 {
-            losses.tv = self.total_variation(&field, iteration, of_blocks);
+        let view = self.order.view(iteration - 1);
+        // Side by side: while one waits for its last piece of work, the others have some.
+        let (((mut losses, seen, gradient), tv), (wavelet, pull)) = threads::both(
+            || threads::both(|| self.data_loss(&field, view), || self.total_variation(&field, iteration)),
+            || threads::both(|| self.wavelets(&field, &physical, iteration), || self.pull_on_nu(&physical)),
+        );
+        if self.config.density_control.method == DensityControl::Adc {
+            self.state.pulls.add(gradient.shadows(), seen.seen());
         }
-        if self.config.wavelet.enabled && iteration.is_multiple_of(self.config.wavelet.every) {
-            losses.wavelet = self.wavelets(&field, &physical, iteration, of_blocks)?;
-            losses.blocks = 1;
+        let mut of_blocks = Vec::new();
+        if let Some((value, gradient)) = tv {
+            losses.tv = value;
+            of_blocks.push(gradient);
         }
-        if let Some(mut held) = held {
-            held.hold_centres();
-            gradient.add(&held);
+        if let Some((value, gradient)) = wavelet? {
+            (losses.wavelet, losses.blocks) = (value, 1);
+            of_blocks.push(gradient);
         }
-        let mut gradient = field.finish(&gradient);
-        if self.config.confidence.enabled {
-            losses.nu = self.pull_on_nu(&physical, &mut gradient);
+        let mut gradient = field.finish(&self.with_blocks(gradient, of_blocks));
+        if let Some((value, d_nu)) = pull {
+            losses.nu = value;
+            gradient.nu.iter_mut().zip(d_nu).for_each(|(gradient, d)| *gradient += d);
         }
         losses.total += self.config.loss.tv * losses.tv + losses.wavelet + losses.nu;
         self.activation.vjp(&physical, &mut gradient);
@@ -247,54 +251,75 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(losses)
     }
 
-    /// L1 and D-SSIM of the iteration's view.
-    fn data_loss(&mut self, field: &Field<R>, iteration: usize, gradient: &mut FieldGradient) -> Losses {
-        let view = self.order.view(iteration - 1);
+    /// L1 and D-SSIM of a view, and their gradient.
+    fn data_loss<'f>(&self, field: &'f Field<R>, view: usize) -> (Losses, ViewField<'f, R>, FieldGradient) {
         let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
         let loss = image_loss(&self.ssim, self.config.loss.d_ssim, seen.image().view(), &self.images[view]);
-        seen.pull_back(loss.cotangent.view(), gradient);
-        if self.config.density_control.method == DensityControl::Adc {
-            self.state.pulls.add(gradient.shadows(), seen.seen());
-        }
-        Losses { total: loss.total, l1: loss.l1, d_ssim: loss.d_ssim, ..Losses::default() }
+        let mut gradient = field.zero_gradient();
+        seen.pull_back(loss.cotangent.view(), &mut gradient);
+        let losses = Losses { total: loss.total, l1: loss.l1, d_ssim: loss.d_ssim, ..Losses::default() };
+        (losses, seen, gradient)
     }
 
-    /// Total variation of a random block of the volume.
-    fn total_variation(&self, field: &Field<R>, iteration: usize, gradient: &mut FieldGradient) -> f64 {
+    /// Total variation of a random block of the volume, and its gradient, if it counts.
+    fn total_variation(&self, field: &Field<R>, iteration: usize) -> Option<(f64, FieldGradient)> {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
+        if loss.tv <= 0.0 {
+            return None;
+        }
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
         let there = field.on(&block);
         let (value, mut cotangent) = tv(there.voxels().view());
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
-        there.pull_back(cotangent.view(), gradient);
-        value
+        let mut gradient = field.zero_gradient();
+        there.pull_back(cotangent.view(), &mut gradient);
+        Some((value, gradient))
     }
 
-    /// The wavelet loss of a random block of the volume `[Eq. 11]`–`[Eq. 15]`.
+    /// The wavelet loss of a random block of the volume `[Eq. 11]`–`[Eq. 15]`, and its gradient, if it is due.
     fn wavelets(
         &self,
         field: &Field<R>,
         physical: &Primitives,
         iteration: usize,
-        gradient: &mut FieldGradient,
-    ) -> Result<f64> {
+    ) -> Result<Option<(f64, FieldGradient)>> {
         let (grid, wavelet) = (&self.dataset.scanner.grid, &self.config.wavelet);
+        if !(wavelet.enabled && iteration.is_multiple_of(wavelet.every)) {
+            return Ok(None);
+        }
         let multiple = 1 << wavelet.levels;
         let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
         let settings = wavelet.settings();
         let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
         let there = field.on(&block);
         let loss = wavelet_loss(there.voxels().view(), &routing, &settings);
-        there.pull_back(loss.gradient.view(), gradient);
-        Ok(loss.value)
+        let mut gradient = field.zero_gradient();
+        there.pull_back(loss.gradient.view(), &mut gradient);
+        Ok(Some((loss.value, gradient)))
     }
 
-    /// The pull of ν towards its target `[Eq. 10]`.
-    fn pull_on_nu(&self, physical: &Primitives, gradient: &mut Parameters) -> f64 {
-        let weight = self.config.confidence.weight;
-        let (value, d_nu) = nu_loss(&physical.parameters.nu, &self.targets, &self.state.confidence, weight);
-        gradient.nu.iter_mut().zip(d_nu).for_each(|(gradient, d)| *gradient += d);
-        value
+    /// The gradient of the view and of the blocks together; blocks may leave the centres alone.
+    fn with_blocks(&self, mut gradient: FieldGradient, of_blocks: Vec<FieldGradient>) -> FieldGradient {
+        if self.config.loss.blocks_move {
+            of_blocks.iter().for_each(|block| gradient.add(block));
+            return gradient;
+        }
+        let together = |mut all: FieldGradient, block| {
+            all.add(&block);
+            all
+        };
+        if let Some(mut held) = of_blocks.into_iter().reduce(together) {
+            held.hold_centres();
+            gradient.add(&held);
+        }
+        gradient
+    }
+
+    /// The pull of ν towards its target `[Eq. 10]` and its gradient, if it counts.
+    fn pull_on_nu(&self, physical: &Primitives) -> Option<(f64, Vec<f64>)> {
+        let settings = &self.config.confidence;
+        let loss = || nu_loss(&physical.parameters.nu, &self.targets, &self.state.confidence, settings.weight);
+        settings.enabled.then(loss)
     }
 
     /// Adds, moves and removes primitives if that is due.

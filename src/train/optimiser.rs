@@ -2,6 +2,7 @@
 
 use crate::config::{Config, PositionOptimiser};
 use crate::numeric::rng::{self, Purpose};
+use crate::numeric::threads;
 use crate::optim::schedule::pace;
 use crate::optim::sghmc::{Phase, Stir, gate};
 use crate::optim::{Adam, Exponential, Sghmc};
@@ -40,21 +41,26 @@ impl Optimiser {
     pub(super) fn step(&mut self, raw: &mut Parameters, gradient: &Parameters, step: &Step<'_>) {
         let o = &step.config.optimiser;
         let pace = pace(o.horizon, step.config.iterations);
-        for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
-            let [first, last] = match group {
-                Group::Mean => o.mean,
-                Group::Scale => o.scale,
-                Group::Quaternion => o.quaternion,
-                Group::Density => o.density,
-                Group::Nu => o.nu,
-            };
-            let rate = pace * Exponential { first, last, steps: step.config.iterations }.at(step.done);
-            if group == Group::Mean && o.position != PositionOptimiser::Adam {
-                sample(&mut self.sghmc, adam, raw, gradient, rate.sqrt(), step);
-            } else {
-                adam.step(raw.group_mut(group), gradient.group(group), rate);
+        let rate =
+            |[first, last]: [f64; 2]| pace * Exponential { first, last, steps: step.config.iterations }.at(step.done);
+        let (of_mean, others) = self.adam.split_first_mut().expect("one for each group");
+        let Parameters { mean, scale, quaternion, density, nu } = raw;
+        let values = [scale.as_flattened_mut(), quaternion.as_flattened_mut(), density, nu];
+        let ends = [o.scale, o.quaternion, o.density, o.nu];
+        let mut others: Vec<_> = others.iter_mut().zip(&Group::ALL[1..]).zip(values).zip(ends).collect();
+        let move_positions = || match o.position {
+            PositionOptimiser::Adam => {
+                of_mean.step(mean.as_flattened_mut(), gradient.group(Group::Mean), rate(o.mean));
             }
-        }
+            _ => sample(&mut self.sghmc, of_mean, mean, gradient, rate(o.mean).sqrt(), step),
+        };
+        let step_others = || {
+            threads::for_each_chunk(&mut others, 1, |_, other| {
+                let (((adam, group), values), ends) = &mut other[0];
+                adam.step(values, gradient.group(**group), rate(*ends));
+            });
+        };
+        threads::both(move_positions, step_others);
     }
 
     /// Takes over a new population: old rows keep what is remembered of them.
@@ -67,7 +73,14 @@ impl Optimiser {
 }
 
 /// One step of the positions by SGHMC.
-fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &Parameters, rate: f64, step: &Step<'_>) {
+fn sample(
+    sghmc: &mut Sghmc,
+    adam: &mut Adam,
+    mean: &mut [[f64; 3]],
+    gradient: &Parameters,
+    rate: f64,
+    step: &Step<'_>,
+) {
     let settings = &step.config.sghmc;
     let calmer = pace(step.config.optimiser.horizon, step.config.iterations).sqrt();
     let (burn_in_friction, friction) = (settings.burn_in_friction / calmer, settings.friction / calmer);
@@ -79,7 +92,7 @@ fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &P
     if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
         let energy: Vec<_> = gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)).collect();
         let free = |i| Stir { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
-        return sghmc.step(&mut raw.mean, &energy, rate, Phase::Sampling(friction), free);
+        return sghmc.step(mean, &energy, rate, Phase::Sampling(friction), free);
     }
     let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
     let phase = if burning { Phase::BurnIn(burn_in_friction) } else { Phase::Sampling(friction) };
@@ -93,5 +106,5 @@ fn sample(sghmc: &mut Sghmc, adam: &mut Adam, raw: &mut Parameters, gradient: &P
     };
     let direction = adam.direction(gradient.group(Group::Mean));
     let (direction, _) = direction.as_chunks::<3>();
-    sghmc.step(&mut raw.mean, direction, rate, phase, stir);
+    sghmc.step(mean, direction, rate, phase, stir);
 }
