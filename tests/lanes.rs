@@ -16,7 +16,7 @@ use trgs::numeric::{Lanes, NEAR, Real};
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Detector, Scanner};
-use wide::{f32x8, f64x4};
+use wide::{f32x8, f32x16, f64x4, f64x8};
 
 /// Zeros, subnormals, the smallest and largest numbers, infinities, NaN, halves that round either way, random numbers of
 /// every size and sign; exact in single precision.
@@ -338,4 +338,13 @@ fn rays_through_voxels_are_plain_numbers_at_every_pitch() {
         assert!(voxels::<f32>(pitch) == voxels::<Plain32<16>>(pitch), "f32 at pitch {pitch}");
         assert!(voxels::<f64>(pitch) == voxels::<Plain64<8>>(pitch), "f64 at pitch {pitch}");
     }
+}
+
+#[test]
+fn exp2_is_exact_at_the_integers_down_to_the_horizon() {
+    for n in 0..=126 {
+        assert_eq!(Lanes::exp2(f32x16::splat(-(n as f32))).to_array()[0], libm::exp2f(-(n as f32)));
+        assert_eq!(Lanes::exp2(f64x8::splat(-f64::from(n))).to_array()[7], libm::exp2(-f64::from(n)));
+    }
+    assert_eq!(Lanes::exp2(f64x8::splat(-1022.0)).to_array()[7], f64::MIN_POSITIVE);
 }

@@ -17,6 +17,8 @@ const CHUNK: usize = 256;
 const GATE: (f64, f64) = (100.0, 0.005);
 /// A gate below this is shut: what it would let through is lost in the rounding of any position.
 const SHUT: f64 = 1e-12;
+/// An argument whose logistic function is below [`SHUT`]: most primitives' is, so their exponential need not be found.
+const FAR: f64 = -28.0;
 
 /// Momentum of M positions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -57,7 +59,8 @@ impl Stir {
 /// Not in the paper: the gate of 3D Student Splatting, with densities in the place of opacities. Tests:
 /// `the_gate_opens_for_what_is_nearly_gone`.
 pub fn gate(density: f64, reference: f64) -> f64 {
-    let open = sigmoid(GATE.0 * (GATE.1 - (density / reference).min(1.0)));
+    let opened = GATE.0 * (GATE.1 - (density / reference).min(1.0));
+    let open = if opened < FAR { 0.0 } else { sigmoid(opened) };
     if open < SHUT { 0.0 } else { open }
 }
 
@@ -140,6 +143,7 @@ mod tests {
         approx::assert_relative_eq!(gate(0.1, 2.0), gate(0.05, 1.0));
         assert!(gate(0.05, 1.0) < 0.02 && gate(0.05, 1.0) > 0.0);
         assert_eq!((gate(0.5, 1.0), gate(40.0, 1.0)), (0.0, 0.0));
+        assert!(sigmoid(FAR) < SHUT && gate(0.28, 1.0) > 0.0);
     }
 
     #[test]

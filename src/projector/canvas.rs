@@ -68,7 +68,7 @@ impl<R: Real> Board<R> for Canvas<R> {
 /// Rows and slices of a register of a volume.
 pub(super) const PAIR: usize = 2;
 /// Voxels of a register with the same column.
-const BUNDLE: usize = PAIR * PAIR;
+pub(super) const BUNDLE: usize = PAIR * PAIR;
 
 /// The part of a grid that [`Blocks`] hold: slices from an even one on, all rows, and some columns.
 #[derive(Clone, Debug)]

@@ -1,6 +1,6 @@
 //! A primitive in the grid's slices: what differs from slice to slice, and the registers that its support reaches.
 
-use super::canvas::{Blocks, HALF, PAIR, Window};
+use super::canvas::{BUNDLE, Blocks, HALF, PAIR, Window};
 use super::column::{Column, Stance};
 use super::footprint::Extent;
 use super::kernel::{Reach, STRIP};
@@ -108,7 +108,7 @@ impl Solid {
     /// pairs of slices from `slice` on, one pair after the other, in a strip of rows. The first of them all starts at the first
     /// column, from `column` on, that the pair's support can reach, and `shift` columns further.
     #[inline(always)]
-    fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, column: usize, shift: usize) -> Ends<L> {
+    fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, column: usize, shift: usize) -> Ends {
         let Self { plane, ridge_x, ax, xx, step, .. } = self;
         let splat = |value: f64| L::splat(real(value));
         let wide = Window::wide::<L>();
@@ -152,18 +152,21 @@ impl Solid {
         let reach = room.sqrt() * splat(1.0 / plane.b) + splat(spare);
         let low = (ridge - reach).at_least(splat(0.0));
         let high = (ridge + splat(turn.abs() + bend.abs()) + reach).at_most(splat(rows.len() as f64 - 1.0));
-        let high = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(-1.0), high);
-        [across, low, high].map(|lanes| {
-            let mut values = [L::Scalar::ZERO; WIDEST];
-            lanes.write(&mut values);
-            values
+        // None where the last row is above the first one.
+        let per_row = splat(1.0 / PAIR as f64);
+        let end = low.select_le(high, high * per_row + splat(1.0), splat(0.0));
+        let end = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(0.0), end);
+        [across, low * per_row, end].map(|lanes| {
+            let mut indices = [0; WIDEST];
+            L::write_indices(lanes.split().0, &mut indices);
+            indices
         })
     }
 }
 
-/// For each lane the column, from the first one on, and the first and last row of a strip; the last one is below the first
-/// where there is nothing.
-type Ends<L> = [[<L as Lanes>::Scalar; WIDEST]; 3];
+/// For each lane the column, from the first one on, and where its registers begin and end in a strip: there is none where the
+/// end is not beyond the beginning.
+type Ends = [[u32; WIDEST]; 3];
 
 /// What differs from slice to slice in a solid's [`Plane`], and the slice's own coordinate x.
 struct Level {
@@ -200,18 +203,19 @@ impl<R: Real> Reach<R> for Placed<'_> {
             for strip in rows.clone().step_by(STRIP) {
                 let strip = strip..rows.end.min(strip + STRIP);
                 for shift in (0..columns.len()).step_by(abreast) {
-                    let [across, low, high] = solid.ends::<R::Lanes>(some, &strip, columns.start, shift);
-                    let ends = across.chunks_exact(ACROSS).zip(low.chunks_exact(ACROSS)).zip(high.chunks_exact(ACROSS));
-                    for (slice, ((across, low), high)) in
-                        (some..slices.end.min(some + together)).step_by(PAIR).zip(ends)
-                    {
+                    let [across, begin, end] = solid.ends::<R::Lanes>(some, &strip, columns.start, shift);
+                    for slice in (some..slices.end.min(some + together)).step_by(PAIR) {
                         let stance = Stance::of_slices([solid.level(slice), solid.level(slice + 1)]);
-                        let there = (columns.start + across[0].to_f64() as usize..columns.end).step_by(wide);
-                        for (column, (low, high)) in there.zip(low.iter().zip(high)) {
-                            if low <= high {
-                                let place = window.place::<R::Lanes>(slice, strip.start, column);
-                                let some = low.to_f64() as usize / PAIR..high.to_f64() as usize / PAIR + 1;
-                                visit(Column::new(&solid.plane, &stance, strip.start, column, both_rows), place, some);
+                        let first = (slice - some) / PAIR * ACROSS;
+                        let left = columns.start + across[first] as usize;
+                        let place = window.place::<R::Lanes>(slice, strip.start, window.columns.start);
+                        for lane in first..first + ACROSS {
+                            let column = left + (lane - first) * wide;
+                            let registers = begin[lane] as usize..end[lane] as usize;
+                            if column < columns.end && !registers.is_empty() {
+                                let place = place + BUNDLE * (column - window.columns.start);
+                                let column = Column::new(&solid.plane, &stance, strip.start, column, both_rows);
+                                visit(column, place, registers);
                             }
                         }
                     }

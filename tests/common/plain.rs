@@ -197,6 +197,9 @@ macro_rules! plain {
             fn split(self) -> ([usize; W], Self) {
                 (self.0.map(|value| value.0.floor() as usize), Self(self.0.map(|value| $number(value.0 - value.0.floor()))))
             }
+            fn write_indices(index: [usize; W], indices: &mut [u32]) {
+                indices.iter_mut().zip(index).for_each(|(to, whole)| *to = whole as u32);
+            }
             fn pick(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
                 Self::from_fn(|i| tables[2 * i / W][..W / 2].get(index[i]).copied().unwrap_or_default())
             }
