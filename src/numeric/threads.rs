@@ -93,3 +93,25 @@ pub fn for_each_chunk_in<T: Send, S: Send>(
         spare().push(space);
     });
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[test]
+    fn every_chunk_is_worked_on_once_and_no_more_spaces_are_made_than_workers() {
+        let (made, mut values) = (AtomicUsize::new(0), vec![0; 1003]);
+        let make = || {
+            made.fetch_add(1, Ordering::Relaxed);
+            0
+        };
+        let work = |index: usize, chunk: &mut [usize], used: &mut usize| {
+            *used += 1;
+            chunk.iter_mut().for_each(|value| *value += index + 1);
+        };
+        install(3, || for_each_chunk_in(&mut values, 10, make, work)).unwrap();
+        assert!(values.iter().enumerate().all(|(i, &value)| value == i / 10 + 1));
+        assert!((1..=3).contains(&made.into_inner()));
+    }
+}
