@@ -6,5 +6,6 @@ mod polynomials;
 pub mod reduce;
 pub mod rng;
 pub mod threads;
+pub mod vectors;
 
 pub use lanes::{Lanes, NEAR, NEAR_ONE, Real, real};

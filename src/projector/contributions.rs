@@ -7,6 +7,7 @@ use super::patch::Patch;
 use super::shape::CHUNK;
 use super::solid::{Placed, Solid};
 use super::{Field, Projection, ViewField};
+use crate::numeric::vectors::EIGHT;
 use crate::numeric::{Lanes, Real, threads};
 use crate::scene::Grid;
 use std::ops::Range;
@@ -104,7 +105,7 @@ impl<R: Kernels> Field<R> {
             let mut voxel = [R::ZERO];
             let one = |i: usize| {
                 blocks.clear();
-                let solid = &Solid::new(&self.shapes[i], grid);
+                let [solid, ..] = &Solid::eight([&self.shapes[i]; EIGHT], grid);
                 kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
                 blocks.read(x, y, &mut voxel);
                 voxel[0]

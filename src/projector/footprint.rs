@@ -8,11 +8,11 @@
 use super::Projection;
 use super::kernel::Sums;
 use super::patch::Patch;
-use super::plane::Plane;
-use super::shape::{Shape, ShapeGradient};
-use crate::numeric::elementary::{length, unit};
+use super::plane::{Plane, Planes};
+use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
+use crate::numeric::Lanes;
+use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
 use crate::scene::{Beam, Scanner, View};
-use glam::{DMat3, DVec2, DVec3};
 use std::ops::Range;
 
 /// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
@@ -33,137 +33,215 @@ pub(super) struct Footprint {
     pub(super) rows: Range<usize>,
     /// Columns of the support.
     pub(super) columns: Range<usize>,
-    geometry: Geometry,
+    geometry: Geometry<f64>,
 }
 
-/// What the way back needs.
+/// What the way back needs, of one primitive or of eight.
 #[derive(Clone, Copy, Debug, Default)]
-struct Geometry {
+struct Geometry<N> {
     /// `(â, b̂)`: the centre's ray is d0 = (â, b̂, 1) in the camera's axes.
-    slope: DVec2,
+    slope: [N; 2],
     /// 1/depth of the centre; 0 for a parallel beam.
-    kappa: f64,
+    kappa: N,
     /// d0, whitened; `A0 = |p0|²`.
-    p0: DVec3,
+    p0: [N; 3],
     /// `uᵀΣ⁻¹d0`, `vᵀΣ⁻¹d0`.
-    g: DVec2,
+    g: [N; 2],
     /// The plane's coordinates per length: y = b·β + ab·α, z = a·α.
-    b: f64,
-    ab: f64,
-    a: f64,
+    b: N,
+    ab: N,
+    a: N,
     /// Half the detector along (u, v) as lengths in the plane through the centre.
-    half: DVec2,
+    half: [N; 2],
 }
 
-impl Geometry {
+impl Geometry<Eight> {
+    fn of(footprints: [&Footprint; EIGHT]) -> Self {
+        let of = footprints.map(|footprint| &footprint.geometry);
+        Self {
+            slope: [0, 1].map(|axis| each(|i| of[i].slope[axis])),
+            kappa: each(|i| of[i].kappa),
+            p0: [0, 1, 2].map(|axis| each(|i| of[i].p0[axis])),
+            g: [0, 1].map(|axis| each(|i| of[i].g[axis])),
+            b: each(|i| of[i].b),
+            ab: each(|i| of[i].ab),
+            a: each(|i| of[i].a),
+            half: [0, 1].map(|axis| each(|i| of[i].half[axis])),
+        }
+    }
+
+    fn to_array(self) -> [Geometry<f64>; EIGHT] {
+        let (slope, p0, g) =
+            (self.slope.map(Eight::to_array), self.p0.map(Eight::to_array), self.g.map(Eight::to_array));
+        let half = self.half.map(Eight::to_array);
+        let [kappa, b, ab, a] = [self.kappa, self.b, self.ab, self.a].map(Eight::to_array);
+        std::array::from_fn(|i| Geometry {
+            slope: slope.map(|of| of[i]),
+            kappa: kappa[i],
+            p0: p0.map(|of| of[i]),
+            g: g.map(|of| of[i]),
+            b: b[i],
+            ab: ab[i],
+            a: a[i],
+            half: half.map(|of| of[i]),
+        })
+    }
+
+    fn p0(&self) -> Vectors {
+        let [x, y, z] = self.p0;
+        Vectors::new(x, y, z)
+    }
+
     /// Orthonormal whitened axes of y and z, perpendicular to p0.
-    fn axes(&self, whitened_v: DVec3) -> (DVec3, DVec3) {
-        let q_y = unit(self.p0.cross(whitened_v).cross(self.p0));
-        (q_y, q_y.cross(unit(self.p0)))
+    fn axes(&self, whitened_v: Vectors) -> (Vectors, Vectors) {
+        let p0 = self.p0();
+        let q_y = p0.cross(whitened_v).cross(p0).unit();
+        (q_y, q_y.cross(p0.unit()))
     }
 
     /// `gᵀ(α, β)` in terms of y and z.
-    fn g_yz(&self) -> DVec2 {
-        DVec2::new(self.g.y / self.b, (self.g.x - self.g.y * self.ab / self.b) / self.a)
+    fn g_yz(&self) -> [Eight; 2] {
+        let [u, v] = self.g;
+        [v / self.b, (u - v * self.ab / self.b) / self.a]
     }
 
     /// From a vector in the (y, z) axes to its product with the detector's axes, `(pᵤ·, pᵥ·)`.
-    fn on_detector(&self, yz: DVec2) -> DVec2 {
-        DVec2::new(self.ab * yz.x + self.a * yz.y, self.b * yz.x)
+    fn on_detector(&self, [y, z]: [Eight; 2]) -> [Eight; 2] {
+        [self.ab * y + self.a * z, self.b * y]
     }
 }
 
-impl Footprint {
-    /// The primitive as the view sees it.
-    #[inline]
-    pub(super) fn new(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> Self {
-        let Some((mut plane, geometry, support)) = Self::prepare(shape, scanner, view, projection) else {
-            return Self::default();
-        };
-        let [rows, columns] = [scanner.detector.rows, scanner.detector.columns];
-        let (rows, columns) = match support.extents(shape.limit * shape.unit) {
-            Some([row, column]) => (row.indices(rows), column.indices(columns)),
-            None => (0..rows, 0..columns),
-        };
-        plane.bound(&rows, &columns);
-        Self { seen: true, plane, rows, columns, geometry }
-    }
+/// What footprints are made from, of eight primitives.
+struct Prepared {
+    /// Where not 0: it is neither near nor behind the source.
+    seen: Eight,
+    planes: Planes,
+    geometry: Geometry<Eight>,
+    support: Support,
+}
 
-    /// The box of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has it.
-    pub(super) fn support_box(shape: &Shape, scanner: &Scanner, view: &View, projection: Projection) -> [f64; 4] {
-        const ALL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
-        const NONE: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
-        let [[top, bottom], [left, right]] = match Self::prepare(shape, scanner, view, projection) {
-            None => [NONE; 2],
-            Some((_, _, support)) => {
-                support.extents(shape.reach * shape.unit).map_or([ALL; 2], |both| both.map(|e| [e.low, e.high]))
-            }
-        };
-        [top, bottom, left, right]
-    }
-
-    /// All but the rows and columns, which follow from the support. `None` for a primitive that is left out.
+impl Prepared {
     #[inline(always)]
-    fn prepare(
-        shape: &Shape,
-        scanner: &Scanner,
-        view: &View,
-        projection: Projection,
-    ) -> Option<(Plane, Geometry, Support)> {
+    fn new(shapes: [&Shape; EIGHT], scanner: &Scanner, view: &View, projection: Projection) -> Self {
         let detector = &scanner.detector;
-        let m = view.to_camera(shape.mean);
-        let (kappa, slope, step_u, step_v) = match scanner.beam {
+        let (vu, vv, vw) = (Vectors::all(view.u), Vectors::all(view.v), Vectors::all(view.w));
+        let offset = Vectors::each(|i| shapes[i].mean) - Vectors::all(view.source);
+        let m = [vu.dot(offset), vv.dot(offset), vw.dot(offset)];
+        let (seen, kappa, slope, [step_u, step_v], [u, v]) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
-                if m.z <= NEAR * dso {
-                    return None;
-                }
-                let kappa = 1.0 / m.z;
+                let kappa = all(1.0) / m[2];
                 (
+                    m[2].simd_gt(all(NEAR * dso)),
                     kappa,
-                    DVec2::new(m.x * kappa, m.y * kappa),
-                    detector.pitch_u * m.z / dsd,
-                    detector.pitch_v * m.z / dsd,
+                    [m[0] * kappa, m[1] * kappa],
+                    [all(detector.pitch_u) * m[2] / all(dsd), all(detector.pitch_v) * m[2] / all(dsd)],
+                    [all(dsd) * m[0] / m[2], all(dsd) * m[1] / m[2]],
                 )
             }
-            Beam::Parallel { .. } => (0.0, DVec2::ZERO, detector.pitch_u, detector.pitch_v),
+            Beam::Parallel { .. } => {
+                let zero = all(0.0);
+                (zero.simd_eq(zero), zero, [zero; 2], [detector.pitch_u, detector.pitch_v].map(all), [m[0], m[1]])
+            }
         };
-        let (u, v) = scanner.project(m)?;
-        let (row_centre, column_centre) = detector.pixel(u, v);
-        let d0 = view.w + view.u * slope.x + view.v * slope.y;
-        let (p0, pu, pv) = (shape.whitening * d0, shape.whitening * view.u, shape.whitening * view.v);
+        let at = |along: Eight, offset: f64, pitch: f64, count: usize| {
+            (along - all(offset)) / all(pitch) + all(count as f64 / 2.0) - all(0.5)
+        };
+        let row_centre = at(v, detector.offset_v, detector.pitch_v, detector.rows);
+        let column_centre = at(u, detector.offset_u, detector.pitch_u, detector.columns);
+        let d0 = vw + vu * slope[0] + vv * slope[1];
+        let whitening = whitening(shapes);
+        let (p0, pu, pv) = (whitening * d0, whitening * vu, whitening * vv);
         let a0 = p0.length_squared();
-        let g = DVec2::new(pu.dot(p0), pv.dot(p0));
+        let g = [pu.dot(p0), pv.dot(p0)];
         let (cu, cv) = (p0.cross(pu), p0.cross(pv));
         let c = [cu.length_squared() / a0, cu.dot(cv) / a0, cv.length_squared() / a0];
         let b = c[2].sqrt();
-        let half = DVec2::new(step_u * detector.columns as f64, step_v * detector.rows as f64) / 2.0;
-        let geometry =
-            Geometry { slope, kappa, p0, g, b, ab: c[1] / b, a: shape.determinant() / (a0.sqrt() * b), half };
-        let unit_root = shape.unit.sqrt();
-        let mut plane = Plane {
+        let half =
+            [step_u * all(detector.columns as f64), step_v * all(detector.rows as f64)].map(|side| side / all(2.0));
+        let determinant = each(|i| shapes[i].determinant());
+        let a = determinant / (a0.sqrt() * b);
+        let geometry = Geometry { slope, kappa, p0: [p0.x, p0.y, p0.z], g, b, ab: c[1] / b, a, half };
+        let unit = each(|i| shapes[i].unit);
+        let unit_root = unit.sqrt();
+        let line = each(|i| shapes[i].density * shapes[i].line.0);
+        let mut planes = Planes {
             row_centre,
             column_centre,
             slant: -geometry.ab * step_u / (b * step_v),
             b: b * step_v / unit_root,
-            a: geometry.a * step_u / unit_root,
-            q: (shape.nu + 2.0) / 2.0,
-            weight: shape.density * shape.line.0 / a0.sqrt(),
-            limit: shape.limit,
-            ..Plane::default()
+            a: a * step_u / unit_root,
+            shift: all(0.0),
+            floor: all(0.0),
+            h_y: all(0.0),
+            h_z: all(0.0),
+            k: all(0.0),
+            q: each(|i| (shapes[i].nu + 2.0) / 2.0),
+            weight: line / a0.sqrt(),
+            limit: each(|i| shapes[i].limit),
         };
-        let (mut s, mut k) = (DVec2::ZERO, 0.0);
+        let (mut s, mut k) = ([all(0.0); 2], all(0.0));
         match projection {
             Projection::Exact => {
-                (s, k) = (g * (kappa / a0), kappa * kappa / a0);
-                let h = geometry.g_yz() * (kappa / a0 * unit_root);
-                (plane.h_y, plane.h_z, plane.k) = (h.x, h.y, k * shape.unit);
+                (s, k) = (g.map(|g| g * (kappa / a0)), kappa * kappa / a0);
+                let [h_y, h_z] = geometry.g_yz().map(|g| g * (kappa / a0 * unit_root));
+                (planes.h_y, planes.h_z, planes.k) = (h_y, h_z, k * unit);
             }
-            Projection::Affine => plane.weight *= length(d0),
+            Projection::Affine => planes.weight *= d0.length(),
         }
         // The determinant of c is taken from its factors, which have all their digits.
-        let det_c = geometry.a * geometry.a * geometry.b * geometry.b;
+        let det_c = a * a * b * b;
         let support = Support { centre: [row_centre, column_centre], steps: [step_v, step_u], c, det_c, s, k };
-        Some((plane, geometry, support))
+        Self { seen, planes, geometry, support }
+    }
+}
+
+impl Footprint {
+    /// Primitives as the view sees them.
+    pub(super) fn eight(
+        shapes: [&Shape; EIGHT],
+        scanner: &Scanner,
+        view: &View,
+        projection: Projection,
+    ) -> [Self; EIGHT] {
+        let Prepared { seen, planes, geometry, support } = Prepared::new(shapes, scanner, view, projection);
+        let counts = [scanner.detector.rows, scanner.detector.columns];
+        let unit = each(|i| shapes[i].unit);
+        let (ellipse, extents) = support.extents(planes.limit * unit);
+        let [rows, columns] = [0, 1].map(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
+        let planes = planes.to_array(&planes.bounds(rows, columns));
+        let (rows, columns, geometry) = (rows.ranges(), columns.ranges(), geometry.to_array());
+        let seen = seen.to_bitmask();
+        std::array::from_fn(|i| match seen >> i & 1 {
+            0 => Self::default(),
+            _ => Self {
+                seen: true,
+                plane: planes[i],
+                rows: rows[i].clone(),
+                columns: columns[i].clone(),
+                geometry: geometry[i],
+            },
+        })
+    }
+
+    /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has them.
+    pub(super) fn support_boxes(
+        shapes: [&Shape; EIGHT],
+        scanner: &Scanner,
+        view: &View,
+        projection: Projection,
+    ) -> [[f64; 4]; EIGHT] {
+        let Prepared { seen, support, .. } = Prepared::new(shapes, scanner, view, projection);
+        let (ellipse, extents) = support.extents(each(|i| shapes[i].reach * shapes[i].unit));
+        let ends = extents.map(|extent| [(extent.low, -1.0), (extent.high, 1.0)]);
+        let ends = ends.as_flattened().iter().map(|&(end, sign)| {
+            let (all_of_it, none) = (all(sign * f64::INFINITY), all(-sign * f64::INFINITY));
+            seen.select(ellipse.select(end, all_of_it), none).to_array()
+        });
+        let mut boxes = [[0.0; 4]; EIGHT];
+        for (side, ends) in ends.enumerate() {
+            boxes.iter_mut().zip(ends).for_each(|(sides, end)| sides[side] = end);
+        }
+        boxes
     }
 
     /// Whether any pixel can see it.
@@ -181,137 +259,180 @@ impl Footprint {
         Patch::new(&self.plane, rows, self.columns.clone(), top, stride)
     }
 
-    /// From sums over pixels to the gradient of mean, precision matrix, density and ν. Mirrors [`Self::new`].
-    pub(super) fn pull_back(&self, shape: &Shape, view: &View, projection: Projection, sums: &Sums) -> ShapeGradient {
-        let geometry = &self.geometry;
-        let Geometry { slope, kappa, p0, g, .. } = *geometry;
+    /// From sums over pixels to the gradients of mean, precision matrix, density and ν. Mirrors [`Self::eight`].
+    pub(super) fn pull_back(
+        footprints: [&Self; EIGHT],
+        shapes: [&Shape; EIGHT],
+        view: &View,
+        projection: Projection,
+        sums: &[Sums; EIGHT],
+    ) -> [ShapeGradient; EIGHT] {
+        let geometry = Geometry::of(footprints);
+        let Geometry { slope, kappa, g, .. } = geometry;
+        let p0 = geometry.p0();
         let a0 = p0.length_squared();
-        let weight = self.plane.weight;
-        let unit_root = shape.unit.sqrt();
+        let weight = each(|i| footprints[i].plane.weight);
+        let unit = each(|i| shapes[i].unit);
+        let unit_root = unit.sqrt();
         // Sums with the weight in and lengths for units: Σ G (y, z), Σ G (yy, yz, zz); the same of h; of k.
-        let [_, y, z, yy, yz, zz] = sums.distance.map(|x| x * weight);
-        let first = DVec2::new(y, z) / unit_root;
-        let [h, hy, hz] = sums.h.map(|x| 2.0 * x * weight);
-        let d_h = DVec2::new(hy, hz) * unit_root;
-        let d_k = sums.k * weight * shape.unit;
+        let [y, z, yy, yz, zz] = [1, 2, 3, 4, 5].map(|j| each(|i| sums[i].distance[j]) * weight);
+        let first = [y / unit_root, z / unit_root];
+        let [h, hy, hz] = [0, 1, 2].map(|j| all(2.0) * each(|i| sums[i].h[j]) * weight);
+        let d_h = [hy * unit_root, hz * unit_root];
+        let k_sum = each(|i| sums[i].k) * weight;
+        let d_k = k_sum * unit;
         let g_yz = geometry.g_yz();
 
         // The weight: ρ · line · a0^-½ (· |d0| if affine).
-        let d_weight = sums.value;
-        let d0_squared = 1.0 + slope.length_squared();
-        let per_density =
-            shape.line.0 / a0.sqrt() * if projection == Projection::Affine { d0_squared.sqrt() } else { 1.0 };
-
-        // ν at constant δ: the exponent's half, the 1/ν's half (Σ a·x, read off the moments), and the line integral.
-        let d_nu = if shape.nu.is_finite() {
-            let d_x = (sums.k * weight * self.plane.k - yy - zz) / shape.nu;
-            -0.5 * std::f64::consts::LN_2 * sums.log * weight + d_x + shape.line.1 / shape.line.0 * weight * d_weight
-        } else {
-            0.0
+        let d_weight = each(|i| sums[i].value);
+        let d0_squared = all(1.0) + (slope[0] * slope[0] + slope[1] * slope[1]);
+        let line = each(|i| shapes[i].line.0);
+        let per_density = match projection {
+            Projection::Affine => line / a0.sqrt() * d0_squared.sqrt(),
+            Projection::Exact => line / a0.sqrt(),
         };
 
+        // ν at constant δ: the exponent's half, the 1/ν's half (Σ a·x, read off the moments), and the line integral.
+        let nu = each(|i| shapes[i].nu);
+        let d_x = (k_sum * each(|i| footprints[i].plane.k) - yy - zz) / nu;
+        let log = each(|i| sums[i].log);
+        let d_line = each(|i| shapes[i].line.1) / line;
+        let d_nu = all(-0.5 * std::f64::consts::LN_2) * log * weight + d_x + d_line * weight * d_weight;
+        let d_nu = nu.select_le(all(f64::MAX), d_nu, all(0.0));
+
         // Σ⁻¹ at fixed centre: δ = |e|² for the nearest point e = y·q_y + z·q_z, A0 = |p0|², and h's slope on p0.
-        let (q_y, q_z) = geometry.axes(shape.whitening * view.v);
-        let d_a0 = -(0.5 * weight * d_weight + kappa * kappa * d_k / a0) / a0;
-        let precision = symmetric(q_y, q_y, yy)
-            + symmetric(q_y, q_z, 2.0 * yz)
-            + symmetric(q_z, q_z, zz)
-            + symmetric(q_y * d_h.x + q_z * d_h.y, p0, kappa / a0)
-            + symmetric(p0, p0, d_a0);
+        let whitening = whitening(shapes);
+        let (q_y, q_z) = geometry.axes(whitening * Vectors::all(view.v));
+        let d_a0 = -(all(0.5) * weight * d_weight + kappa * kappa * d_k / a0) / a0;
+        let precision = Symmetric::new(q_y, q_y, yy)
+            + Symmetric::new(q_y, q_z, all(2.0) * yz)
+            + Symmetric::new(q_z, q_z, zz)
+            + Symmetric::new(q_y * d_h[0] + q_z * d_h[1], p0, kappa / a0)
+            + Symmetric::new(p0, p0, d_a0);
 
         // The centre's place in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
-        let hs = if projection == Projection::Exact { g * (kappa / a0) } else { DVec2::ZERO };
-        let d_offset = geometry.on_detector(first) * 2.0 + hs * h;
-        let mut d_m = DVec3::new(-d_offset.x, -d_offset.y, 0.0);
-        if kappa > 0.0 {
-            let g_h = g_yz.dot(d_h);
-            d_m.z = slope.dot(d_offset) + kappa * (2.0 * (yy + zz) + kappa / a0 * g_h);
-            // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|.
-            let along = DVec2::new(yy * g_yz.x + yz * g_yz.y, yz * g_yz.x + zz * g_yz.y);
-            let mut d_slope = geometry.on_detector(along * (-2.0 / a0) + d_h * (kappa / a0));
-            d_slope += g * (2.0 * d_a0 - kappa * g_h / (a0 * a0));
-            match projection {
-                Projection::Affine => d_slope += slope * (weight * d_weight / d0_squared),
-                Projection::Exact => d_m.z -= kappa * kappa * (g_h + 2.0 * kappa * d_k) / a0,
-            }
-            d_m.x += kappa * d_slope.x;
-            d_m.y += kappa * d_slope.y;
-            d_m.z -= kappa * slope.dot(d_slope);
+        let [mut d_offset_u, mut d_offset_v] = geometry.on_detector(first).map(|d| d * all(2.0));
+        if projection == Projection::Exact {
+            (d_offset_u, d_offset_v) = (d_offset_u + g[0] * (kappa / a0) * h, d_offset_v + g[1] * (kappa / a0) * h);
         }
-        ShapeGradient {
-            mean: view.u * d_m.x + view.v * d_m.y + view.w * d_m.z,
+        // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|. In a parallel beam κ is 0.
+        let g_h = g_yz[0] * d_h[0] + g_yz[1] * d_h[1];
+        let along = [yy * g_yz[0] + yz * g_yz[1], yz * g_yz[0] + zz * g_yz[1]];
+        let mut d_slope = geometry.on_detector([0, 1].map(|j| along[j] * (all(-2.0) / a0) + d_h[j] * (kappa / a0)));
+        let by_g = all(2.0) * d_a0 - kappa * g_h / (a0 * a0);
+        let by_slope = weight * d_weight / d0_squared;
+        let mut d_z = slope[0] * d_offset_u + slope[1] * d_offset_v + kappa * (all(2.0) * (yy + zz) + kappa / a0 * g_h);
+        d_slope = [0, 1].map(|j| d_slope[j] + g[j] * by_g);
+        match projection {
+            Projection::Affine => d_slope = [0, 1].map(|j| d_slope[j] + slope[j] * by_slope),
+            Projection::Exact => d_z -= kappa * kappa * (g_h + all(2.0) * kappa * d_k) / a0,
+        }
+        let d_u = kappa * d_slope[0] - d_offset_u;
+        let d_v = kappa * d_slope[1] - d_offset_v;
+        let d_z = d_z - kappa * (slope[0] * d_slope[0] + slope[1] * d_slope[1]);
+        let mean = Vectors::all(view.u) * d_u + Vectors::all(view.v) * d_v + Vectors::all(view.w) * d_z;
+        Gradients {
+            mean,
             precision,
             density: per_density * d_weight,
             nu: d_nu,
-            shadow: -d_offset * geometry.half,
+            shadow: [-d_offset_u * geometry.half[0], -d_offset_v * geometry.half[1]],
         }
+        .to_array()
     }
 }
 
-/// `factor · (a bᵀ + b aᵀ)/2`.
-pub(super) fn symmetric(a: DVec3, b: DVec3, factor: f64) -> DMat3 {
-    let half = 0.5 * factor;
-    DMat3::from_cols((a * b.x + b * a.x) * half, (a * b.y + b * a.y) * half, (a * b.z + b * a.z) * half)
-}
-
-/// The quadratic form of a primitive on the detector, in lengths (α, β) from its centre's shadow.
+/// The quadratic forms of eight primitives on the detector, in lengths (α, β) from their centre's shadow.
 struct Support {
     /// Row and column of the centre.
-    centre: [f64; 2],
+    centre: [Eight; 2],
     /// Lengths per row and per column.
-    steps: [f64; 2],
+    steps: [Eight; 2],
     /// `c_uu, c_uv, c_vv` of δ `[Eq. 4]`, and its determinant.
-    c: [f64; 3],
-    det_c: f64,
+    c: [Eight; 3],
+    det_c: Eight,
     /// `h = 1 + s·(α, β)` and k of the exact projection `[X1]`; 0 for the affine one.
-    s: DVec2,
-    k: f64,
+    s: [Eight; 2],
+    k: Eight,
 }
 
 impl Support {
-    /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`. `None` where
-    /// that is no ellipse: the support holds the source or passes beside it, or there is no cutoff.
-    fn extents(&self, cut: f64) -> Option<[Extent; 2]> {
+    /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`. The first is 0
+    /// where that is no ellipse: the support holds the source or passes beside it, or there is no cutoff.
+    fn extents(&self, cut: Eight) -> (Eight, [Extents; 2]) {
         let Self { centre: [row, column], steps: [step_v, step_u], c, det_c, s, k } = *self;
-        let t = 1.0 / cut - k;
+        let zero = all(0.0);
+        let t = all(1.0) / cut - k;
         // The conic's matrix is t·c - s sᵀ; its determinant is taken from that of c.
-        let s_adjugate = DVec2::new(c[2] * s.x - c[1] * s.y, c[0] * s.y - c[1] * s.x);
-        let determinant = t * (t * det_c - s.dot(s_adjugate));
-        let n = [t * c[0] - s.x * s.x, t * c[2] - s.y * s.y];
-        if !(t > 0.0 && n[0] > 0.0 && n[1] > 0.0 && determinant > 1e-9 * t * t * det_c) {
-            return None;
-        }
-        let centre = s_adjugate * (t / determinant);
-        let radius = 1.0 + s.dot(centre);
-        let half = DVec2::new((radius * n[1] / determinant).sqrt(), (radius * n[0] / determinant).sqrt());
-        Some([Extent::new(row, step_v, centre.y, half.y), Extent::new(column, step_u, centre.x, half.x)])
+        let s_adjugate = [c[2] * s[0] - c[1] * s[1], c[0] * s[1] - c[1] * s[0]];
+        let determinant = t * (t * det_c - (s[0] * s_adjugate[0] + s[1] * s_adjugate[1]));
+        let n = [t * c[0] - s[0] * s[0], t * c[2] - s[1] * s[1]];
+        let ellipse =
+            t.simd_gt(zero) & n[0].simd_gt(zero) & n[1].simd_gt(zero) & determinant.simd_gt(all(1e-9) * t * t * det_c);
+        let centre = s_adjugate.map(|s| s * (t / determinant));
+        let radius = all(1.0) + (s[0] * centre[0] + s[1] * centre[1]);
+        let half = [n[1], n[0]].map(|n| (radius * n / determinant).sqrt());
+        let extents = [Extents::new(row, step_v, centre[1], half[1]), Extents::new(column, step_u, centre[0], half[0])];
+        (ellipse, extents)
     }
 }
 
-/// An interval on an axis of pixels or voxels, in fractional indices.
+/// Eight intervals on an axis of pixels or voxels, in fractional indices.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Extent {
-    low: f64,
-    high: f64,
+pub(super) struct Extents {
+    low: Eight,
+    high: Eight,
     /// A breath of rounding, in indices.
-    slack: f64,
+    slack: Eight,
 }
 
-impl Extent {
+impl Extents {
     /// What lies within `half` of the offset `middle` from index `centre`; `step` is the length per index.
-    pub(super) fn new(centre: f64, step: f64, middle: f64, half: f64) -> Self {
+    #[inline(always)]
+    pub(super) fn new(centre: Eight, step: Eight, middle: Eight, half: Eight) -> Self {
         Self {
             low: centre + (middle - half) / step,
             high: centre + (middle + half) / step,
-            slack: 1e-9 * (1.0 + half / step),
+            slack: all(1e-9) * (all(1.0) + half / step),
         }
     }
 
-    /// The indices below `count` within, with the breath of rounding to spare.
-    pub(super) fn indices(self, count: usize) -> Range<usize> {
-        let first = (self.low - self.slack).ceil().max(0.0);
-        let last = (self.high + self.slack).floor().min(count as f64 - 1.0);
-        if first > last { 0..0 } else { first as usize..last as usize + 1 }
+    /// The indices below `count` within, with the breath of rounding to spare. What is not a number bounds nothing.
+    #[inline(always)]
+    pub(super) fn indices(self, count: usize) -> Indices {
+        let zero = all(0.0);
+        let first = (self.low - self.slack).ceil().at_least(zero);
+        let last = (self.high + self.slack).floor().at_most(all(count as f64 - 1.0));
+        let some = first.simd_le(last);
+        Indices { start: some.select(first, zero), end: some.select(last + all(1.0), zero) }
+    }
+}
+
+/// Eight ranges of indices; whole numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Indices {
+    pub(super) start: Eight,
+    pub(super) end: Eight,
+}
+
+impl Indices {
+    /// These where `some` is not 0, elsewhere all of `count`.
+    #[inline(always)]
+    fn or_all(self, some: Eight, count: usize) -> Self {
+        Self { start: some.select(self.start, all(0.0)), end: some.select(self.end, all(count as f64)) }
+    }
+
+    /// Numbers of indices.
+    #[inline(always)]
+    pub(super) fn len(self) -> Eight {
+        self.end - self.start
+    }
+
+    /// A range for each lane.
+    #[inline(always)]
+    pub(super) fn ranges(self) -> [Range<usize>; EIGHT] {
+        let (start, end) = (self.start.to_array(), self.end.to_array());
+        std::array::from_fn(|i| start[i] as usize..end[i] as usize)
     }
 }
 
@@ -337,7 +458,9 @@ mod tests {
     }
 
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
-        Footprint::new(&shape(mean, scale, 1e-2), &scanner(), &scanner().view(0.8), projection)
+        let [footprint, ..] =
+            Footprint::eight([&shape(mean, scale, 1e-2); EIGHT], &scanner(), &scanner().view(0.8), projection);
+        footprint
     }
 
     fn shape(mean: [f64; 3], scale: [f64; 3], cutoff: f64) -> Shape {
@@ -352,7 +475,7 @@ mod tests {
     }
 
     fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {
-        Footprint::support_box(&shape(mean, scale, cutoff), &scanner(), &scanner().view(0.8), projection)
+        Footprint::support_boxes([&shape(mean, scale, cutoff); EIGHT], &scanner(), &scanner().view(0.8), projection)[0]
     }
 
     /// Rows and columns that hold a pixel of the support, found by asking every pixel.
@@ -406,7 +529,8 @@ mod tests {
             let ((u0, v0), (u1, v1)) = (scanner.detector.position(top, left), scanner.detector.position(bottom, right));
             [v0, v1, u0, u1]
         };
-        let finer = Footprint::support_box(&shape(mean, scale, 1e-2), &fine, &fine.view(0.8), Projection::Exact);
+        let [finer, ..] =
+            Footprint::support_boxes([&shape(mean, scale, 1e-2); EIGHT], &fine, &fine.view(0.8), Projection::Exact);
         assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
         for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
             assert!((a - b).abs() < 1e-13, "{a} against {b}");

@@ -106,14 +106,13 @@ mod tests {
         for number in 0..400 {
             let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
             let shifted = Plane { shift: draw(-0.1, 0.1), floor: draw(0.0, 0.5), ..any(&mut draw) };
-            let mut plane = if number % 2 == 0 { Plane { h_y: 0.0, ..shifted } } else { shifted };
+            let plane = if number % 2 == 0 { Plane { h_y: 0.0, ..shifted } } else { shifted };
             let pixels: Vec<_> = (0..64 * 64).map(|i| (i / 64, i % 64)).filter(|&(r, c)| plane.reaches(r, c)).collect();
             let Some(&(top, _)) = pixels.first() else { continue };
             let bottom = pixels.last().unwrap().0 + 1;
             let columns = pixels.iter().map(|p| p.1).min().unwrap()..pixels.iter().map(|p| p.1).max().unwrap() + 1;
             let rows = top & !1..bottom;
-            plane.bound(&rows, &columns);
-            plane.corners = true;
+            let plane = Plane { corners: true, ..plane.bounded(&rows, &columns) };
             let outline = Outline::new(&plane);
             useful += pixels.len();
             for strip in rows.clone().step_by(STRIP) {
@@ -142,9 +141,9 @@ mod tests {
         let mut draws = stream(6, Purpose::Phantom, 0, 0);
         for _ in 0..50 {
             let mut draw = |low: f64, high: f64| low + (high - low) * draws.random::<f64>();
-            let mut plane = any(&mut draw);
+            let plane = any(&mut draw);
             let (rows, columns) = (0..64, 0..64);
-            plane.bound(&rows, &columns);
+            let plane = plane.bounded(&rows, &columns);
             let walked = [false, true].map(|corners| {
                 let (mut image, mut scratch) = (Canvas::<f32>::new(64, 64), Scratch::new());
                 let patch = Patch::new(&Plane { corners, ..plane }, rows.clone(), columns.clone(), 0, image.stride);

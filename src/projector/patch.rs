@@ -79,7 +79,7 @@ mod tests {
         let mut random = stream(9, Purpose::Phantom, 0, 0);
         let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
         let mut any = || {
-            let mut plane = Plane {
+            let plane = Plane {
                 row_centre: draw(20.0, 40.0),
                 column_centre: draw(20.0, 40.0),
                 slant: draw(-1.0, 1.0),
@@ -100,8 +100,7 @@ mod tests {
                 columns = [columns[0].min(i % SIDE), columns[1].max(i % SIDE + 1)];
             }
             let (rows, columns) = (rows[0]..rows[1], columns[0]..columns[1]);
-            plane.bound(&rows, &columns);
-            (plane, rows.start & !1..rows.end, columns)
+            (plane.bounded(&rows, &columns), rows.start & !1..rows.end, columns)
         };
         (0..200).map(|_| any()).collect()
     }

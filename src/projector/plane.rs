@@ -1,7 +1,10 @@
 //! A primitive seen on a plane of pixels, or in a slice of voxels.
 
 use super::canvas::HALF;
+use super::footprint::Indices;
+use crate::numeric::vectors::{self, EIGHT, Eight};
 use crate::numeric::{Lanes, Real, real};
+#[cfg(test)]
 use std::ops::Range;
 
 /// Columns of a support that is too small for its outline to be worth its while.
@@ -53,32 +56,94 @@ impl Plane {
         let h = 1.0 + self.h_y * y + self.h_z * z;
         delta / (h * h + self.k * delta) <= self.limit
     }
+}
 
-    /// Finds [`Self::most`], [`Self::corners`] and [`Self::bend`] for a support within these rows and columns. The first from
-    /// `x ≤ limit`, which is `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
+/// Eight planes, with what [`Plane`] says of each field.
+pub(super) struct Planes {
+    pub(super) row_centre: Eight,
+    pub(super) column_centre: Eight,
+    pub(super) slant: Eight,
+    pub(super) b: Eight,
+    pub(super) a: Eight,
+    pub(super) shift: Eight,
+    pub(super) floor: Eight,
+    pub(super) h_y: Eight,
+    pub(super) h_z: Eight,
+    pub(super) k: Eight,
+    pub(super) q: Eight,
+    pub(super) weight: Eight,
+    pub(super) limit: Eight,
+}
+
+/// [`Plane::most`], [`Plane::bend`] and, where not 0, [`Plane::corners`] of eight planes.
+pub(super) struct Bounds {
+    pub(super) most: Eight,
+    pub(super) bend: Eight,
+    pub(super) corners: Eight,
+}
+
+impl Planes {
+    /// The bounds of supports within these rows and columns. [`Plane::most`] follows from `x ≤ limit`, which is
+    /// `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
     #[inline(always)]
-    pub(super) fn bound(&mut self, rows: &Range<usize>, columns: &Range<usize>) {
+    pub(super) fn bounds(&self, rows: Indices, columns: Indices) -> Bounds {
+        let all = vectors::all;
+        let half = all(0.5);
+        let (tall, wide) = (rows.len(), columns.len());
         // h is linear: its value in the middle, and how far it goes from there to a corner.
-        let middle = |range: &Range<usize>| 0.5 * (range.start as f64 + range.end as f64 - 1.0);
+        let middle = |range: Indices| half * (range.start + range.end - all(1.0));
         let across = middle(columns) - self.column_centre;
         let y = self.b * (middle(rows) - self.row_centre - self.slant * across);
         let steps = [self.h_y * self.b, self.h_z * self.a - self.h_y * self.b * self.slant];
-        let reach = 0.5 * (steps[0].abs() * rows.len() as f64 + steps[1].abs() * columns.len() as f64);
+        let reach = half * (steps[0].abs() * tall + steps[1].abs() * wide);
         let z = self.a * across + self.shift;
         let tilt = self.h_y * y + self.h_z * z;
-        let h = (1.0 + tilt).abs() + reach;
-        let free = 1.0 - self.limit * self.k;
-        self.most = if free > 0.0 { self.limit * h * h / free } else { f64::INFINITY };
+        let h = (all(1.0) + tilt).abs() + reach;
+        let free = all(1.0) - self.limit * self.k;
+        let infinite = all(f64::INFINITY);
+        let most = free.simd_gt(all(0.0)).select(self.limit * h * h / free, infinite);
         // Small ellipses along the axes fill their registers as well as an outline could.
-        self.corners = columns.len() > PLUMP || (self.slant * columns.len() as f64).abs() > 0.5 * rows.len() as f64;
+        let oblique = (self.slant * wide).abs().simd_gt(half * tall);
+        let corners = wide.simd_gt(all(PLUMP as f64)) | oblique;
         // Registers reach beyond the box, by up to two rows and all but one of their columns.
-        let [tall, wide] = [0.5 * rows.len() as f64 + 2.0, 0.5 * columns.len() as f64 + HALF as f64];
+        let (tall, wide) = (half * tall + all(2.0), half * wide + all(HALF as f64));
         let y_most = y.abs() + self.b.abs() * (tall + self.slant.abs() * wide);
         let z_most = z.abs() + self.a.abs() * wide;
         let tilt = tilt.abs() + steps[0].abs() * tall + steps[1].abs() * wide;
         let farthest = y_most * y_most + z_most * z_most + self.floor;
-        let bend = tilt * (2.0 + tilt) + self.k * farthest;
-        self.bend = if farthest <= f32::FAR { bend } else { f64::INFINITY };
+        let bend = tilt * (all(2.0) + tilt) + self.k * farthest;
+        Bounds { most, bend: farthest.select_le(all(f32::FAR), bend, infinite), corners }
+    }
+
+    /// One plane for each lane.
+    #[inline(always)]
+    pub(super) fn to_array(&self, bounds: &Bounds) -> [Plane; EIGHT] {
+        let Self { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit } = *self;
+        let fields = [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit];
+        let (fields, [most, bend]) = (fields.map(Eight::to_array), [bounds.most, bounds.bend].map(Eight::to_array));
+        let corners = bounds.corners.to_bitmask();
+        std::array::from_fn(|i| {
+            let [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit] =
+                fields.map(|field| field[i]);
+            Plane {
+                row_centre,
+                column_centre,
+                slant,
+                b,
+                a,
+                shift,
+                floor,
+                h_y,
+                h_z,
+                k,
+                q,
+                weight,
+                limit,
+                most: most[i],
+                corners: corners >> i & 1 == 1,
+                bend: bend[i],
+            }
+        })
     }
 }
 
@@ -86,4 +151,17 @@ impl Plane {
 #[inline(always)]
 pub(super) fn all<L: Lanes>(value: f64) -> L {
     L::splat(real(value))
+}
+
+#[cfg(test)]
+impl Plane {
+    /// The same with its bounds, for a support within these rows and columns.
+    pub(super) fn bounded(&self, rows: &Range<usize>, columns: &Range<usize>) -> Self {
+        let Self { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit, .. } = *self;
+        let fields = [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit];
+        let [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit] = fields.map(all);
+        let planes = Planes { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit };
+        let indices = |range: &Range<usize>| Indices { start: all(range.start as f64), end: all(range.end as f64) };
+        planes.to_array(&planes.bounds(indices(rows), indices(columns)))[0]
+    }
 }

@@ -1,9 +1,11 @@
 //! What a primitive is, wherever it is seen from: its whitening matrix and the constants of its kernel, and the
 //! way back from a gradient in these terms to scales, quaternion, density and ν.
 
+use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all};
 use crate::numeric::{Real, threads};
 use crate::primitives::{Kernel, Parameters, Primitives, gaussian, rotation, student_t};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use std::ops::Add;
 
 /// Primitives worked on together.
 pub(super) const CHUNK: usize = 256;
@@ -37,8 +39,9 @@ pub(super) struct Shape {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ShapeGradient {
     pub(super) mean: DVec3,
-    /// To Σ⁻¹, symmetric, in whitened axes: D of `tr(D·M⁻ᵀ dΣ⁻¹ M⁻¹)`. Needles keep their digits in these.
-    pub(super) precision: DMat3,
+    /// To Σ⁻¹, symmetric, in whitened axes: xx, xy, xz, yy, yz, zz of the D of `tr(D·M⁻ᵀ dΣ⁻¹ M⁻¹)`. Needles keep their
+    /// digits in these.
+    pub(super) precision: [f64; 6],
     pub(super) density: f64,
     pub(super) nu: f64,
     /// To the centre's shadow with everything else held, in halves of the detector along (u, v), summed over views.
@@ -46,16 +49,64 @@ pub(super) struct ShapeGradient {
 }
 
 impl ShapeGradient {
-    // Not `Default`: glam's default matrix is the identity.
     pub(super) const ZERO: Self =
-        Self { mean: DVec3::ZERO, precision: DMat3::ZERO, density: 0.0, nu: 0.0, shadow: DVec2::ZERO };
+        Self { mean: DVec3::ZERO, precision: [0.0; 6], density: 0.0, nu: 0.0, shadow: DVec2::ZERO };
 
     pub(super) fn add(&mut self, other: &Self) {
         self.mean += other.mean;
-        self.precision += other.precision;
+        self.precision.iter_mut().zip(other.precision).for_each(|(entry, other)| *entry += other);
         self.density += other.density;
         self.nu += other.nu;
         self.shadow += other.shadow;
+    }
+}
+
+/// A symmetric matrix in each of eight lanes: xx, xy, xz, yy, yz, zz.
+#[derive(Clone, Copy)]
+pub(super) struct Symmetric([Eight; 6]);
+
+impl Symmetric {
+    /// `factor · (a bᵀ + b aᵀ)/2`.
+    #[inline(always)]
+    pub(super) fn new(a: Vectors, b: Vectors, factor: Eight) -> Self {
+        let half = all(0.5) * factor;
+        let (a, b) = ([a.x, a.y, a.z], [b.x, b.y, b.z]);
+        Self([[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]].map(|[i, j]| (a[i] * b[j] + b[i] * a[j]) * half))
+    }
+}
+
+impl Add for Symmetric {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+    }
+}
+
+/// The [`ShapeGradient`] of eight primitives.
+pub(super) struct Gradients {
+    pub(super) mean: Vectors,
+    pub(super) precision: Symmetric,
+    pub(super) density: Eight,
+    pub(super) nu: Eight,
+    /// Along u and v.
+    pub(super) shadow: [Eight; 2],
+}
+
+impl Gradients {
+    /// One for each lane.
+    #[inline(always)]
+    pub(super) fn to_array(&self) -> [ShapeGradient; EIGHT] {
+        let mean = self.mean.to_array();
+        let precision = self.precision.0.map(Eight::to_array);
+        let [density, nu, u, v] = [self.density, self.nu, self.shadow[0], self.shadow[1]].map(Eight::to_array);
+        std::array::from_fn(|i| ShapeGradient {
+            mean: mean[i],
+            precision: precision.map(|entry| entry[i]),
+            density: density[i],
+            nu: nu[i],
+            shadow: DVec2::new(u[i], v[i]),
+        })
     }
 }
 
@@ -114,13 +165,19 @@ impl Shape {
     /// carries the factor sⱼ/sᵢ - sᵢ/sⱼ and vanishes exactly where they are equal. The gradient to the quaternion
     /// is tangential by construction.
     fn finish(&self, gradient: &ShapeGradient) -> ([f64; 3], [f64; 3], [f64; 4]) {
-        let d = gradient.precision;
+        let [xx, xy, xz, yy, yz, zz] = gradient.precision;
         let inverse = self.inverse_scale;
-        let scale = [0, 1, 2].map(|k| -2.0 * inverse[k] * d.col(k)[k]);
-        let torque = |a: usize, b: usize| 2.0 * d.col(b)[a] * (inverse[a] / inverse[b] - inverse[b] / inverse[a]);
-        let q = self.rotation * DQuat::from_xyzw(torque(1, 2), torque(2, 0), torque(0, 1), 0.0);
+        let scale = [(0, xx), (1, yy), (2, zz)].map(|(k, d)| -2.0 * inverse[k] * d);
+        let torque = |a: usize, b: usize, d: f64| 2.0 * d * (inverse[a] / inverse[b] - inverse[b] / inverse[a]);
+        let q = self.rotation * DQuat::from_xyzw(torque(1, 2, yz), torque(2, 0, xz), torque(0, 1, xy), 0.0);
         (gradient.mean.to_array(), scale, [q.w, q.x, q.y, q.z].map(|x| 2.0 * x / self.norm))
     }
+}
+
+/// The whitening matrices of eight primitives.
+#[inline(always)]
+pub(super) fn whitening(shapes: [&Shape; EIGHT]) -> Matrices {
+    Matrices { columns: [0, 1, 2].map(|axis| Vectors::each(|i| shapes[i].whitening.col(axis))) }
 }
 
 /// The gradient to all parameters of all primitives, in parallel.
@@ -166,9 +223,7 @@ mod tests {
 
     #[test]
     fn the_gradient_to_a_quaternion_is_inverse_to_its_length_however_small() {
-        let column = |k: usize| DVec3::new(0.3, -0.8, 0.5) * (k + 1) as f64;
-        let gradient =
-            ShapeGradient { precision: DMat3::from_cols(column(0), column(1), column(2)), ..ShapeGradient::ZERO };
+        let gradient = ShapeGradient { precision: [0.3, -0.8, 0.5, -1.6, 1.0, 1.5], ..ShapeGradient::ZERO };
         let to_quaternion = |length: f64| {
             let shape = Shape::new::<f64>(&primitives([0.7, -0.3, 0.5, 0.2].map(|x| x * length)), 0, f64::INFINITY);
             finish(&[shape], &[gradient]).quaternion[0]

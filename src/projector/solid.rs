@@ -2,14 +2,13 @@
 
 use super::canvas::{BUNDLE, Blocks, HALF, PAIR, Window};
 use super::column::{Column, Stance};
-use super::footprint::Extent;
+use super::footprint::Extents;
 use super::kernel::{Reach, STRIP};
-use super::plane::Plane;
-use super::shape::Shape;
-use crate::numeric::elementary::length;
+use super::plane::{Bounds, Plane, Planes};
+use super::shape::{Shape, whitening};
+use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
 use crate::numeric::{Lanes, Real, real};
 use crate::scene::Grid;
-use glam::DVec3;
 use std::ops::Range;
 
 /// How much wider the outline is than the support, so that no rounding leads out of it.
@@ -50,39 +49,59 @@ impl Solid {
         !((shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any())
     }
 
-    /// A primitive anywhere: its slices are none where it does not reach the grid.
-    pub(super) fn new(shape: &Shape, grid: &Grid) -> Self {
-        let (mx, my, mz) = (shape.whitening.x_axis, shape.whitening.y_axis, shape.whitening.z_axis);
+    /// Primitives anywhere: their slices are none where they do not reach the grid.
+    pub(super) fn eight(shapes: [&Shape; EIGHT], grid: &Grid) -> [Self; EIGHT] {
+        let Grid { min, spacing, shape } = *grid;
+        let [mx, my, mz] = whitening(shapes).columns;
         let (yz, yx) = (my.cross(mz), my.cross(mx));
-        let b = length(my);
-        let a = length(yz) / b;
-        let root = shape.unit.sqrt();
-        let place = (shape.mean - grid.min) / grid.spacing - 0.5;
-        let plane = Plane {
-            row_centre: place.y,
-            column_centre: place.z,
-            slant: -my.dot(mz) / (b * b) * grid.spacing.z / grid.spacing.y,
-            b: b * grid.spacing.y / root,
-            a: a * grid.spacing.z / root,
-            q: (shape.nu + 3.0) / 2.0,
-            weight: shape.density,
-            limit: shape.limit,
-            most: shape.limit,
-            corners: true,
-            ..Plane::default()
+        let b = my.length();
+        let a = yz.length() / b;
+        let root = each(|i| shapes[i].unit).sqrt();
+        let offset = Vectors::each(|i| shapes[i].mean) - Vectors::all(min);
+        let place = |along: Eight, spacing: f64| along / all(spacing) - all(0.5);
+        let (slice, row, column) = (place(offset.x, spacing.x), place(offset.y, spacing.y), place(offset.z, spacing.z));
+        let limit = each(|i| shapes[i].limit);
+        let planes = Planes {
+            row_centre: row,
+            column_centre: column,
+            slant: -my.dot(mz) / (b * b) * all(spacing.z) / all(spacing.y),
+            b: b * all(spacing.y) / root,
+            a: a * all(spacing.z) / root,
+            shift: all(0.0),
+            floor: all(0.0),
+            h_y: all(0.0),
+            h_z: all(0.0),
+            k: all(0.0),
+            q: each(|i| (shapes[i].nu + 3.0) / 2.0),
+            weight: each(|i| shapes[i].density),
+            limit,
         };
-        let xx = shape.determinant() / (b * a * root);
-        let ridge_x = -my.dot(mx) / (b * b * grid.spacing.y);
+        let xx = each(|i| shapes[i].determinant()) / (b * a * root);
+        let ridge_x = -my.dot(mx) / (b * b * all(spacing.y));
         let ax = yz.dot(yx) / (b * b * a * root);
-        let radius = shape.limit.sqrt();
-        let slices = reach(place.x, grid.spacing.x, radius / xx, grid.shape[0]);
+        let radius = limit.sqrt();
         // How far the ridge of each of the unit sphere's axes leads, in rows, and how far columns do.
-        let tall =
-            length(DVec3::new((ridge_x - plane.slant * ax / plane.a) / xx, 1.0 / plane.b, plane.slant / plane.a));
-        let wide = length(DVec3::new(ax / xx, 0.0, 1.0)) / plane.a;
-        let rows = reach(place.y, 1.0, radius * tall, grid.shape[1]);
-        let columns = reach(place.z, 1.0, radius * wide, grid.shape[2]);
-        Self { plane, ridge_x, ax, xx, rows, columns, centre: place.x, step: grid.spacing.x, slices }
+        let slant = planes.slant;
+        let tall = Vectors::new((ridge_x - slant * ax / planes.a) / xx, all(1.0) / planes.b, slant / planes.a).length();
+        let wide = Vectors::new(ax / xx, all(0.0), all(1.0)).length() / planes.a;
+        let slices = reach(slice, all(spacing.x), radius / xx, shape[0]);
+        let rows = reach(row, all(1.0), radius * tall, shape[1]);
+        let columns = reach(column, all(1.0), radius * wide, shape[2]);
+        let zero = all(0.0);
+        let bounds = Bounds { most: limit, bend: zero, corners: zero.simd_eq(zero) };
+        let planes = planes.to_array(&bounds);
+        let [ridge_x, ax, xx, centre] = [ridge_x, ax, xx, slice].map(Eight::to_array);
+        std::array::from_fn(|i| Self {
+            plane: planes[i],
+            ridge_x: ridge_x[i],
+            ax: ax[i],
+            xx: xx[i],
+            rows: rows[i].clone(),
+            columns: columns[i].clone(),
+            centre: centre[i],
+            step: spacing.x,
+            slices: slices[i].clone(),
+        })
     }
 
     /// Slices of the support.
@@ -249,8 +268,8 @@ fn both_rows<L: Lanes>(values: [f64; HALF]) -> L {
 }
 
 /// Indices within `half` of `centre`, with a breath of rounding to spare.
-fn reach(centre: f64, step: f64, half: f64, count: usize) -> Range<usize> {
-    Extent::new(centre, step, 0.0, half).indices(count)
+fn reach(centre: Eight, step: Eight, half: Eight, count: usize) -> [Range<usize>; EIGHT] {
+    Extents::new(centre, step, all(0.0), half).indices(count).ranges()
 }
 
 #[cfg(test)]
@@ -306,7 +325,8 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![draw(2.0, 40.0)],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2)), &grid);
+            let shape = Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2));
+            let [solid, ..] = Solid::eight([&shape; EIGHT], &grid);
             let window = match number % 3 {
                 0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
                 _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
@@ -340,7 +360,8 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![5.0],
             });
-            let solid = Solid::new(&Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2)), &grid);
+            let shape = Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2));
+            let [solid, ..] = Solid::eight([&shape; EIGHT], &grid);
             let mut visited = BTreeSet::new();
             Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
                 visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));

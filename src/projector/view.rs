@@ -2,10 +2,11 @@
 
 use super::canvas::Canvas;
 use super::footprint::{Footprint, from_even};
-use super::kernel::{STRIP, Scratch};
+use super::kernel::{STRIP, Scratch, Sums};
 use super::kernels::Kernels;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::threads;
+use crate::numeric::vectors::{EIGHT, lanes};
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
 
@@ -30,8 +31,13 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
-        let footprint = |i: usize| Footprint::new(&field.shapes[i], scanner, &view, projection);
-        let footprints = threads::map_many(field.shapes.len(), footprint);
+        let m = field.shapes.len();
+        let groups = threads::map_many(m.div_ceil(EIGHT), |group| {
+            let some = &field.shapes[group * EIGHT..m.min((group + 1) * EIGHT)];
+            Footprint::eight(lanes(some, |shape| shape), scanner, &view, projection)
+        });
+        let mut footprints = groups.into_flattened();
+        footprints.truncate(m);
         Self { field, scanner: *scanner, view, projection, footprints }
     }
 
@@ -56,8 +62,12 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     ///
     /// Tests: `support_boxes_bound_the_pixels_of_each_primitive`, `boxes_know_the_cutoff_alone`.
     pub fn support_boxes(&self) -> Vec<[f64; 4]> {
-        let one = |shape| Footprint::support_box(shape, &self.scanner, &self.view, self.projection);
-        self.field.shapes.iter().map(one).collect()
+        let boxes = self.field.shapes.chunks(EIGHT).flat_map(|some| {
+            let shapes = lanes(some, |shape| shape);
+            let boxes = Footprint::support_boxes(shapes, &self.scanner, &self.view, self.projection);
+            boxes.into_iter().take(some.len())
+        });
+        boxes.collect()
     }
 
     /// The image `[v, u]`: bands of 32 rows in parallel, primitives in index order.
@@ -143,15 +153,22 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         });
         let kernel = R::kernels(self.field.kernel, self.projection).backward;
         threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
-            let first = chunk * GATHER;
-            for (i, gradient) in gradients.iter_mut().enumerate() {
-                let footprint = &self.footprints[first + i];
-                if !footprint.is_empty() {
+            let here = chunk * GATHER..chunk * GATHER + gradients.len();
+            let (footprints, shapes) = (&self.footprints[here.clone()], &self.field.shapes[here]);
+            let groups = footprints.chunks(EIGHT).zip(shapes.chunks(EIGHT));
+            for ((footprints, shapes), gradients) in groups.zip(gradients.chunks_mut(EIGHT)) {
+                let mut sums = [Sums::default(); EIGHT];
+                for (sums, footprint) in sums.iter_mut().zip(footprints).filter(|(_, f)| !f.is_empty()) {
                     let rows = from_even(footprint.rows.clone());
                     let top = rows.start;
-                    let sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
-                    let shape = &self.field.shapes[first + i];
-                    gradient.add(&footprint.pull_back(shape, &self.view, self.projection, &sums));
+                    *sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
+                }
+                let (all, shapes) = (lanes(footprints, |f| f), lanes(shapes, |shape| shape));
+                let parts = Footprint::pull_back(all, shapes, &self.view, self.projection, &sums);
+                for ((gradient, part), footprint) in gradients.iter_mut().zip(&parts).zip(footprints) {
+                    if !footprint.is_empty() {
+                        gradient.add(part);
+                    }
                 }
             }
         });

@@ -3,16 +3,14 @@
 //! of a primitive's slices go through the kernels together: most are a few registers.
 
 use super::canvas::{Blocks, Window};
-use super::footprint::symmetric;
 use super::kernel::{Scratch, Sums};
 use super::kernels::Kernels;
-use super::shape::{Shape, ShapeGradient};
+use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
 use super::solid::{Placed, Solid};
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::elementary::unit;
-use crate::numeric::threads;
+use crate::numeric::vectors::{EIGHT, Vectors, all, each, lanes};
+use crate::numeric::{Lanes, threads};
 use crate::scene::Grid;
-use glam::{DVec2, DVec3};
 use ndarray::{Array3, ArrayView3};
 
 /// Primitives that one task prepares, and among which one gathers gradients.
@@ -20,29 +18,37 @@ const GATHER: usize = 64;
 /// Slices that one task adds up: as many pairs as a solid finds the ends of at a time.
 const SLAB: usize = 8;
 
-/// The gradient of a primitive from the sums over all its slices, in the axes of [`Solid`].
-fn pull_back(sums: &Sums, shape: &Shape) -> ShapeGradient {
-    let [_, y, z, yy, yz, zz] = sums.distance;
-    let [x, xx, xy, xz] = sums.x;
-    let (my, mz) = (shape.whitening.y_axis, shape.whitening.z_axis);
-    let q_x = unit(my.cross(mz));
-    let q_y = unit(my);
+/// The gradients of primitives from the sums over all their slices, in the axes of [`Solid`].
+fn pull_back(sums: &[Sums; EIGHT], shapes: [&Shape; EIGHT]) -> [ShapeGradient; EIGHT] {
+    let density = each(|i| shapes[i].density);
+    let [y, z, yy, yz, zz] = [1, 2, 3, 4, 5].map(|j| each(|i| sums[i].distance[j]));
+    let [x, xx, xy, xz] = [0, 1, 2, 3].map(|j| each(|i| sums[i].x[j]));
+    let [mx, my, mz] = whitening(shapes).columns;
+    let q_x = my.cross(mz).unit();
+    let q_y = my.unit();
     let q_z = q_x.cross(q_y);
-    let [xx, xy, xz, yy, yz, zz] = [xx, xy, xz, yy, yz, zz].map(|value| value * shape.density);
-    let precision = symmetric(q_x, q_x, xx)
-        + symmetric(q_x, q_y, 2.0 * xy)
-        + symmetric(q_x, q_z, 2.0 * xz)
-        + symmetric(q_y, q_y, yy)
-        + symmetric(q_y, q_z, 2.0 * yz)
-        + symmetric(q_z, q_z, zz);
-    let first = DVec3::new(x, y, z) * (shape.density / shape.unit.sqrt());
-    let mean = shape.whitening.transpose() * (q_x * first.x + q_y * first.y + q_z * first.z) * -2.0;
-    let nu = if shape.nu.is_finite() {
-        -0.5 * std::f64::consts::LN_2 * sums.log * shape.density - (xx + yy + zz) / shape.nu
-    } else {
-        0.0
-    };
-    ShapeGradient { mean, precision, density: sums.value, nu, shadow: DVec2::ZERO }
+    let [xx, xy, xz, yy, yz, zz] = [xx, xy, xz, yy, yz, zz].map(|value| value * density);
+    let precision = Symmetric::new(q_x, q_x, xx)
+        + Symmetric::new(q_x, q_y, all(2.0) * xy)
+        + Symmetric::new(q_x, q_z, all(2.0) * xz)
+        + Symmetric::new(q_y, q_y, yy)
+        + Symmetric::new(q_y, q_z, all(2.0) * yz)
+        + Symmetric::new(q_z, q_z, zz);
+    let factor = density / each(|i| shapes[i].unit).sqrt();
+    let first = q_x * (x * factor) + q_y * (y * factor) + q_z * (z * factor);
+    let mean = Vectors::new(mx.dot(first), my.dot(first), mz.dot(first)) * all(-2.0);
+    let nu = each(|i| shapes[i].nu);
+    let log = each(|i| sums[i].log);
+    let d_nu = all(-0.5 * std::f64::consts::LN_2) * log * density - (xx + yy + zz) / nu;
+    let zero = all(0.0);
+    Gradients {
+        mean,
+        precision,
+        density: each(|i| sums[i].value),
+        nu: nu.select_le(all(f64::MAX), d_nu, zero),
+        shadow: [zero; 2],
+    }
+    .to_array()
 }
 
 /// A [`Field`] on a grid: the primitives that reach any of its voxels.
@@ -58,10 +64,12 @@ impl<R: Kernels> Field<R> {
     pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
         let solids = threads::map(self.shapes.len().div_ceil(GATHER), |chunk| {
             let all = (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER);
-            let near = all.filter(|(_, shape)| Solid::is_near(shape, grid));
-            near.map(|(i, shape)| (i, Solid::new(shape, grid)))
-                .filter(|(_, solid)| !solid.slices().is_empty())
-                .collect()
+            let near: Vec<_> = all.filter(|(_, shape)| Solid::is_near(shape, grid)).collect();
+            let solids = near.chunks(EIGHT).flat_map(|some| {
+                let solids = Solid::eight(lanes(some, |(_, shape)| *shape), grid);
+                some.iter().map(|(i, _)| *i).zip(solids)
+            });
+            solids.filter(|(_, solid)| !solid.slices().is_empty()).collect()
         });
         GridField { field: self, grid: *grid, solids }
     }
@@ -114,9 +122,15 @@ impl<R: Kernels> GridField<'_, R> {
         blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
         let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
         threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
-            for (i, solid) in &solids[chunk] {
-                let sums = kernel(&Placed { solid, window: &window }, &blocks, scratch);
-                gradients[i - chunk * GATHER].add(&pull_back(&sums, &field.shapes[*i]));
+            for some in solids[chunk].chunks(EIGHT) {
+                let mut sums = [Sums::default(); EIGHT];
+                for (sums, (_, solid)) in sums.iter_mut().zip(some) {
+                    *sums = kernel(&Placed { solid, window: &window }, &blocks, scratch);
+                }
+                let shapes = lanes(some, |(i, _)| &field.shapes[*i]);
+                for ((i, _), gradient) in some.iter().zip(pull_back(&sums, shapes)) {
+                    gradients[i - chunk * GATHER].add(&gradient);
+                }
             }
         });
     }
@@ -127,6 +141,7 @@ mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::{Parameters, Primitives};
+    use glam::DVec3;
     use rand::RngExt;
 
     #[test]
