@@ -1,6 +1,7 @@
 //! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
 use crate::numeric::threads;
+use crate::numeric::vectors::{EIGHT, Eight, all, each};
 use serde::{Deserialize, Serialize};
 
 /// Numbers updated together.
@@ -27,7 +28,7 @@ impl Adam {
     /// # Panics
     /// If an array does not have the length the optimiser was made for.
     pub fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64) {
-        self.advance(parameters, gradient, |parameter, m, root| *parameter -= rate * m / root);
+        self.advance(parameters, gradient, |parameter, m, root| parameter - all(rate) * m / root);
     }
 
     /// The direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
@@ -36,12 +37,17 @@ impl Adam {
     /// If the gradient does not have the length the optimiser was made for.
     pub fn direction(&mut self, gradient: &[f64]) -> Vec<f64> {
         let mut direction = vec![0.0; gradient.len()];
-        self.advance(&mut direction, gradient, |direction, m, root| *direction = m / root);
+        self.advance(&mut direction, gradient, |_, m, root| m / root);
         direction
     }
 
-    /// Updates the moments and calls `then(value, m̂, √v̂ + ε)` for each number.
-    fn advance(&mut self, values: &mut [f64], gradient: &[f64], then: impl Fn(&mut f64, f64, f64) + Sync + Send) {
+    /// Updates the moments, and each number to `then(number, m̂, √v̂ + ε)`, eight at a time.
+    fn advance(
+        &mut self,
+        values: &mut [f64],
+        gradient: &[f64],
+        then: impl Fn(Eight, Eight, Eight) -> Eight + Sync + Send,
+    ) {
         assert_eq!(
             (values.len(), gradient.len()),
             (self.moments.len(), self.moments.len()),
@@ -49,17 +55,34 @@ impl Adam {
         );
         self.steps += 1;
         let [beta1, beta2] = self.beta;
-        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)];
-        let epsilon = self.epsilon;
+        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(all);
+        let (kept, new) = ([beta1, beta2].map(all), [1.0 - beta1, 1.0 - beta2].map(all));
+        let epsilon = all(self.epsilon);
+        let eight = |values: &mut [f64; EIGHT], moments: &mut [[f64; 2]; EIGHT], g: &[f64; EIGHT]| {
+            let g = Eight::new(*g);
+            let m = kept[0] * each(|i| moments[i][0]) + new[0] * g;
+            let v = kept[1] * each(|i| moments[i][1]) + new[1] * (g * g);
+            *values = then(Eight::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
+            let (m, v) = (m.to_array(), v.to_array());
+            *moments = std::array::from_fn(|i| [m[i], v[i]]);
+        };
         let mut work: Vec<_> =
             values.chunks_mut(CHUNK).zip(self.moments.chunks_mut(CHUNK)).zip(gradient.chunks(CHUNK)).collect();
         threads::for_each_chunk(&mut work, 1, |_, work| {
             let ((values, moments), gradient) = &mut work[0];
-            for ((value, [m, v]), &g) in values.iter_mut().zip(moments.iter_mut()).zip(gradient.iter()) {
-                *m = beta1 * *m + (1.0 - beta1) * g;
-                *v = beta2 * *v + (1.0 - beta2) * (g * g);
-                then(value, *m / correction[0], (*v / correction[1]).sqrt() + epsilon);
+            let ((values, last_values), (moments, last_moments)) = (values.as_chunks_mut(), moments.as_chunks_mut());
+            let (gradient, last_gradient) = gradient.as_chunks();
+            for ((values, moments), gradient) in values.iter_mut().zip(moments).zip(gradient) {
+                eight(values, moments, gradient);
             }
+            let n = last_values.len();
+            let (mut values, mut moments, mut gradient) = ([0.0; EIGHT], [[0.0; 2]; EIGHT], [0.0; EIGHT]);
+            values[..n].copy_from_slice(last_values);
+            moments[..n].copy_from_slice(last_moments);
+            gradient[..n].copy_from_slice(last_gradient);
+            eight(&mut values, &mut moments, &gradient);
+            last_values.copy_from_slice(&values[..n]);
+            last_moments.copy_from_slice(&moments[..n]);
         });
     }
 
