@@ -14,6 +14,8 @@
 //! | the same, as plainly as it can be written | [`naive`] | `[Eq. 1]`–`[Eq. 5]`, `[X1]` |
 //!
 //! A pixel adds up its primitives in index order, a primitive its pixels in a fixed tree: no bit depends on threads.
+//! What is done once per primitive and view or grid (footprints, solids, the ways back from sums) is done for eight at a
+//! time, one in each lane of [`vectors`](crate::numeric::vectors), with the bits that one alone would have.
 
 mod canvas;
 mod column;
