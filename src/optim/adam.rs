@@ -169,6 +169,23 @@ mod tests {
     }
 
     #[test]
+    fn a_number_moves_as_if_it_were_alone() {
+        let gradient: [f64; 19] = std::array::from_fn(|i| (i as f64 - 7.3) * 0.1);
+        let mut parameters = gradient.map(|g| 3.0 * g + 1.0);
+        let mut apart = parameters;
+        let mut adam = Adam::new(19, [0.9, 0.999], 1e-15);
+        let mut adams = vec![Adam::new(1, [0.9, 0.999], 1e-15); 19];
+        for _ in 0..3 {
+            adam.step(&mut parameters, &gradient, 0.1);
+            for ((adam, parameter), g) in adams.iter_mut().zip(&mut apart).zip(gradient) {
+                adam.step(std::slice::from_mut(parameter), &[g], 0.1);
+            }
+        }
+        assert_eq!(parameters, apart);
+        assert!(adam.moments.iter().eq(adams.iter().flat_map(|adam| &adam.moments)));
+    }
+
+    #[test]
     fn a_zero_gradient_moves_nothing() {
         let mut parameters = [1.5];
         Adam::new(1, [0.9, 0.999], 1e-15).step(&mut parameters, &[0.0], 0.1);

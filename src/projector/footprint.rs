@@ -6,6 +6,7 @@
 //! gradient comes back in the same whitened coordinates, for the same reason.
 
 use super::Projection;
+use super::extents::Extents;
 use super::kernel::Sums;
 use super::patch::Patch;
 use super::plane::{Plane, Planes};
@@ -377,65 +378,6 @@ impl Support {
     }
 }
 
-/// Eight intervals on an axis of pixels or voxels, in fractional indices.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Extents {
-    low: Eight,
-    high: Eight,
-    /// A breath of rounding, in indices.
-    slack: Eight,
-}
-
-impl Extents {
-    /// What lies within `half` of the offset `middle` from index `centre`; `step` is the length per index.
-    #[inline(always)]
-    pub(super) fn new(centre: Eight, step: Eight, middle: Eight, half: Eight) -> Self {
-        Self {
-            low: centre + (middle - half) / step,
-            high: centre + (middle + half) / step,
-            slack: all(1e-9) * (all(1.0) + half / step),
-        }
-    }
-
-    /// The indices below `count` within, with the breath of rounding to spare. What is not a number bounds nothing.
-    #[inline(always)]
-    pub(super) fn indices(self, count: usize) -> Indices {
-        let zero = all(0.0);
-        let first = (self.low - self.slack).ceil().at_least(zero);
-        let last = (self.high + self.slack).floor().at_most(all(count as f64 - 1.0));
-        let some = first.simd_le(last);
-        Indices { start: some.select(first, zero), end: some.select(last + all(1.0), zero) }
-    }
-}
-
-/// Eight ranges of indices; whole numbers.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Indices {
-    pub(super) start: Eight,
-    pub(super) end: Eight,
-}
-
-impl Indices {
-    /// These where `some` is not 0, elsewhere all of `count`.
-    #[inline(always)]
-    fn or_all(self, some: Eight, count: usize) -> Self {
-        Self { start: some.select(self.start, all(0.0)), end: some.select(self.end, all(count as f64)) }
-    }
-
-    /// Numbers of indices.
-    #[inline(always)]
-    pub(super) fn len(self) -> Eight {
-        self.end - self.start
-    }
-
-    /// A range for each lane.
-    #[inline(always)]
-    pub(super) fn ranges(self) -> [Range<usize>; EIGHT] {
-        let (start, end) = (self.start.to_array(), self.end.to_array());
-        std::array::from_fn(|i| start[i] as usize..end[i] as usize)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -550,6 +492,45 @@ mod tests {
             assert!(tails.windows(2).all(|pair| pair[0][0] < pair[1][0] && pair[0][3] > pair[1][3]), "{tails:?}");
         }
         assert_eq!(support_box([1.0, 1.0, 0.0], [2.5, 2.0, 3.0], 1e-2, Projection::Exact), [all, all].concat()[..]);
+    }
+
+    #[test]
+    fn among_seven_others_a_primitive_has_the_bits_that_it_has_alone() {
+        let (scanner, view) = (scanner(), scanner().view(0.8));
+        // One beside the source, one behind it, one that holds it, one beside the detector, and four that are seen.
+        let means = [[1.2, 1.2, 0.0], [5.0, 5.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 3.0]];
+        let means = means.into_iter().chain((0..4).map(|i| [0.3 - 0.2 * f64::from(i), 0.1 * f64::from(i), 0.2]));
+        let shapes: Vec<_> = means
+            .enumerate()
+            .map(|(i, mean)| {
+                shape(mean, if i == 2 { [2.5, 2.0, 3.0] } else { [0.04 * (i + 1) as f64, 0.05, 0.06] }, 1e-2)
+            })
+            .collect();
+        let shapes: [&Shape; EIGHT] = std::array::from_fn(|i| &shapes[i]);
+        let sums: [Sums; EIGHT] = std::array::from_fn(|i| Sums {
+            distance: std::array::from_fn(|j| (i + j) as f64 / 7.0),
+            h: [0.3 * i as f64, -0.2, 0.1],
+            k: 0.7,
+            value: i as f64,
+            log: 0.4,
+            ..Sums::default()
+        });
+        for projection in [Projection::Exact, Projection::Affine] {
+            let together = Footprint::eight(shapes, &scanner, &view, projection);
+            let boxes = Footprint::support_boxes(shapes, &scanner, &view, projection);
+            let parts = Footprint::pull_back(together.each_ref(), shapes, &view, projection, &sums);
+            assert_eq!(together.each_ref().map(|f| f.seen), [true, false, true, true, true, true, true, true]);
+            for (i, shape) in shapes.into_iter().enumerate() {
+                let [alone, ..] = Footprint::eight([shape; EIGHT], &scanner, &view, projection);
+                assert_eq!(format!("{alone:?}"), format!("{:?}", together[i]), "{i} {projection:?}");
+                assert_eq!(Footprint::support_boxes([shape; EIGHT], &scanner, &view, projection)[0], boxes[i]);
+                if alone.seen {
+                    let part =
+                        Footprint::pull_back([&alone; EIGHT], [shape; EIGHT], &view, projection, &[sums[i]; EIGHT]);
+                    assert_eq!(part[0], parts[i], "{i} {projection:?}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! | step | where | paper |
 //! |---|---|---|
 //! | whitening matrix, kernel constants | `shape` | `[Eq. 3]`, `[Eq. 5]` |
-//! | quadratic form on the detector, support | `footprint` | `[Eq. 4]`, `[X1]`, `[X2]` |
+//! | quadratic form on the detector, support | `footprint`, `extents` | `[Eq. 4]`, `[X1]`, `[X2]` |
 //! | pixels, SIMD | `kernel`, `column` | `[Eq. 4]`, `[X1]`, `[X3]` |
 //! | registers that hold pixels or voxels of the support | `outline`, `patch`, `solid` | `[X2]` |
 //! | images and volumes as the kernels have them | `canvas` | |
@@ -20,6 +20,7 @@
 mod canvas;
 mod column;
 mod contributions;
+mod extents;
 mod footprint;
 mod kernel;
 mod kernels;

@@ -1,7 +1,7 @@
 //! A primitive seen on a plane of pixels, or in a slice of voxels.
 
 use super::canvas::HALF;
-use super::footprint::Indices;
+use super::extents::Indices;
 use crate::numeric::vectors::{self, EIGHT, Eight};
 use crate::numeric::{Lanes, Real, real};
 #[cfg(test)]

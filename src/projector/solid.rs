@@ -2,7 +2,7 @@
 
 use super::canvas::{BUNDLE, Blocks, HALF, PAIR, Window};
 use super::column::{Column, Stance};
-use super::footprint::Extents;
+use super::extents::Extents;
 use super::kernel::{Reach, STRIP};
 use super::plane::{Bounds, Plane, Planes};
 use super::shape::{Shape, whitening};
@@ -384,5 +384,31 @@ mod tests {
         an_oblique_needle_is_visited::<f64>();
         every_voxel_of_the_support_is_visited_and_few_others::<f32>(1e-3, 1000, 10);
         every_voxel_of_the_support_is_visited_and_few_others::<f64>(1e-3, 1000, 16);
+    }
+
+    #[test]
+    fn among_seven_others_a_solid_has_the_bits_that_it_has_alone() {
+        let mut random = stream(9, Purpose::Phantom, 0, 0);
+        let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+        let grid = Grid::cube(20).block([3, 2, 1], [9, 7, 11]);
+        let m = 80;
+        let primitives = Primitives::new(Parameters {
+            mean: (0..m).map(|_| [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)]).collect(),
+            scale: (0..m).map(|_| [draw(0.01, 0.3), draw(0.01, 0.3), draw(0.01, 0.3)]).collect(),
+            quaternion: (0..m).map(|_| [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0), 0.1]).collect(),
+            density: (0..m).map(|_| draw(0.1, 2.0)).collect(),
+            nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
+        });
+        let shapes = Shape::all::<f32>(&primitives.unwrap(), 1e-2);
+        let mut reaching = 0;
+        for eight in shapes.chunks(EIGHT) {
+            let together = Solid::eight(std::array::from_fn(|i| &eight[i]), &grid);
+            for (shape, solid) in eight.iter().zip(together) {
+                let [alone, ..] = Solid::eight([shape; EIGHT], &grid);
+                assert_eq!(format!("{alone:?}"), format!("{solid:?}"));
+                reaching += usize::from(!solid.slices().is_empty());
+            }
+        }
+        assert!(10 < reaching && reaching < 70, "{reaching}");
     }
 }
