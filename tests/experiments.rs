@@ -104,14 +104,16 @@ fn a_kill_loses_no_finished_cell() {
     let table = "table ablation --out out --size 16 --cases chest,pepper --threads 1";
     let mut process = begun(&sandbox, table);
     let is = |name: &PathBuf, kind: &str| name.extension().is_some_and(|extension| extension == kind);
-    let finished = || below(&sandbox, "out/cells").into_iter().filter(|(name, _)| is(name, "json")).collect::<Vec<_>>();
-    while !sandbox.path("out/cells").exists() || finished().len() < 3 {
+    let cells = sandbox.path("out/cells");
+    // Names alone: other files come and go while it runs.
+    let names = || std::fs::read_dir(&cells).unwrap().map(|entry| entry.unwrap().path());
+    while !cells.exists() || names().filter(|name| is(name, "json")).count() < 3 {
         assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     process.kill().unwrap();
     process.wait().unwrap();
-    let before = finished();
+    let before: Vec<_> = below(&sandbox, "out/cells").into_iter().filter(|(name, _)| is(name, "json")).collect();
     // A process may die between the end of a cell and that of its lock.
     let left = PathBuf::from("out/cells").join(before[0].0.with_extension("lock"));
     sandbox.write(left.to_str().unwrap(), "");
