@@ -17,7 +17,7 @@ impl<'a> Outline<'a> {
     /// How much wider it is than the support, so that no rounding of the lanes leads out of it.
     const SPARE: f64 = 1e-3;
 
-    /// The outline of a plane that is [bounded](Plane::bound).
+    /// The outline of a plane that is [bounded](super::plane::Planes::bounds).
     #[inline(always)]
     pub(super) fn new(plane: &'a Plane) -> Self {
         Self { plane, squares: plane.most * (1.0 + Self::SPARE) - plane.floor, per_y: 1.0 / plane.b }
