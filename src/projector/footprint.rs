@@ -497,7 +497,7 @@ mod tests {
     #[test]
     fn among_seven_others_a_primitive_has_the_bits_that_it_has_alone() {
         let (scanner, view) = (scanner(), scanner().view(0.8));
-        // One beside the source, one behind it, one that holds it, one beside the detector, and four that are seen.
+        // One near the edge, one behind the source, one that holds it, one that misses the detector, and four amid it.
         let means = [[1.2, 1.2, 0.0], [5.0, 5.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 3.0]];
         let means = means.into_iter().chain((0..4).map(|i| [0.3 - 0.2 * f64::from(i), 0.1 * f64::from(i), 0.2]));
         let shapes: Vec<_> = means
