@@ -156,8 +156,9 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
         for (group, adam) in Group::ALL.into_iter().zip(adam.iter_mut()).skip(1) {
             adam.step(moved.group_mut(group), flat.group(group), 1e-4);
         }
-        let direction = adam[0].direction(flat.group(Group::Mean));
-        sghmc.borrow_mut().step(&mut moved.mean, direction.as_chunks().0, 0.014, Phase::Sampling(50.0), |_| Stir::SHUT);
+        let mut direction = vec![[0.0; 3]; flat.len()];
+        adam[0].direction(flat.group(Group::Mean), direction.as_flattened_mut());
+        sghmc.borrow_mut().step(&mut moved.mean, &direction, 0.014, Phase::Sampling(50.0), |_| Stir::SHUT);
     });
     part("pull on ν", 1, &|| {
         black_box(nu_loss(&physical.parameters.nu, &targets, &confidence, 1e-3));

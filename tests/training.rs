@@ -7,6 +7,7 @@ use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
+use trgs::projector::Projection;
 use trgs::scene::noise::Noise;
 use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
@@ -179,4 +180,28 @@ fn a_population_that_dies_out_is_an_error_and_no_crash() {
     config.density_control.faint = 1e6;
     let message = train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(message.contains("density_control.faint"), "{message}");
+}
+
+/// Blocks of memory that a run of so many iterations asks for, on one thread.
+fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u64 {
+    let config = Config { iterations, ..config.clone() };
+    let mut blocks = 0;
+    let measured = || blocks = allocation_counter::measure(|| drop(run(dataset, &config))).count_total;
+    threads::install(1, measured).unwrap();
+    blocks
+}
+
+#[test]
+fn an_iteration_in_which_nothing_else_is_due_asks_for_no_memory() {
+    let dataset = scan();
+    for mut config in pairs().chain([Config { projection: Projection::Affine, ..busy(Method::TrGs) }]) {
+        // Nothing but the losses of every iteration and the optimisers.
+        (config.density_control.every, config.confidence.every, config.wavelet.every) = (1000, 1000, 1000);
+        (config.report_every, config.model.points) = (1000, 700);
+        let [few, many] = [20, 70].map(|iterations| blocks_of_memory(&dataset, &config, iterations));
+        assert_eq!(many, few, "{:?} and {:?}", config.density_control.method, config.optimiser.position);
+        // A report asks for some, so they are counted.
+        config.report_every = 10;
+        assert!(blocks_of_memory(&dataset, &config, 70) > many);
+    }
 }

@@ -27,6 +27,7 @@ mod sphere;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use nu::nu_loss_into;
 pub use nu::{nu_loss, nu_target};
 pub use rank::{Spread, spearman};
 

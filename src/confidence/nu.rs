@@ -30,19 +30,33 @@ pub fn nu_target(confidence: f64, settings: &Settings, nu: Interval) -> f64 {
 /// # Panics
 /// When the three arrays differ in length.
 pub fn nu_loss(nu: &[f64], target: &[f64], confidence: &[f64], weight: f64) -> (f64, Vec<f64>) {
+    let mut gradient = Vec::new();
+    let value = nu_loss_into(nu, target, confidence, weight, &mut gradient);
+    (value, gradient)
+}
+
+/// [`nu_loss`] with the gradient in memory that is there already.
+pub(crate) fn nu_loss_into(
+    nu: &[f64],
+    target: &[f64],
+    confidence: &[f64],
+    weight: f64,
+    gradient: &mut Vec<f64>,
+) -> f64 {
     let m = nu.len();
     assert_eq!((target.len(), confidence.len()), (m, m), "targets and confidences of {m} primitives");
     let count = m.max(1) as f64;
-    let mut distance = vec![0.0; m];
-    threads::for_each_chunk(&mut distance, CHUNK, |chunk, distance| {
+    gradient.resize(m, 0.0);
+    // Distances first, which become slopes.
+    threads::for_each_chunk(gradient, CHUNK, |chunk, distance| {
         for (i, distance) in (chunk * CHUNK..).zip(distance) {
             *distance = log(nu[i]) - log(target[i]);
         }
     });
     let pull = |i: usize| weight * (1.0 - confidence[i]);
-    let value = reduce::sum_by(m, &|i| pull(i) * distance[i] * distance[i]);
-    let slope = |i: usize| 2.0 * pull(i) * distance[i] / (nu[i] * count);
-    (value / count, (0..m).map(slope).collect())
+    let value = reduce::sum_by(m, &|i| pull(i) * gradient[i] * gradient[i]);
+    gradient.iter_mut().enumerate().for_each(|(i, slope)| *slope = 2.0 * pull(i) * *slope / (nu[i] * count));
+    value / count
 }
 
 #[cfg(test)]

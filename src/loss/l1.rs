@@ -1,6 +1,6 @@
 //! Mean absolute difference.
 
-use super::of_pairs;
+use super::fill;
 use crate::numeric::{Real, reduce};
 use ndarray::{Array2, ArrayView2};
 
@@ -13,11 +13,23 @@ use ndarray::{Array2, ArrayView2};
 /// When the shapes differ.
 pub fn l1<R: Real>(prediction: ArrayView2<R>, target: ArrayView2<R>) -> (f64, Array2<R>) {
     assert_eq!(prediction.shape(), target.shape(), "L1 of a prediction and a target of different shapes");
-    let n = prediction.len().max(1) as f64;
-    let slope = R::from_f64(1.0 / n);
-    let distance = of_pairs(prediction, target, |p, t| (p - t).abs());
-    let gradient = of_pairs(prediction, target, |p, t| slope * sign(p - t));
-    (reduce::sum(distance.as_slice().expect("a new array is contiguous")) / n, gradient)
+    let mut gradient = Array2::default(prediction.raw_dim());
+    let (p, t) = (prediction.as_standard_layout(), target.as_standard_layout());
+    let [p, t] = [&p, &t].map(|image| image.as_slice().expect("standard layout"));
+    let slope = slope::<R>(p.len());
+    fill(&mut gradient, |i, _| slope * sign(p[i] - t[i]));
+    (value(p, t), gradient)
+}
+
+/// Mean distance of pixels.
+pub(super) fn value<R: Real>(prediction: &[R], target: &[R]) -> f64 {
+    let n = prediction.len();
+    reduce::sum_of(0..n, &|i| (prediction[i] - target[i]).abs().to_f64()) / n.max(1) as f64
+}
+
+/// How fast L1 of `n` pixels rises with the distance of one.
+pub(super) fn slope<R: Real>(n: usize) -> R {
+    R::from_f64(1.0 / n.max(1) as f64)
 }
 
 /// -1, 0 or 1; 0 also for -0 and NaN.

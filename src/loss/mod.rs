@@ -41,24 +41,34 @@ pub fn image_loss<R: Real>(
     prediction: ArrayView2<R>,
     target: &SsimTarget<R>,
 ) -> ImageLoss<R> {
-    let (l1, of_l1) = l1::l1(prediction, target.image());
-    let (similarity, of_ssim) = ssim.value_and_gradient(prediction, target);
-    let minus_weight = R::from_f64(-weight);
-    let cotangent = of_pairs(of_l1.view(), of_ssim.view(), |d, g| d + minus_weight * g);
-    let d_ssim = 1.0 - similarity;
-    ImageLoss { total: l1 + weight * d_ssim, l1, d_ssim, cotangent }
+    let mut cotangent = Array2::default(prediction.raw_dim());
+    let [total, l1, d_ssim] = image_loss_into(ssim, weight, prediction, target, &mut cotangent);
+    ImageLoss { total, l1, d_ssim, cotangent }
 }
 
-/// `of(a, b)` for each pixel of two images of the same shape.
-fn of_pairs<R: Real>(a: ArrayView2<R>, b: ArrayView2<R>, of: impl Fn(R, R) -> R + Sync + Send) -> Array2<R> {
-    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
-    let [left, right] = [&a, &b].map(|image| image.as_slice().expect("standard layout"));
-    let mut values = Array2::default(a.raw_dim());
-    threads::for_each_chunk(values.as_slice_mut().expect("a new array is contiguous"), CHUNK, |chunk, values| {
-        let pairs = left[chunk * CHUNK..].iter().zip(&right[chunk * CHUNK..]);
-        values.iter_mut().zip(pairs).for_each(|(value, (&a, &b))| *value = of(a, b));
+/// Total, L1 and D-SSIM of [`image_loss`], with the cotangent in the place of another array.
+pub(crate) fn image_loss_into<R: Real>(
+    ssim: &Ssim<R>,
+    weight: f64,
+    prediction: ArrayView2<R>,
+    target: &SsimTarget<R>,
+    cotangent: &mut Array2<R>,
+) -> [f64; 3] {
+    let (p, t) = (prediction.as_standard_layout(), target.image());
+    let similarity = ssim.value_and_gradient_into(p.view(), target, cotangent);
+    let [p, t] = [p.view(), t].map(|image| image.to_slice().expect("standard layout"));
+    let (slope, minus_weight) = (l1::slope::<R>(p.len()), R::from_f64(-weight));
+    fill(cotangent, |i, g| slope * l1::sign(p[i] - t[i]) + minus_weight * g);
+    let (l1, d_ssim) = (l1::value(p, t), 1.0 - similarity);
+    [l1 + weight * d_ssim, l1, d_ssim]
+}
+
+/// Makes of the value of pixel `i` what `of(i, value)` is.
+fn fill<R: Real>(image: &mut Array2<R>, of: impl Fn(usize, R) -> R + Sync + Send) {
+    let values = image.as_slice_mut().expect("standard layout");
+    threads::for_each_chunk(values, CHUNK, |chunk, values| {
+        (chunk * CHUNK..).zip(values).for_each(|(i, value)| *value = of(i, *value));
     });
-    values
 }
 
 #[cfg(test)]

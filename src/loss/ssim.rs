@@ -16,7 +16,8 @@
 //! ```
 
 use crate::numeric::elementary::exp;
-use crate::numeric::{Lanes, Real, reduce, threads};
+use crate::numeric::threads::{self, Spares};
+use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array2, ArrayView2};
 use std::ops::Range;
 
@@ -29,6 +30,10 @@ const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 /// Lines kept of each row: the derivatives of S by `G a`, `G a²` and `G ab`, and S itself.
 const LINES: usize = 4;
+/// Between lines: eleven rows that were a power of two apart would push each other out of the cache.
+const GAP: usize = 16;
+/// Columns weighed together: a few registers, so that eleven addresses are worth finding.
+const ABREAST: usize = 32;
 /// Rows that one task computes: a constant, so the cut does not depend on the threads.
 const BAND: usize = 16;
 
@@ -37,6 +42,35 @@ const BAND: usize = 16;
 pub struct Ssim<R> {
     /// Weights at distance 0, 1, … from the centre.
     weights: [R; RADIUS + 1],
+    /// S and its derivatives by the three blurs, `[row][line][column]`, each line with a gap after it.
+    lines: Spares<Vec<R>>,
+    rows: Spares<Rows<R>>,
+    sums: Spares<Vec<f64>>,
+}
+
+/// What a task works in.
+#[derive(Debug, Default)]
+struct Rows<R> {
+    /// A row with room for the window's reach on both sides, where it is 0.
+    line: Vec<R>,
+    /// A row outside of the image.
+    zeros: Vec<R>,
+    /// `a²` and `ab` of the rows that a band reaches.
+    products: [Vec<R>; 2],
+    /// One row each.
+    blurs: [Vec<R>; 3],
+}
+
+impl<R: Real> Rows<R> {
+    fn fit(&mut self, columns: usize) {
+        let zeros = |values: &mut Vec<R>, n: usize| {
+            values.clear();
+            values.resize(n, R::ZERO);
+        };
+        zeros(&mut self.line, columns + 2 * RADIUS);
+        zeros(&mut self.zeros, columns);
+        self.blurs.iter_mut().for_each(|blur| blur.resize(columns, R::ZERO));
+    }
 }
 
 /// An image to compare others with, and what SSIM needs to know of it. Computed once for each view.
@@ -53,7 +87,8 @@ impl<R: Real> Default for Ssim<R> {
     fn default() -> Self {
         let gauss = |d: usize| exp(-((d * d) as f64) / (2.0 * SIGMA * SIGMA));
         let total = gauss(0) + 2.0 * (1..=RADIUS).map(gauss).sum::<f64>();
-        Self { weights: std::array::from_fn(|d| R::from_f64(gauss(d) / total)) }
+        let weights = std::array::from_fn(|d| R::from_f64(gauss(d) / total));
+        Self { weights, lines: Spares::default(), rows: Spares::default(), sums: Spares::default() }
     }
 }
 
@@ -64,17 +99,19 @@ impl<R: Real> SsimTarget<R> {
         let (rows, columns) = image.dim();
         let values = contiguous(&image.view());
         let bands = threads::map(rows.div_ceil(BAND), |band| {
-            let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
+            let mut space = ssim.rows.lend();
+            space.fit(columns);
+            let Rows { line, zeros, products: [squares, _], .. } = &mut *space;
             let inputs = reached_rows(band, rows);
-            let squares = product(values, values, &inputs, columns);
+            multiply(values, values, &inputs, columns, squares);
             let band = band_rows(band, rows);
             let (mut mean, mut variance) = (vec![R::ZERO; band.len() * columns], vec![R::ZERO; band.len() * columns]);
             for (slot, row) in band.enumerate() {
                 let here = slot * columns..(slot + 1) * columns;
-                let b = around(values, 0, columns, row, &zeros);
-                let bb = around(&squares, inputs.start, columns, row, &zeros);
-                ssim.blur(b, &mut line, &mut mean[here.clone()]);
-                ssim.blur(bb, &mut line, &mut variance[here]);
+                let b = around(values, 0, columns, row, zeros);
+                let bb = around(squares, inputs.start, columns, row, zeros);
+                ssim.blur(b, line, &mut mean[here.clone()]);
+                ssim.blur(bb, line, &mut variance[here]);
             }
             variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v -= m * m);
             (mean, variance)
@@ -98,7 +135,9 @@ impl<R: Real> Ssim<R> {
     /// When the shapes differ.
     pub fn value(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> f64 {
         let image = image.as_standard_layout();
-        mean_similarity(&self.compare(image.view(), target), image.dim())
+        let mut lines = self.lines.lend();
+        self.compare(image.view(), target, &mut lines);
+        self.mean_similarity(&lines, image.dim())
     }
 
     /// [`Self::value`] and ∂SSIM/∂image, an array of the image's shape.
@@ -106,56 +145,81 @@ impl<R: Real> Ssim<R> {
     /// # Panics
     /// When the shapes differ.
     pub fn value_and_gradient(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
-        let image = image.as_standard_layout();
         let mut gradient = Array2::default(image.raw_dim());
-        let lines = self.compare(image.view(), target);
-        if !image.is_empty() {
-            let values = gradient.as_slice_mut().expect("a new array is contiguous");
-            threads::for_each_chunk(values, BAND * image.ncols(), |band, values| {
-                self.pull_back(&lines, image.view(), target, band, values);
-            });
-        }
-        (mean_similarity(&lines, image.dim()), gradient)
+        (self.value_and_gradient_into(image, target, &mut gradient), gradient)
     }
 
-    /// S and its derivatives by the three blurs, `[row][line][column]`. `image` is in standard layout.
-    fn compare(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> Vec<R> {
+    /// [`Self::value_and_gradient`] with the gradient in the place of another array.
+    pub(super) fn value_and_gradient_into(
+        &self,
+        image: ArrayView2<R>,
+        target: &SsimTarget<R>,
+        gradient: &mut Array2<R>,
+    ) -> f64 {
+        let image = image.as_standard_layout();
+        if gradient.dim() != image.dim() {
+            *gradient = Array2::default(image.raw_dim());
+        }
+        let mut lines = self.lines.lend();
+        self.compare(image.view(), target, &mut lines);
+        if !image.is_empty() {
+            let values = gradient.as_slice_mut().expect("standard layout");
+            threads::for_each_chunk_in(values, BAND * image.ncols(), &self.rows, |band, values, space| {
+                self.pull_back(&lines, image.view(), target, band, space, values);
+            });
+        }
+        self.mean_similarity(&lines, image.dim())
+    }
+
+    /// S and its derivatives by the three blurs. `image` is in standard layout.
+    fn compare(&self, image: ArrayView2<R>, target: &SsimTarget<R>, lines: &mut Vec<R>) {
         assert_eq!(image.shape(), target.image.shape(), "SSIM of an image and a target of different shapes");
         let (rows, columns) = image.dim();
-        let mut lines = vec![R::ZERO; LINES * image.len()];
         if image.is_empty() {
-            return lines;
+            return;
         }
+        let width = columns + GAP;
+        lines.resize(rows * LINES * width, R::ZERO);
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let share = R::from_f64(1.0 / image.len() as f64);
-        threads::for_each_chunk(&mut lines, BAND * LINES * columns, |band, lines| {
-            let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
+        threads::for_each_chunk_in(lines, BAND * LINES * width, &self.rows, |band, lines, space| {
+            space.fit(columns);
+            let Rows { line, zeros, products: [aa, ab], .. } = space;
             let inputs = reached_rows(band, rows);
-            let (aa, ab) = (product(a, a, &inputs, columns), product(a, b, &inputs, columns));
-            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * columns)) {
-                let (of_a, lines) = lines.split_at_mut(columns);
-                let (of_aa, lines) = lines.split_at_mut(columns);
-                let (of_ab, similarity) = lines.split_at_mut(columns);
-                self.blur(around(a, 0, columns, row, &zeros), &mut line, of_a);
-                self.blur(around(&aa, inputs.start, columns, row, &zeros), &mut line, of_aa);
-                self.blur(around(&ab, inputs.start, columns, row, &zeros), &mut line, of_ab);
+            multiply(a, a, &inputs, columns, aa);
+            multiply(a, b, &inputs, columns, ab);
+            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * width)) {
+                let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
+                let [of_a, of_aa, of_ab, similarity]: [_; LINES] =
+                    std::array::from_fn(|_| lines.next().expect("four lines of a row"));
+                self.blur(around(a, 0, columns, row, zeros), line, of_a);
+                self.blur(around(aa, inputs.start, columns, row, zeros), line, of_aa);
+                self.blur(around(ab, inputs.start, columns, row, zeros), line, of_ab);
                 let (mean, variance) = (line_of(&target.mean, columns, row), line_of(&target.variance, columns, row));
                 differentiate(mean, variance, share, of_a, of_aa, of_ab, similarity);
             }
         });
-        lines
     }
 
     /// The gradient of one band of rows: the transpose of [`Self::compare`].
-    fn pull_back(&self, lines: &[R], image: ArrayView2<R>, target: &SsimTarget<R>, band: usize, gradient: &mut [R]) {
+    fn pull_back(
+        &self,
+        lines: &[R],
+        image: ArrayView2<R>,
+        target: &SsimTarget<R>,
+        band: usize,
+        space: &mut Rows<R>,
+        gradient: &mut [R],
+    ) {
         let (rows, columns) = image.dim();
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
-        let (mut line, zeros) = (padded_line(columns), vec![R::ZERO; columns]);
-        let mut blurs = [(); 3].map(|()| vec![R::ZERO; columns]);
+        let width = columns + GAP;
+        space.fit(columns);
+        let Rows { line, zeros, blurs, .. } = space;
         for (row, gradient) in band_rows(band, rows).zip(gradient.chunks_exact_mut(columns)) {
             for (kind, blur) in blurs.iter_mut().enumerate() {
-                let partial = around(&lines[kind * columns..], 0, LINES * columns, row, &zeros);
-                self.blur(partial, &mut line, blur);
+                let partial = around(&lines[kind * width..], 0, LINES * width, row, zeros);
+                self.blur(partial, line, blur);
             }
             let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| &blur[..columns]);
             let (a, b) = (line_of(a, columns, row), line_of(b, columns, row));
@@ -165,26 +229,45 @@ impl<R: Real> Ssim<R> {
         }
     }
 
+    /// Mean of S; rows are summed first, then their sums.
+    fn mean_similarity(&self, lines: &[R], (rows, columns): (usize, usize)) -> f64 {
+        if rows * columns == 0 {
+            return 1.0;
+        }
+        let mut bands = self.sums.lend();
+        bands.resize(rows.div_ceil(BAND), 0.0);
+        threads::for_each_chunk(&mut bands, 1, |band, sum| {
+            let similarity = |row: usize| &lines[(row * LINES + LINES - 1) * (columns + GAP)..][..columns];
+            let sum_of_row = |row| reduce::sum(similarity(row));
+            sum[0] = band_rows(band, rows).map(sum_of_row).sum::<f64>();
+        });
+        reduce::sum(&bands) / (rows * columns) as f64
+    }
+
     /// One row of `G x`: down the eleven rows around it into the middle of `line`, then along the line.
     fn blur(&self, x: [&[R]; TAPS], line: &mut [R], out: &mut [R]) {
         self.weigh(x, &mut line[RADIUS..][..out.len()]);
         self.weigh(std::array::from_fn(|t| &line[t..][..out.len()]), out);
     }
 
-    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards: a register at a time, then what is left.
+    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards: some registers at a time, then what is left.
     fn weigh(&self, x: [&[R]; TAPS], out: &mut [R]) {
-        let x = x.map(|x| &x[..out.len()]);
-        let whole = out.len() / R::Lanes::WIDTH * R::Lanes::WIDTH;
+        let (blocks, rest) = out.as_chunks_mut::<ABREAST>();
+        let (first, count) = (blocks.len() * ABREAST, blocks.len());
+        let wide = x.map(|x| &x.as_chunks::<ABREAST>().0[..count]);
         let weights = self.weights.map(R::Lanes::splat);
-        for j in (0..whole).step_by(R::Lanes::WIDTH) {
-            let at = |t: usize| R::Lanes::from_slice(&x[t][j..]);
-            let mut sum = weights[0] * at(RADIUS);
-            for (d, &weight) in weights.iter().enumerate().skip(1) {
-                sum += weight * (at(RADIUS - d) + at(RADIUS + d));
+        for (block, out) in blocks.iter_mut().enumerate() {
+            for j in (0..ABREAST).step_by(R::Lanes::WIDTH) {
+                let at = |t: usize| R::Lanes::from_slice(&wide[t][block][j..]);
+                let mut sum = weights[0] * at(RADIUS);
+                for (d, &weight) in weights.iter().enumerate().skip(1) {
+                    sum += weight * (at(RADIUS - d) + at(RADIUS + d));
+                }
+                sum.write(&mut out[j..]);
             }
-            sum.write(&mut out[j..]);
         }
-        for (j, out) in out.iter_mut().enumerate().skip(whole) {
+        let x = x.map(|x| &x[first..][..rest.len()]);
+        for (j, out) in rest.iter_mut().enumerate() {
             *out = self.weights[0] * x[RADIUS][j];
             for (d, &weight) in self.weights.iter().enumerate().skip(1) {
                 *out += weight * (x[RADIUS - d][j] + x[RADIUS + d][j]);
@@ -226,18 +309,6 @@ fn differentiate<R: Real>(
     }
 }
 
-/// Mean of S; rows are summed first, then their sums.
-fn mean_similarity<R: Real>(lines: &[R], (rows, columns): (usize, usize)) -> f64 {
-    if rows * columns == 0 {
-        return 1.0;
-    }
-    let bands = threads::map(rows.div_ceil(BAND), |band| {
-        let sum_of_row = |row| reduce::sum(line_of(lines, columns, row * LINES + LINES - 1));
-        band_rows(band, rows).map(sum_of_row).sum::<f64>()
-    });
-    reduce::sum(&bands) / (rows * columns) as f64
-}
-
 /// The values of an array in standard layout.
 fn contiguous<'a, R>(image: &ArrayView2<'a, R>) -> &'a [R] {
     image.to_slice().expect("standard layout")
@@ -259,14 +330,10 @@ fn reached_rows(band: usize, rows: usize) -> Range<usize> {
 }
 
 /// `x·y` on some rows.
-fn product<R: Real>(x: &[R], y: &[R], rows: &Range<usize>, columns: usize) -> Vec<R> {
+fn multiply<R: Real>(x: &[R], y: &[R], rows: &Range<usize>, columns: usize, products: &mut Vec<R>) {
     let range = rows.start * columns..rows.end * columns;
-    x[range.clone()].iter().zip(&y[range]).map(|(&x, &y)| x * y).collect()
-}
-
-/// A row with room for the window's reach on both sides, all 0.
-fn padded_line<R: Real>(columns: usize) -> Vec<R> {
-    vec![R::ZERO; columns + 2 * RADIUS]
+    products.clear();
+    products.extend(x[range.clone()].iter().zip(&y[range]).map(|(&x, &y)| x * y));
 }
 
 /// The eleven rows around `row`; `values` holds the image's rows from `first` on, `stride` apart. Those outside
@@ -383,6 +450,20 @@ mod tests {
             let empty = Array2::zeros(shape);
             let (value, gradient) = ssim.value_and_gradient(empty.view(), &SsimTarget::new(&ssim, empty.view()));
             assert_eq!((value, gradient.dim()), (1.0, shape));
+        }
+    }
+
+    #[test]
+    fn an_image_after_others_has_the_bits_of_the_first_one() {
+        let kept = Ssim::<f32>::default();
+        let mut gradient = Array2::default((0, 0));
+        for (rows, columns) in [(50, 70), (20, 40), (60, 33), (0, 4), (50, 70)] {
+            let (a, b) = images(rows, columns);
+            let (a, b) = (a.mapv(|x| x as f32), b.mapv(|x| x as f32));
+            let value = kept.value_and_gradient_into(a.view(), &SsimTarget::new(&kept, b.view()), &mut gradient);
+            let new = Ssim::<f32>::default();
+            let expected = new.value_and_gradient(a.view(), &SsimTarget::new(&new, b.view()));
+            assert_eq!((value, &gradient), (expected.0, &expected.1), "{rows}×{columns}");
         }
     }
 

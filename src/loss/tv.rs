@@ -14,24 +14,41 @@ const SLAB: usize = 8;
 /// `D = (X-1)YZ + X(Y-1)Z + XY(Z-1)`. A side of 1 has no differences; a block without any has the value 0.
 /// The sub-gradient at equal neighbours is 0. Not in the paper: the third part of R²-Gaussian's data loss.
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
-    let block = block.as_standard_layout();
     let mut gradient = Array3::default(block.raw_dim());
-    let number = (0..3).map(|axis| differences(block.dim().into(), axis)).sum::<usize>();
+    (tv_into(block, &mut Default::default(), &mut gradient), gradient)
+}
+
+/// [`tv`] with the gradient in the place of another array, and memory for the differences along each axis.
+pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, distances: &mut [Vec<R>; 3], gradient: &mut Array3<R>) -> f64 {
+    let block = block.as_standard_layout();
+    if gradient.dim() != block.dim() {
+        *gradient = Array3::default(block.raw_dim());
+    }
+    let shape: [usize; 3] = block.dim().into();
+    let number = (0..3).map(|axis| differences(shape, axis)).sum::<usize>();
     if number == 0 {
-        return (0.0, gradient);
+        gradient.fill(R::ZERO);
+        return 0.0;
     }
     let values = block.as_slice().expect("standard layout");
-    let distances = (0..3).map(|axis| reduce::sum(&distances(values, block.dim().into(), axis)));
-    let value = distances.sum::<f64>() / number as f64;
-    let slope = R::from_f64(1.0 / number as f64);
-    let slices = gradient.as_slice_mut().expect("a new array is contiguous");
-    let (_, ny, nz) = block.dim();
-    threads::for_each_chunk(slices, SLAB * ny * nz, |slab, slices| {
-        for (x, slice) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz)) {
-            push(values, block.dim().into(), slope, x, slice);
-        }
-    });
-    (value, gradient)
+    let slices = gradient.as_slice_mut().expect("standard layout");
+    let [x, y, z] = distances;
+    let along = |axis: usize, distances: &mut Vec<R>| {
+        measure(values, shape, axis, distances);
+        reduce::sum(distances)
+    };
+    let push = || {
+        let (slope, [_, ny, nz]) = (R::from_f64(1.0 / number as f64), shape);
+        threads::for_each_chunk(slices, SLAB * ny * nz, |slab, slices| {
+            slices.fill(R::ZERO);
+            for (x, slice) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz)) {
+                push(values, shape, slope, x, slice);
+            }
+        });
+    };
+    let ((x, y), (z, ())) =
+        threads::both(|| threads::both(|| along(0, x), || along(1, y)), || threads::both(|| along(2, z), push));
+    [x, y, z].into_iter().sum::<f64>() / number as f64
 }
 
 /// Number of differences along an axis.
@@ -41,28 +58,20 @@ fn differences(shape: [usize; 3], axis: usize) -> usize {
 }
 
 /// |Δ f| along an axis, in the order of the voxels before.
-fn distances<R: Real>(values: &[R], shape: [usize; 3], axis: usize) -> Vec<R> {
+fn measure<R: Real>(values: &[R], shape: [usize; 3], axis: usize, distances: &mut Vec<R>) {
     let [_, ny, nz] = shape;
     let offset = [ny * nz, nz, 1][axis];
     let (rows, length) = (ny - usize::from(axis == 1), nz - usize::from(axis == 2));
-    let mut distances = vec![R::ZERO; differences(shape, axis)];
-    if !distances.is_empty() {
-        threads::for_each_chunk(&mut distances, SLAB * rows * length, |slab, distances| {
-            for (row, distances) in distances.chunks_exact_mut(length).enumerate() {
-                let first = ((slab * SLAB + row / rows) * ny + row % rows) * nz;
-                let (before, after) = (&values[first..][..length], &values[first + offset..][..length]);
-                distances
-                    .iter_mut()
-                    .zip(before)
-                    .zip(after)
-                    .for_each(|((d, &before), &after)| *d = (after - before).abs());
-            }
-        });
+    distances.resize(differences(shape, axis), R::ZERO);
+    for (row, distances) in distances.chunks_exact_mut(length.max(1)).enumerate() {
+        let first = (row / rows * ny + row % rows) * nz;
+        let (before, after) = (&values[first..][..length], &values[first + offset..][..length]);
+        let pairs = before.iter().zip(after);
+        distances.iter_mut().zip(pairs).for_each(|(d, (&before, &after))| *d = (after - before).abs());
     }
-    distances
 }
 
-/// The gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
+/// Adds the gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
 fn push<R: Real>(values: &[R], [nx, ny, nz]: [usize; 3], slope: R, x: usize, slice: &mut [R]) {
     for (axis, offset) in [ny * nz, nz, 1].into_iter().enumerate() {
         let inner = usize::from(axis == 2);
@@ -110,6 +119,17 @@ mod tests {
         assert!((turned - value).abs() < 1e-15);
         let back = of_turned.permuted_axes([1, 2, 0]);
         assert!(Zip::from(&back).and(&gradient).all(|a, b| (a - b).abs() < 1e-15));
+    }
+
+    #[test]
+    fn a_block_after_others_has_the_bits_of_the_first_one() {
+        let (mut distances, mut gradient) = (Default::default(), Array3::default((0, 0, 0)));
+        for shape in [(9, 5, 7), (4, 3, 5), (1, 1, 1), (9, 5, 7), (1, 6, 1)] {
+            let block = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 3.0);
+            let value = tv_into(block.view(), &mut distances, &mut gradient);
+            let expected = tv(block.view());
+            assert_eq!((value, &gradient), (expected.0, &expected.1), "{shape:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Sums whose tree depends on the length alone, accumulated in f64.
 
 use super::{Real, threads};
+use std::ops::Range;
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
@@ -14,25 +15,31 @@ fn middle(n: usize) -> usize {
 
 /// Pairwise sum: leaves of 32 values in order, halves joined left to right.
 pub fn sum<R: Real>(values: &[R]) -> f64 {
-    if values.len() <= SHARE {
-        return sum_by(values.len(), &|i| values[i].to_f64());
+    sum_of(0..values.len(), &|i| values[i].to_f64())
+}
+
+/// Pairwise sum of the terms of some indices, with the same tree as [`sum`]; several workers add up many.
+pub fn sum_of(indices: Range<usize>, term: &(impl Fn(usize) -> f64 + Sync)) -> f64 {
+    if indices.len() <= SHARE {
+        return tree(indices, term);
     }
-    let (left, right) = values.split_at(middle(values.len()));
-    let (left, right) = threads::both(|| sum(left), || sum(right));
+    let between = indices.start + middle(indices.len());
+    let (left, right) = threads::both(|| sum_of(indices.start..between, term), || sum_of(between..indices.end, term));
     left + right
 }
 
 /// Pairwise sum of `term(0) … term(n-1)`, with the same tree as [`sum`].
 pub fn sum_by(n: usize, term: &impl Fn(usize) -> f64) -> f64 {
-    fn tree(from: usize, to: usize, term: &impl Fn(usize) -> f64) -> f64 {
-        if to - from <= LEAF {
-            (from..to).fold(0.0, |total, i| total + term(i))
-        } else {
-            let between = from + middle(to - from);
-            tree(from, between, term) + tree(between, to, term)
-        }
+    tree(0..n, term)
+}
+
+fn tree(indices: Range<usize>, term: &impl Fn(usize) -> f64) -> f64 {
+    if indices.len() <= LEAF {
+        indices.fold(0.0, |total, i| total + term(i))
+    } else {
+        let between = indices.start + middle(indices.len());
+        tree(indices.start..between, term) + tree(between..indices.end, term)
     }
-    tree(0, n, term)
 }
 
 #[cfg(test)]
@@ -51,6 +58,7 @@ mod tests {
         for n in [SHARE, SHARE + 1, 3 * SHARE - 7, 1 << 17] {
             let values: Vec<f64> = (0..n).map(|i| 1.0 / (i as f64 + 1.7)).collect();
             assert_eq!(sum(&values), sum_by(n, &|i| values[i]));
+            assert_eq!(sum_of(5..n, &|i| values[i]), sum(&values[5..]));
         }
     }
 

@@ -3,6 +3,9 @@
 
 use crate::error::{Error, Result};
 use rayon::prelude::*;
+use rayon::slice::ChunksMut;
+use std::fmt;
+use std::ops::{Deref, DerefMut};
 use std::sync::Mutex;
 
 /// A number of workers, kept for several pieces of work.
@@ -71,27 +74,100 @@ pub fn map_many<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<
     (0..n).into_par_iter().with_min_len(64).map(f).collect()
 }
 
+/// [`map_many`] into memory that is there already; what it held goes.
+pub fn map_many_into<T: Send>(values: &mut Vec<T>, n: usize, f: impl Fn(usize) -> T + Sync + Send) {
+    (0..n).into_par_iter().with_min_len(64).map(f).collect_into_vec(values);
+}
+
 /// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).
 pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
     values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
 }
 
-/// As [`for_each_chunk`], with something for a task to work in, which it finds as another left it: no more are made than
-/// work at the same time.
-pub fn for_each_chunk_in<T: Send, S: Send>(
+/// Consecutive chunks of an array (the last may be shorter), to be gone through beside those of others.
+pub fn chunks<T: Send>(values: &mut [T], length: usize) -> ChunksMut<'_, T> {
+    values.par_chunks_mut(length)
+}
+
+/// Calls `f(index, (chunk, chunk, …))` for a tuple of [`chunks`], as many of each array as there are of the shortest.
+pub fn for_each_of<C: IntoParallelIterator<Iter: IndexedParallelIterator>>(
+    chunks: C,
+    f: impl Fn(usize, C::Item) + Sync + Send,
+) {
+    chunks.into_par_iter().with_max_len(1).enumerate().for_each(|(index, chunks)| f(index, chunks));
+}
+
+/// As [`for_each_chunk`], with something for a task to work in.
+pub fn for_each_chunk_in<T: Send, S: Default + Send>(
     values: &mut [T],
     length: usize,
-    make: impl Fn() -> S + Sync + Send,
+    spares: &Spares<S>,
     f: impl Fn(usize, &mut [T], &mut S) + Sync + Send,
 ) {
-    let free = Mutex::new(Vec::new());
-    let spare = || free.lock().expect("nobody panics with it");
-    for_each_chunk(values, length, |index, chunk| {
-        let found = spare().pop();
-        let mut space = found.unwrap_or_else(|| Box::new(make()));
-        f(index, chunk, &mut space);
-        spare().push(space);
-    });
+    for_each_chunk(values, length, |index, chunk| f(index, chunk, &mut spares.lend()));
+}
+
+/// Things to work in, kept for the next task, which finds them as another left them: no more are made than are in use at
+/// the same time. Nobody knows which one a task gets, so nothing that it held before may matter.
+pub struct Spares<T>(Mutex<Vec<Box<T>>>);
+
+/// One of [`Spares`], which it goes back to.
+pub struct Lent<'a, T> {
+    thing: Option<Box<T>>,
+    home: &'a Spares<T>,
+}
+
+impl<T> Spares<T> {
+    fn with<O>(&self, work: impl FnOnce(&mut Vec<Box<T>>) -> O) -> O {
+        work(&mut self.0.lock().expect("nobody panics with it"))
+    }
+}
+
+impl<T: Default> Spares<T> {
+    /// One that nobody uses, a new one if there is none.
+    pub fn lend(&self) -> Lent<'_, T> {
+        let spare = self.with(Vec::pop);
+        Lent { thing: Some(spare.unwrap_or_default()), home: self }
+    }
+}
+
+impl<T> Default for Spares<T> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+/// A copy of what uses them finds its own.
+impl<T> Clone for Spares<T> {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+impl<T> fmt::Debug for Spares<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Spares").field(&self.with(|things| things.len())).finish()
+    }
+}
+
+impl<T> Deref for Lent<'_, T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        self.thing.as_ref().expect("there until it goes back")
+    }
+}
+
+impl<T> DerefMut for Lent<'_, T> {
+    fn deref_mut(&mut self) -> &mut T {
+        self.thing.as_mut().expect("there until it goes back")
+    }
+}
+
+impl<T> Drop for Lent<'_, T> {
+    fn drop(&mut self) {
+        let thing = self.thing.take();
+        self.home.with(|things| things.extend(thing));
+    }
 }
 
 #[cfg(test)]
@@ -99,19 +175,46 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
+    static MADE: AtomicUsize = AtomicUsize::new(0);
+
+    /// How often it was used.
+    struct Counted(usize);
+
+    impl Default for Counted {
+        fn default() -> Self {
+            MADE.fetch_add(1, Ordering::Relaxed);
+            Self(0)
+        }
+    }
+
     #[test]
     fn every_chunk_is_worked_on_once_and_no_more_spaces_are_made_than_workers() {
-        let (made, mut values) = (AtomicUsize::new(0), vec![0; 1003]);
-        let make = || {
-            made.fetch_add(1, Ordering::Relaxed);
-            0
-        };
-        let work = |index: usize, chunk: &mut [usize], used: &mut usize| {
-            *used += 1;
+        let (spares, mut values) = (Spares::<Counted>::default(), vec![0; 1003]);
+        let work = |index: usize, chunk: &mut [usize], used: &mut Counted| {
+            used.0 += 1;
             chunk.iter_mut().for_each(|value| *value += index + 1);
         };
-        install(3, || for_each_chunk_in(&mut values, 10, make, work)).unwrap();
-        assert!(values.iter().enumerate().all(|(i, &value)| value == i / 10 + 1));
-        assert!((1..=3).contains(&made.into_inner()));
+        let pool = Pool::new(3).unwrap();
+        for _ in 0..2 {
+            pool.run(|| for_each_chunk_in(&mut values, 10, &spares, work));
+        }
+        assert!(values.iter().enumerate().all(|(i, &value)| value == 2 * (i / 10 + 1)));
+        let made = MADE.load(Ordering::Relaxed);
+        assert!((1..=3).contains(&made));
+        let kept: Vec<_> = (0..made).map(|_| spares.lend()).collect();
+        assert_eq!((kept.iter().map(|counted| counted.0).sum::<usize>(), MADE.load(Ordering::Relaxed)), (202, made));
+    }
+
+    #[test]
+    fn chunks_of_several_arrays_go_side_by_side() {
+        let (mut a, mut b, mut c) = ([0; 25], [[0; 2]; 25], [0; 25]);
+        for_each_of((chunks(&mut a, 10), chunks(&mut b, 10), chunks(&mut c, 10)), |index, (a, b, c)| {
+            a.fill(index);
+            b.fill([index; 2]);
+            c.fill(a.len());
+        });
+        for i in 0..25 {
+            assert_eq!((a[i], b[i], c[i]), (i / 10, [i / 10; 2], if i < 20 { 10 } else { 5 }));
+        }
     }
 }

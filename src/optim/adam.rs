@@ -31,14 +31,12 @@ impl Adam {
         self.advance(parameters, gradient, |parameter, m, root| parameter - all(rate) * m / root);
     }
 
-    /// The direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
+    /// Writes the direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
     ///
     /// # Panics
-    /// If the gradient does not have the length the optimiser was made for.
-    pub fn direction(&mut self, gradient: &[f64]) -> Vec<f64> {
-        let mut direction = vec![0.0; gradient.len()];
-        self.advance(&mut direction, gradient, |_, m, root| m / root);
-        direction
+    /// If an array does not have the length the optimiser was made for.
+    pub fn direction(&mut self, gradient: &[f64], direction: &mut [f64]) {
+        self.advance(direction, gradient, |_, m, root| m / root);
     }
 
     /// Updates the moments, and each number to `then(number, m̂, √v̂ + ε)`, eight at a time.
@@ -66,10 +64,9 @@ impl Adam {
             let (m, v) = (m.to_array(), v.to_array());
             *moments = std::array::from_fn(|i| [m[i], v[i]]);
         };
-        let mut work: Vec<_> =
-            values.chunks_mut(CHUNK).zip(self.moments.chunks_mut(CHUNK)).zip(gradient.chunks(CHUNK)).collect();
-        threads::for_each_chunk(&mut work, 1, |_, work| {
-            let ((values, moments), gradient) = &mut work[0];
+        let chunks = (threads::chunks(values, CHUNK), threads::chunks(&mut self.moments, CHUNK));
+        threads::for_each_of(chunks, |chunk, (values, moments)| {
+            let gradient = &gradient[chunk * CHUNK..][..values.len()];
             let ((values, last_values), (moments, last_moments)) = (values.as_chunks_mut(), moments.as_chunks_mut());
             let (gradient, last_gradient) = gradient.as_chunks();
             for ((values, moments), gradient) in values.iter_mut().zip(moments).zip(gradient) {
@@ -149,17 +146,19 @@ mod tests {
     #[test]
     fn the_direction_is_the_step_of_rate_one() {
         let mut adam = Adam::new(2, [0.9, 0.999], 1e-15);
-        adam.direction(&[0.3, -2.0]);
-        let (mut parameters, mut twin) = ([0.0; 2], adam.clone());
+        let (mut parameters, mut direction) = ([0.0; 2], [7.0; 2]);
+        adam.direction(&[0.3, -2.0], &mut direction);
+        let mut twin = adam.clone();
         twin.step(&mut parameters, &[-0.1, 5.0], 1.0);
-        assert_eq!(adam.direction(&[-0.1, 5.0]), parameters.map(|x| -x));
+        adam.direction(&[-0.1, 5.0], &mut direction);
+        assert_eq!(direction, parameters.map(|x| -x));
         assert_eq!(adam, twin);
     }
 
     #[test]
     fn a_new_population_keeps_the_moments_of_its_old_rows() {
         let mut adam = Adam::new(6, [0.9, 0.999], 1e-15);
-        adam.direction(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        adam.direction(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], &mut [0.0; 6]);
         adam.succeed(2, &[Some(2), None, Some(0), Some(0)]);
         let first: Vec<f64> = adam.moments.iter().map(|[m, _]| *m * 10.0).collect();
         for (got, expected) in first.iter().zip([5.0, 6.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0]) {

@@ -95,12 +95,11 @@ impl Sghmc {
             self.momentum.fill([0.0; 3]);
             self.burnt_in = true;
         }
-        let mut work: Vec<_> =
-            positions.chunks_mut(CHUNK).zip(self.momentum.chunks_mut(CHUNK)).zip(direction.chunks(CHUNK)).collect();
-        threads::for_each_chunk(&mut work, 1, |chunk, work| {
-            let ((positions, momentum), direction) = &mut work[0];
-            for (i, ((x, p), g)) in positions.iter_mut().zip(momentum.iter_mut()).zip(direction.iter()).enumerate() {
-                let Stir { gate, noise, covariance } = stir(chunk * CHUNK + i);
+        let chunks = (threads::chunks(positions, CHUNK), threads::chunks(&mut self.momentum, CHUNK));
+        threads::for_each_of(chunks, |chunk, (positions, momentum)| {
+            let rows = (chunk * CHUNK..).zip(&direction[chunk * CHUNK..]);
+            for ((x, p), (i, g)) in positions.iter_mut().zip(momentum).zip(rows) {
+                let Stir { gate, noise, covariance } = stir(i);
                 let pull = DVec3::from_array(*g) * -rate;
                 let next = match phase {
                     Phase::BurnIn(friction) => pull + covariance * (noise * (gate * deviation(rate, friction))),

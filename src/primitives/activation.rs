@@ -59,20 +59,30 @@ impl Interval {
 impl Activation {
     /// Physical values of raw parameters.
     pub fn forward(&self, raw: &Parameters) -> Primitives {
+        let mut physical = Primitives { kernel: self.kernel, parameters: Parameters::default() };
+        self.forward_into(raw, &mut physical);
+        physical
+    }
+
+    /// [`Self::forward`] in the place of others.
+    pub(crate) fn forward_into(&self, raw: &Parameters, physical: &mut Primitives) {
         let m = raw.len();
-        let ((mean, quaternion), (scale, (density, nu))) = threads::both(
-            || (raw.mean.clone(), raw.quaternion.clone()),
-            || {
-                let scale = || threads::map_many(m, |i| raw.scale[i].map(|s| self.scale.physical(s)));
-                let density = || threads::map_many(m, |i| softplus(raw.density[i]));
-                let nu = || match self.kernel {
-                    Kernel::Gaussian => vec![f64::INFINITY; m],
-                    Kernel::StudentT => threads::map_many(m, |i| self.nu.physical(raw.nu[i])),
-                };
-                threads::both(scale, || threads::both(density, nu))
-            },
-        );
-        Primitives { kernel: self.kernel, parameters: Parameters { mean, scale, quaternion, density, nu } }
+        physical.kernel = self.kernel;
+        let Parameters { mean, scale, quaternion, density, nu } = &mut physical.parameters;
+        let copies = || {
+            mean.clone_from(&raw.mean);
+            quaternion.clone_from(&raw.quaternion);
+        };
+        let of_scale = || threads::map_many_into(scale, m, |i| raw.scale[i].map(|s| self.scale.physical(s)));
+        let of_density = || threads::map_many_into(density, m, |i| softplus(raw.density[i]));
+        let of_nu = || match self.kernel {
+            Kernel::Gaussian => {
+                nu.clear();
+                nu.resize(m, f64::INFINITY);
+            }
+            Kernel::StudentT => threads::map_many_into(nu, m, |i| self.nu.physical(raw.nu[i])),
+        };
+        threads::both(copies, || threads::both(of_scale, || threads::both(of_density, of_nu)));
     }
 
     /// Raw parameters of physical values; values at or outside of a range come to lie just inside.

@@ -92,13 +92,18 @@ impl Group {
 impl Parameters {
     /// `m` primitives of zeros.
     pub fn zeros(m: usize) -> Self {
-        Self {
-            mean: vec![[0.0; 3]; m],
-            scale: vec![[0.0; 3]; m],
-            quaternion: vec![[0.0; 4]; m],
-            density: vec![0.0; m],
-            nu: vec![0.0; m],
-        }
+        let mut zeros = Self::default();
+        zeros.resize(m);
+        zeros
+    }
+
+    /// Room for `m` primitives: rows that were there stay, new ones are zeros.
+    pub(crate) fn resize(&mut self, m: usize) {
+        self.mean.resize(m, [0.0; 3]);
+        self.scale.resize(m, [0.0; 3]);
+        self.quaternion.resize(m, [0.0; 4]);
+        self.density.resize(m, 0.0);
+        self.nu.resize(m, 0.0);
     }
 
     /// Number of primitives.

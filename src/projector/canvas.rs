@@ -17,6 +17,7 @@ pub(super) trait Board<R: Real> {
 }
 
 /// An image: a register is `WIDTH/2` pixels of two rows, from any column on.
+#[derive(Default)]
 pub(super) struct Canvas<R> {
     /// Row by row; `stride` ≥ columns + WIDTH/2, and an even number of rows.
     pub(super) pixels: Vec<R>,
@@ -26,8 +27,16 @@ pub(super) struct Canvas<R> {
 impl<R: Real> Canvas<R> {
     /// Zeros for `rows` × `columns`.
     pub(super) fn new(rows: usize, columns: usize) -> Self {
-        let stride = columns + R::Lanes::WIDTH / 2;
-        Self { pixels: vec![R::ZERO; rows.next_multiple_of(2) * stride], stride }
+        let mut canvas = Self::default();
+        canvas.renew(rows, columns);
+        canvas
+    }
+
+    /// Zeros for `rows` × `columns`, whatever it was before.
+    pub(super) fn renew(&mut self, rows: usize, columns: usize) {
+        self.stride = columns + R::Lanes::WIDTH / 2;
+        self.pixels.clear();
+        self.pixels.resize(rows.next_multiple_of(2) * self.stride, R::ZERO);
     }
 
     /// Zeros again, in some columns of all rows, to the end of the last column's register.
@@ -71,7 +80,7 @@ pub(super) const PAIR: usize = 2;
 pub(super) const BUNDLE: usize = PAIR * PAIR;
 
 /// The part of a grid that [`Blocks`] hold: slices from an even one on, all rows, and some columns.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     pub(super) slices: Range<usize>,
     pub(super) rows: usize,
@@ -110,6 +119,7 @@ impl Window {
 
 /// A volume: a register is two slices × two rows × `WIDTH/4` columns, from any column on. A small support, about as long as
 /// wide, needs fewer of these than of registers that lie in one slice.
+#[derive(Default)]
 pub(super) struct Blocks<R> {
     /// `[slices / 2][rows / 2][columns + WIDTH/4][row][slice]`.
     voxels: Vec<R>,
@@ -119,8 +129,17 @@ pub(super) struct Blocks<R> {
 impl<R: Real> Blocks<R> {
     /// Zeros.
     pub(super) fn new(window: Window) -> Self {
+        let mut blocks = Self::default();
+        blocks.renew(window);
+        blocks
+    }
+
+    /// Zeros for another window.
+    pub(super) fn renew(&mut self, window: Window) {
         let pairs = window.slices.len().div_ceil(PAIR) * window.rows.div_ceil(PAIR);
-        Self { voxels: vec![R::ZERO; pairs * window.step::<R::Lanes>()], window }
+        self.voxels.clear();
+        self.voxels.resize(pairs * window.step::<R::Lanes>(), R::ZERO);
+        self.window = window;
     }
 
     /// Zeros again.

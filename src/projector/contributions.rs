@@ -63,7 +63,7 @@ impl<R: Kernels> ViewField<'_, R> {
         let band = origin..detector.rows.min(origin + STRIP);
         let half = R::Lanes::WIDTH / 2;
         in_chunks(self.footprints.len(), |primitives| {
-            let (mut canvas, mut scratch) = (Canvas::<R>::new(STRIP, column + 1), Scratch::new());
+            let (mut canvas, mut scratch) = (Canvas::<R>::new(STRIP, column + 1), Scratch::default());
             let one = |i: usize| {
                 let footprint = &self.footprints[i];
                 let (rows, columns) = (footprint.rows_in(band.clone()), footprint.columns.clone());
@@ -101,7 +101,7 @@ impl<R: Kernels> Field<R> {
         let slice = x / PAIR * PAIR;
         let window = Window { slices: slice..slice + PAIR, rows: grid.shape[1], columns: z..z + 1 };
         in_chunks(self.shapes.len(), |primitives| {
-            let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::new());
+            let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::default());
             let mut voxel = [R::ZERO];
             let one = |i: usize| {
                 blocks.clear();

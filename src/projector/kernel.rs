@@ -136,8 +136,8 @@ struct Ended<L> {
     end: usize,
 }
 
-impl<L: Lanes> Scratch<L> {
-    pub(super) fn new() -> Self {
+impl<L: Lanes> Default for Scratch<L> {
+    fn default() -> Self {
         let empty = [L::default(); BATCH];
         Self {
             x: empty,

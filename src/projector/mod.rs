@@ -42,13 +42,16 @@ pub use profile::profile;
 pub use view::ViewField;
 pub use voxelizer::GridField;
 
-use crate::numeric::threads;
+use crate::numeric::Real;
+use crate::numeric::threads::{self, Lent, Spares};
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
+use canvas::{Blocks, Canvas};
+use footprint::Footprint;
 use glam::DVec3;
+use kernel::Scratch;
 use ndarray::{Array3, ArrayView3, Axis};
 use shape::{Shape, ShapeGradient};
-use std::marker::PhantomData;
 
 /// Bytes of a primitive in each role, for the estimate of a run's memory.
 pub(crate) mod bytes {
@@ -73,15 +76,28 @@ pub enum Projection {
 }
 
 /// The density field f(x) = Σ ρT `[Eq. 1]`: primitives prepared for kernels that run in `R`.
-pub struct Field<R> {
+pub struct Field<R: Real> {
     kernel: Kernel,
     cutoff: f64,
     shapes: Vec<Shape>,
-    precision: PhantomData<R>,
+    spaces: Spaces<R>,
+}
+
+/// What the views and grids of a field are made of and work in. It stays when they go, so that whoever keeps a field and
+/// [renews](Field::renew) it asks the system for no more memory.
+#[derive(Default)]
+struct Spaces<R: Real> {
+    footprints: Spares<Vec<Footprint>>,
+    members: Spares<Vec<view::Members>>,
+    canvases: Spares<Canvas<R>>,
+    solids: Spares<Vec<voxelizer::Chunk>>,
+    blocks: Spares<Blocks<R>>,
+    scratch: Spares<Scratch<R::Lanes>>,
+    gradients: Spares<FieldGradient>,
 }
 
 /// A gradient to a [`Field`], summed over any number of views and volumes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct FieldGradient {
     shapes: Vec<ShapeGradient>,
 }
@@ -112,7 +128,15 @@ impl FieldGradient {
 impl<R: Kernels> Field<R> {
     /// Prepares primitives. A primitive is cut off where its projection has fallen to `cutoff` of its peak (0: nowhere).
     pub fn new(primitives: &Primitives, cutoff: f64) -> Self {
-        Self { kernel: primitives.kernel, cutoff, shapes: Shape::all::<R>(primitives, cutoff), precision: PhantomData }
+        let mut field = Self { kernel: primitives.kernel, cutoff, shapes: Vec::new(), spaces: Spaces::default() };
+        field.renew(primitives);
+        field
+    }
+
+    /// The field of other primitives with the same cutoff, in the same memory.
+    pub fn renew(&mut self, primitives: &Primitives) {
+        self.kernel = primitives.kernel;
+        Shape::all_into::<R>(&mut self.shapes, primitives, self.cutoff);
     }
 
     /// The field as a view sees it.
@@ -125,9 +149,24 @@ impl<R: Kernels> Field<R> {
         FieldGradient { shapes: vec![ShapeGradient::ZERO; self.shapes.len()] }
     }
 
+    /// A gradient of zeros in memory that the field gets back.
+    pub(crate) fn lend_gradient(&self) -> Lent<'_, FieldGradient> {
+        let mut gradient = self.spaces.gradients.lend();
+        gradient.shapes.resize(self.shapes.len(), ShapeGradient::ZERO);
+        threads::for_each_chunk(&mut gradient.shapes, shape::CHUNK, |_, shapes| shapes.fill(ShapeGradient::ZERO));
+        gradient
+    }
+
     /// The gradient to mean, scale, (unnormalised) quaternion, density and ν.
     pub fn finish(&self, gradient: &FieldGradient) -> Parameters {
-        shape::finish(&self.shapes, &gradient.shapes)
+        let mut all = Parameters::default();
+        self.finish_into(gradient, &mut all);
+        all
+    }
+
+    /// [`Self::finish`] into memory that is there already.
+    pub(crate) fn finish_into(&self, gradient: &FieldGradient, all: &mut Parameters) {
+        shape::finish(&self.shapes, &gradient.shapes, all);
     }
 }
 

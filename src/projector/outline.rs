@@ -145,7 +145,7 @@ mod tests {
             let (rows, columns) = (0..64, 0..64);
             let plane = plane.bounded(&rows, &columns);
             let walked = [false, true].map(|corners| {
-                let (mut image, mut scratch) = (Canvas::<f32>::new(64, 64), Scratch::new());
+                let (mut image, mut scratch) = (Canvas::<f32>::new(64, 64), Scratch::default());
                 let patch = Patch::new(&Plane { corners, ..plane }, rows.clone(), columns.clone(), 0, image.stride);
                 forward::<f32, _, true, true>(&patch, &mut image, &mut scratch);
                 let sums = backward::<f32, _, true, true>(&patch, &image, &mut scratch);

@@ -135,7 +135,7 @@ mod tests {
         let mut worst = 0.0_f64;
         for (plane, rows, columns) in [0.001, 0.02].into_iter().flat_map(planes) {
             let [near, anywhere] = [plane.bend, f64::INFINITY].map(|bend| {
-                let (mut image, mut scratch) = (Canvas::<R>::new(SIDE, SIDE), Scratch::new());
+                let (mut image, mut scratch) = (Canvas::<R>::new(SIDE, SIDE), Scratch::default());
                 let plane = Plane { bend, ..plane };
                 let patch = Patch::new(&plane, rows.clone(), columns.clone(), rows.start, image.stride);
                 forward::<R, _, STUDENT, true>(&patch, &mut image, &mut scratch);

@@ -26,7 +26,7 @@ use crate::primitives::{Kernel, gaussian, student_t};
 pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
     assert_eq!(delta.len(), nu.len(), "numbers of distances and of degrees of freedom");
     let mut canvas = Canvas::<R>::new(1, 1);
-    let mut scratch = Scratch::new();
+    let mut scratch = Scratch::default();
     let one = |(&delta, &nu): (&f64, &f64)| {
         let (kernel, unit, limit) = if nu == f64::INFINITY {
             (Kernel::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())

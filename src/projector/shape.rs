@@ -144,9 +144,9 @@ impl Shape {
     }
 
     /// All primitives with a relative cutoff ε (0: none), in parallel.
-    pub(super) fn all<R: Real>(primitives: &Primitives, epsilon: f64) -> Vec<Self> {
+    pub(super) fn all_into<R: Real>(shapes: &mut Vec<Self>, primitives: &Primitives, epsilon: f64) {
         let bits = student_t::bits(epsilon);
-        threads::map_many(primitives.len(), |i| Self::new::<R>(primitives, i, bits))
+        threads::map_many_into(shapes, primitives.len(), |i| Self::new::<R>(primitives, i, bits));
     }
 
     /// `1/(s₁s₂s₃)`, the determinant of the whitening matrix.
@@ -181,21 +181,23 @@ pub(super) fn whitening(shapes: [&Shape; EIGHT]) -> Matrices {
 }
 
 /// The gradient to all parameters of all primitives, in parallel.
-pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient]) -> Parameters {
-    let m = shapes.len();
-    let mut all = Parameters::zeros(m);
-    let Parameters { mean, scale, quaternion, density, nu } = &mut all;
-    let rest = quaternion.chunks_mut(CHUNK).zip(density.chunks_mut(CHUNK)).zip(nu.chunks_mut(CHUNK));
-    let mut rows: Vec<_> = mean.chunks_mut(CHUNK).zip(scale.chunks_mut(CHUNK)).zip(rest).collect();
-    threads::for_each_chunk(&mut rows, 1, |chunk, rows| {
-        let ((mean, scale), ((quaternion, density), nu)) = &mut rows[0];
+pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient], all: &mut Parameters) {
+    all.resize(shapes.len());
+    let Parameters { mean, scale, quaternion, density, nu } = all;
+    let chunks = (
+        threads::chunks(mean, CHUNK),
+        threads::chunks(scale, CHUNK),
+        threads::chunks(quaternion, CHUNK),
+        threads::chunks(density, CHUNK),
+        threads::chunks(nu, CHUNK),
+    );
+    threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
         for row in 0..mean.len() {
             let i = chunk * CHUNK + row;
             (mean[row], scale[row], quaternion[row]) = shapes[i].finish(&gradients[i]);
             (density[row], nu[row]) = (gradients[i].density, gradients[i].nu);
         }
     });
-    all
 }
 
 #[cfg(test)]
@@ -226,7 +228,9 @@ mod tests {
         let gradient = ShapeGradient { precision: [0.3, -0.8, 0.5, -1.6, 1.0, 1.5], ..ShapeGradient::ZERO };
         let to_quaternion = |length: f64| {
             let shape = Shape::new::<f64>(&primitives([0.7, -0.3, 0.5, 0.2].map(|x| x * length)), 0, f64::INFINITY);
-            finish(&[shape], &[gradient]).quaternion[0]
+            let mut all = Parameters::default();
+            finish(&[shape], &[gradient], &mut all);
+            all.quaternion[0]
         };
         let ordinary = to_quaternion(1.0);
         for length in [1e-149, 1e-100, 1e150] {

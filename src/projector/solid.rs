@@ -399,7 +399,8 @@ mod tests {
             density: (0..m).map(|_| draw(0.1, 2.0)).collect(),
             nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
         });
-        let shapes = Shape::all::<f32>(&primitives.unwrap(), 1e-2);
+        let mut shapes = Vec::new();
+        Shape::all_into::<f32>(&mut shapes, &primitives.unwrap(), 1e-2);
         let mut reaching = 0;
         for eight in shapes.chunks(EIGHT) {
             let together = Solid::eight(std::array::from_fn(|i| &eight[i]), &grid);

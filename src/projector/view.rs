@@ -1,29 +1,33 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
-use super::canvas::Canvas;
 use super::footprint::{Footprint, from_even};
-use super::kernel::{STRIP, Scratch, Sums};
+use super::kernel::{STRIP, Sums};
 use super::kernels::Kernels;
+use super::patch::Patch;
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::threads;
+use crate::numeric::Real;
+use crate::numeric::threads::{self, Lent};
 use crate::numeric::vectors::{EIGHT, lanes};
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
-/// Primitives that one task sorts into bands.
+/// Primitives that one task prepares, or sorts into bands; a multiple of [`EIGHT`].
 const BIN: usize = 512;
 /// Footprints that a band fetches at a time: they lie far apart, and the memory answers several as fast as one.
 const FETCH: usize = 16;
 
+/// Those of [`BIN`] primitives that reach each band, in index order.
+pub(super) type Members = Vec<Vec<u32>>;
+
 /// The footprints of a [`Field`]'s primitives on the detector of one view.
-pub struct ViewField<'a, R> {
+pub struct ViewField<'a, R: Real> {
     pub(super) field: &'a Field<R>,
     pub(super) scanner: Scanner,
     view: View,
     pub(super) projection: Projection,
-    pub(super) footprints: Vec<Footprint>,
+    pub(super) footprints: Lent<'a, Vec<Footprint>>,
 }
 
 impl<'a, R: Kernels> ViewField<'a, R> {
@@ -31,13 +35,15 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
-        let m = field.shapes.len();
-        let groups = threads::map_many(m.div_ceil(EIGHT), |group| {
-            let some = &field.shapes[group * EIGHT..m.min((group + 1) * EIGHT)];
-            Footprint::eight(lanes(some, |shape| shape), scanner, &view, projection)
+        let mut footprints = field.spaces.footprints.lend();
+        footprints.resize(field.shapes.len(), Footprint::default());
+        threads::for_each_chunk(&mut footprints, BIN, |chunk, footprints| {
+            let shapes = field.shapes[chunk * BIN..].chunks(EIGHT);
+            for (footprints, shapes) in footprints.chunks_mut(EIGHT).zip(shapes) {
+                let eight = Footprint::eight(lanes(shapes, |shape| shape), scanner, &view, projection);
+                footprints.iter_mut().zip(eight).for_each(|(footprint, new)| *footprint = new);
+            }
         });
-        let mut footprints = groups.into_flattened();
-        footprints.truncate(m);
         Self { field, scanner: *scanner, view, projection, footprints }
     }
 
@@ -72,24 +78,35 @@ impl<'a, R: Kernels> ViewField<'a, R> {
 
     /// The image `[v, u]`: bands of 32 rows in parallel, primitives in index order.
     pub fn image(&self) -> Array2<R> {
+        let mut image = Array2::default((0, 0));
+        self.image_into(&mut image);
+        image
+    }
+
+    /// [`Self::image`] in the place of another.
+    pub(crate) fn image_into(&self, image: &mut Array2<R>) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        if image.dim() != (rows, columns) {
+            *image = Array2::default((rows, columns));
+        }
+        let image = image.as_slice_mut().expect("images are in standard layout");
         let members = self.members(rows.div_ceil(STRIP));
         let kernel = R::kernels(self.field.kernel, self.projection).forward;
-        let mut image = vec![R::ZERO; rows * columns];
-        threads::for_each_chunk_in(&mut image, STRIP * columns, Scratch::new, |band, pixels, scratch| {
+        threads::for_each_chunk_in(image, STRIP * columns, &self.field.spaces.scratch, |band, pixels, scratch| {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
-            let mut canvas = Canvas::<R>::new(height, columns);
-            let mut fetched = Vec::with_capacity(FETCH);
+            let mut canvas = self.field.spaces.canvases.lend();
+            canvas.renew(height, columns);
+            let stride = canvas.stride;
+            let patch = |i: u32| {
+                let footprint = &self.footprints[i as usize];
+                let rows = footprint.rows_in(origin..origin + height);
+                let top = rows.start - origin;
+                footprint.patch(rows, top, stride)
+            };
             for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
-                fetched.clear();
-                fetched.extend(some.iter().map(|&i| {
-                    let footprint = &self.footprints[i as usize];
-                    let rows = footprint.rows_in(origin..origin + height);
-                    let top = rows.start - origin;
-                    footprint.patch(rows, top, canvas.stride)
-                }));
-                for patch in &fetched {
+                let fetched: [Option<Patch>; FETCH] = std::array::from_fn(|k| some.get(k).map(|&i| patch(i)));
+                for patch in fetched.iter().flatten() {
                     kernel(patch, &mut canvas, scratch);
                 }
             }
@@ -98,21 +115,25 @@ impl<'a, R: Kernels> ViewField<'a, R> {
                 self.times_ray_length(origin + row, pixels);
             }
         });
-        Array2::from_shape_vec((rows, columns), image).expect("bands make up the image")
     }
 
-    /// The primitives that reach each of `bands` bands, in index order: `[chunk of primitives][band]`.
-    fn members(&self, bands: usize) -> Vec<Vec<Vec<u32>>> {
-        threads::map(self.footprints.len().div_ceil(BIN), |chunk| {
-            let mut members = vec![Vec::new(); bands];
+    /// The primitives that reach each of `bands` bands.
+    fn members(&self, bands: usize) -> Lent<'_, Vec<Members>> {
+        let mut members = self.field.spaces.members.lend();
+        members.resize(self.footprints.len().div_ceil(BIN), Vec::new());
+        threads::for_each_chunk(&mut members, 1, |chunk, members| {
+            let [members] = members else { unreachable!("a chunk of one") };
+            // Room for all of them: what comes with another view needs no more.
+            members.resize_with(bands, || Vec::with_capacity(BIN));
+            members.iter_mut().for_each(Vec::clear);
             let all = (chunk * BIN..).zip(&self.footprints[chunk * BIN..]).take(BIN);
             for (i, footprint) in all.filter(|(_, footprint)| !footprint.is_empty()) {
                 for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
                     band.push(i as u32);
                 }
             }
-            members
-        })
+        });
+        members
     }
 
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
@@ -142,7 +163,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
-        let mut canvas = Canvas::<R>::new(rows, columns);
+        let mut canvas = self.field.spaces.canvases.lend();
+        canvas.renew(rows, columns);
         let stride = canvas.stride;
         threads::for_each_chunk(&mut canvas.pixels, STRIP * stride, |band, pixels| {
             for (row, pixels) in (band * STRIP..rows).zip(pixels.chunks_exact_mut(stride)) {
@@ -152,7 +174,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             }
         });
         let kernel = R::kernels(self.field.kernel, self.projection).backward;
-        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
+        let scratch = &self.field.spaces.scratch;
+        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
             let here = chunk * GATHER..chunk * GATHER + gradients.len();
             let (footprints, shapes) = (&self.footprints[here.clone()], &self.field.shapes[here]);
             let groups = footprints.chunks(EIGHT).zip(shapes.chunks(EIGHT));

@@ -2,14 +2,15 @@
 //! for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`. A register is in two slices, and all
 //! of a primitive's slices go through the kernels together: most are a few registers.
 
-use super::canvas::{Blocks, Window};
-use super::kernel::{Scratch, Sums};
+use super::canvas::Window;
+use super::kernel::Sums;
 use super::kernels::Kernels;
 use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
 use super::solid::{Placed, Solid};
 use super::{Field, FieldGradient, Projection};
+use crate::numeric::threads::{self, Lent};
 use crate::numeric::vectors::{EIGHT, Vectors, all, each, lanes};
-use crate::numeric::{Lanes, threads};
+use crate::numeric::{Lanes, Real};
 use crate::scene::Grid;
 use ndarray::{Array3, ArrayView3};
 
@@ -51,25 +52,34 @@ fn pull_back(sums: &[Sums; EIGHT], shapes: [&Shape; EIGHT]) -> [ShapeGradient; E
     .to_array()
 }
 
+/// Those of [`GATHER`] primitives that reach a voxel, with their indices in the model, in order.
+pub(super) type Chunk = Vec<(usize, Solid)>;
+
 /// A [`Field`] on a grid: the primitives that reach any of its voxels.
-pub struct GridField<'a, R> {
+pub struct GridField<'a, R: Real> {
     field: &'a Field<R>,
     pub(super) grid: Grid,
-    /// Those of each [`GATHER`] primitives, with their indices in the model, in order.
-    pub(super) solids: Vec<Vec<(usize, Solid)>>,
+    pub(super) solids: Lent<'a, Vec<Chunk>>,
 }
 
 impl<R: Kernels> Field<R> {
     /// The field on a grid.
     pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
-        let solids = threads::map(self.shapes.len().div_ceil(GATHER), |chunk| {
-            let all = (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER);
-            let near: Vec<_> = all.filter(|(_, shape)| Solid::is_near(shape, grid)).collect();
-            let solids = near.chunks(EIGHT).flat_map(|some| {
-                let solids = Solid::eight(lanes(some, |(_, shape)| *shape), grid);
-                some.iter().map(|(i, _)| *i).zip(solids)
-            });
-            solids.filter(|(_, solid)| !solid.slices().is_empty()).collect()
+        let mut solids = self.spaces.solids.lend();
+        // Room for all of them: what comes with another grid needs no more.
+        solids.resize_with(self.shapes.len().div_ceil(GATHER), || Vec::with_capacity(GATHER));
+        threads::for_each_chunk(&mut solids, 1, |chunk, solids| {
+            let [solids] = solids else { unreachable!("a chunk of one") };
+            solids.clear();
+            let (mut near, mut count) = ([0; GATHER], 0);
+            for (i, shape) in (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER) {
+                near[count] = i;
+                count += usize::from(Solid::is_near(shape, grid));
+            }
+            for some in near[..count].chunks(EIGHT) {
+                let eight = Solid::eight(lanes(some, |&i| &self.shapes[i]), grid);
+                solids.extend(some.iter().copied().zip(eight).filter(|(_, solid)| !solid.slices().is_empty()));
+            }
         });
         GridField { field: self, grid: *grid, solids }
     }
@@ -83,27 +93,34 @@ impl<R: Kernels> Field<R> {
 impl<R: Kernels> GridField<'_, R> {
     /// Values at the voxel centres, `[x, y, z]`.
     pub fn voxels(&self) -> Array3<R> {
-        let [nx, ny, nz] = self.grid.shape;
-        let mut members = vec![Vec::new(); nx.div_ceil(SLAB)];
-        for (_, solid) in self.solids.iter().flatten() {
-            for slab in &mut members[solid.slices().start / SLAB..=(solid.slices().end - 1) / SLAB] {
-                slab.push(solid);
-            }
+        let mut volume = Array3::default((0, 0, 0));
+        self.voxels_into(&mut volume);
+        volume
+    }
+
+    /// [`Self::voxels`] in the place of others.
+    pub(crate) fn voxels_into(&self, volume: &mut Array3<R>) {
+        let Self { field, grid, solids } = self;
+        let [nx, ny, nz] = grid.shape;
+        if volume.dim() != (nx, ny, nz) {
+            *volume = Array3::default((nx, ny, nz));
         }
-        let kernel = R::kernels(self.field.kernel, Projection::Affine).solid.forward;
-        let mut volume = vec![R::ZERO; nx * ny * nz];
-        threads::for_each_chunk_in(&mut volume, SLAB * ny * nz, Scratch::new, |slab, voxels, scratch| {
+        let volume = volume.as_slice_mut().expect("volumes are in standard layout");
+        let kernel = R::kernels(field.kernel, Projection::Affine).solid.forward;
+        threads::for_each_chunk_in(volume, SLAB * ny * nz, &field.spaces.scratch, |slab, voxels, scratch| {
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
             let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
-            let mut blocks = Blocks::<R>::new(window.clone());
-            for solid in &members[slab] {
-                kernel(&Placed { solid, window: &window }, &mut blocks, scratch);
+            let mut blocks = field.spaces.blocks.lend();
+            blocks.renew(window.clone());
+            for (_, solid) in solids.iter().flatten() {
+                if solid.slices().start < slices.end && slices.start < solid.slices().end {
+                    kernel(&Placed { solid, window: &window }, &mut blocks, scratch);
+                }
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
                 blocks.read(slices.start + row / ny, row % ny, voxels);
             }
         });
-        Array3::from_shape_vec((nx, ny, nz), volume).expect("slabs make up the volume")
     }
 
     /// Adds the gradient of `Σ cotangent·volume`; `cotangent` is `[x, y, z]`.
@@ -118,10 +135,12 @@ impl<R: Kernels> GridField<'_, R> {
         let cotangent = cotangent.as_standard_layout();
         let values = cotangent.as_slice().expect("standard layout");
         let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
-        let mut blocks = Blocks::<R>::new(window.clone());
+        let mut blocks = field.spaces.blocks.lend();
+        blocks.renew(window.clone());
         blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
         let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
-        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, Scratch::new, |chunk, gradients, scratch| {
+        let scratch = &field.spaces.scratch;
+        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
             for some in solids[chunk].chunks(EIGHT) {
                 let mut sums = [Sums::default(); EIGHT];
                 for (sums, (_, solid)) in sums.iter_mut().zip(some) {
@@ -141,14 +160,15 @@ mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::{Parameters, Primitives};
+    use crate::scene::{Beam, Detector, Scanner};
     use glam::DVec3;
+    use ndarray::Array2;
     use rand::RngExt;
 
-    #[test]
-    fn primitives_are_left_out_only_where_they_reach_no_voxel() {
-        let mut random = stream(7, Purpose::Phantom, 0, 0);
+    /// `m` turned primitives all over the volume.
+    fn some(m: usize, seed: u64) -> Primitives {
+        let mut random = stream(seed, Purpose::Phantom, 0, 0);
         let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
-        let m = 3000;
         let parameters = Parameters {
             mean: (0..m).map(|_| [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)]).collect(),
             scale: (0..m).map(|_| [draw(0.005, 0.1), draw(0.005, 0.1), draw(0.005, 0.1)]).collect(),
@@ -156,7 +176,47 @@ mod tests {
             density: vec![1.0; m],
             nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
         };
-        let field = Field::<f32>::new(&Primitives::new(parameters).unwrap(), 1e-2);
+        Primitives::new(parameters).unwrap()
+    }
+
+    #[test]
+    fn a_field_that_is_renewed_has_the_bits_of_a_new_one() {
+        let pitch = 4.0 / 40.0;
+        let scanner = |rows, columns| Scanner {
+            beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+            detector: Detector { rows, columns, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 },
+            grid: Grid::cube(24),
+        };
+        let use_all = |field: &Field<f32>, scanner: &Scanner, grid: &Grid, into: &mut (Array2<f32>, Array3<f32>)| {
+            let view = field.view(scanner, 0.4, Projection::Exact);
+            let there = field.on(grid);
+            view.image_into(&mut into.0);
+            there.voxels_into(&mut into.1);
+            let mut gradient = field.lend_gradient();
+            view.pull_back(into.0.view(), &mut gradient);
+            there.pull_back(into.1.view(), &mut gradient);
+            gradient.clone()
+        };
+        // More of everything first, then less.
+        let large = (scanner(70, 50), Grid::cube(24).block([0; 3], [20, 24, 22]));
+        let small = (scanner(40, 61), Grid::cube(24).block([5, 8, 11], [6, 7, 5]));
+        let mut kept = Field::<f32>::new(&some(1300, 1), 1e-2);
+        let mut arrays = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
+        use_all(&kept, &large.0, &large.1, &mut arrays);
+        for (m, (scanner, grid)) in [(700, &small), (1500, &large), (0, &small)] {
+            let primitives = some(m, m as u64);
+            kept.renew(&primitives);
+            let gradient = use_all(&kept, scanner, grid, &mut arrays);
+            let mut new = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
+            assert_eq!(gradient, use_all(&Field::new(&primitives, 1e-2), scanner, grid, &mut new));
+            assert_eq!(arrays, new);
+            assert!(m == 0 || arrays.0.sum() > 0.0 && arrays.1.sum() > 0.0);
+        }
+    }
+
+    #[test]
+    fn primitives_are_left_out_only_where_they_reach_no_voxel() {
+        let field = Field::<f32>::new(&some(3000, 7), 1e-2);
         let grid = Grid::cube(24).block([5, 8, 11], [6, 7, 5]);
         let there = field.on(&grid);
         let mut kept = there.solids.iter().flatten().map(|(i, _)| *i).peekable();

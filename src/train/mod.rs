@@ -18,21 +18,23 @@ pub use record::Record;
 pub use state::{Checkpoint, Checkpoints};
 
 use crate::classical::fdk::{Turn, Window, fdk};
-use crate::confidence::{Coverage, nu_loss, nu_target, spearman};
+use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
 use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
-use crate::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use crate::loss::{Ssim, SsimTarget, image_loss_into, tv::tv_into};
 use crate::numeric::rng::{self, Purpose};
-use crate::numeric::{real, reduce, threads};
+use crate::numeric::threads::{self, Lent, Spares};
+use crate::numeric::{real, reduce};
 use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
-use crate::primitives::{Activation, Kernel, Primitives};
+use crate::primitives::{Activation, Kernel, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
 use crate::scene::Volume;
 use crate::scene::dataset::Dataset;
 use crate::wavelet::{route, wavelet_loss};
 use glam::DVec3;
+use ndarray::{Array2, Array3};
 use optimiser::Step;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -130,6 +132,34 @@ struct Trainer<'a, R> {
     checkpoint: Option<(PathBuf, String)>,
 }
 
+/// What the losses of an iteration work in.
+#[derive(Default)]
+struct Spaces<R> {
+    images: Spares<Array2<R>>,
+    volumes: Spares<Array3<R>>,
+    distances: Spares<[Vec<R>; 3]>,
+    pulls: Spares<Vec<f64>>,
+}
+
+/// What an iteration makes anew from the raw parameters, in the memory of the one before.
+struct Derived<R: Kernels> {
+    physical: Primitives,
+    field: Field<R>,
+    spaces: Spaces<R>,
+    /// To the physical parameters, then to the raw ones.
+    gradient: Parameters,
+    direction: Vec<[f64; 3]>,
+}
+
+impl<R: Kernels> Derived<R> {
+    fn new(raw: &Parameters, activation: &Activation, cutoff: f64) -> Self {
+        let physical = activation.forward(raw);
+        let field = Field::new(&physical, cutoff);
+        let (spaces, gradient) = (Spaces::default(), Parameters::default());
+        Self { physical, field, spaces, gradient, direction: Vec::new() }
+    }
+}
+
 impl<'a, R: Kernels> Trainer<'a, R> {
     fn new(dataset: &'a Dataset, config: &'a Config, checkpoints: Option<Checkpoints>) -> Result<Self> {
         dataset.scanner.validate()?;
@@ -180,9 +210,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn run(mut self, observe: &mut Observe<'_>) -> Result<Reconstruction> {
         let (began, before) = (Instant::now(), self.state.seconds);
         let iterations = self.config.iterations;
+        let mut derived = Derived::new(&self.state.raw, &self.activation, self.config.cutoff);
         while self.state.iteration < iterations {
             let iteration = self.state.iteration + 1;
-            let losses = self.step(iteration)?;
+            let losses = self.step(iteration, &mut derived)?;
             self.state.iteration = iteration;
             self.state.sums.add(&losses);
             self.state.summed += 1;
@@ -206,6 +237,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 return Err(Error::Interrupted { step: iteration, remedy: remedy.into() });
             }
         }
+        drop(derived);
         let primitives = self.activation.forward(&self.state.raw);
         let grid = self.dataset.scanner.grid;
         let values = Field::<R>::new(&primitives, self.config.cutoff).voxels(&grid).mapv(|value| value.to_f64() as f32);
@@ -213,37 +245,15 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
-    fn step(&mut self, iteration: usize) -> Result<Losses> {
-        let physical = self.activation.forward(&self.state.raw);
-        let field = Field::<R>::new(&physical, self.config.cutoff);
-        let view = self.order.view(iteration - 1);
-        // Side by side: while one waits for its last piece of work, the others have some.
-        let (((mut losses, seen, gradient), tv), (wavelet, pull)) = threads::both(
-            || threads::both(|| self.data_loss(&field, view), || self.total_variation(&field, iteration)),
-            || threads::both(|| self.wavelets(&field, &physical, iteration), || self.pull_on_nu(&physical)),
-        );
-        if self.config.density_control.method == DensityControl::Adc {
-            self.state.pulls.add(gradient.shadows(), seen.seen());
-        }
-        let mut of_blocks = Vec::new();
-        if let Some((value, gradient)) = tv {
-            losses.tv = value;
-            of_blocks.push(gradient);
-        }
-        if let Some((value, gradient)) = wavelet? {
-            (losses.wavelet, losses.blocks) = (value, 1);
-            of_blocks.push(gradient);
-        }
-        let mut gradient = field.finish(&self.with_blocks(gradient, of_blocks));
-        if let Some((value, d_nu)) = pull {
-            losses.nu = value;
-            gradient.nu.iter_mut().zip(d_nu).for_each(|(gradient, d)| *gradient += d);
-        }
-        losses.total += self.config.loss.tv * losses.tv + losses.wavelet + losses.nu;
-        self.activation.vjp(&physical, &mut gradient);
+    fn step(&mut self, iteration: usize, derived: &mut Derived<R>) -> Result<Losses> {
+        self.activation.forward_into(&self.state.raw, &mut derived.physical);
+        derived.field.renew(&derived.physical);
+        let losses = self.losses(iteration, derived)?;
+        let Derived { physical, gradient, direction, .. } = derived;
+        self.activation.vjp(physical, gradient);
         gradient.check_finite("gradient of the raw parameters", iteration)?;
         let State { raw, ids, optimiser, .. } = &mut self.state;
-        optimiser.step(raw, &gradient, &Step { config: self.config, done: iteration - 1, physical: &physical, ids });
+        optimiser.step(raw, gradient, direction, &Step { config: self.config, done: iteration - 1, physical, ids });
         self.control_density(iteration)?;
         if iteration.is_multiple_of(self.config.confidence.every) {
             self.refresh_confidence();
@@ -251,38 +261,83 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(losses)
     }
 
+    /// All losses that count in an iteration, and their gradient to the physical parameters.
+    fn losses(&mut self, iteration: usize, derived: &mut Derived<R>) -> Result<Losses> {
+        let Derived { physical, field, spaces, gradient, .. } = derived;
+        let view = self.order.view(iteration - 1);
+        // Side by side: while one waits for its last piece of work, the others have some.
+        let (((mut losses, seen, mut of_view), tv), (wavelet, pull)) = threads::both(
+            || threads::both(|| self.data_loss(field, spaces, view), || self.total_variation(field, spaces, iteration)),
+            || {
+                threads::both(
+                    || self.wavelets(field, spaces, physical, iteration),
+                    || self.pull_on_nu(spaces, physical),
+                )
+            },
+        );
+        if self.config.density_control.method == DensityControl::Adc {
+            self.state.pulls.add(of_view.shadows(), seen.seen());
+        }
+        let wavelet = wavelet?;
+        losses.tv = tv.as_ref().map_or(0.0, |(value, _)| *value);
+        (losses.wavelet, losses.blocks) = wavelet.as_ref().map_or((0.0, 0), |(value, _)| (*value, 1));
+        self.add_blocks(&mut of_view, [tv, wavelet].map(|block| block.map(|(_, gradient)| gradient)));
+        field.finish_into(&of_view, gradient);
+        if let Some((value, d_nu)) = pull {
+            losses.nu = value;
+            gradient.nu.iter_mut().zip(d_nu.iter()).for_each(|(gradient, d)| *gradient += d);
+        }
+        losses.total += self.config.loss.tv * losses.tv + losses.wavelet + losses.nu;
+        Ok(losses)
+    }
+
     /// L1 and D-SSIM of a view, and their gradient.
-    fn data_loss<'f>(&self, field: &'f Field<R>, view: usize) -> (Losses, ViewField<'f, R>, FieldGradient) {
+    fn data_loss<'f>(
+        &self,
+        field: &'f Field<R>,
+        spaces: &Spaces<R>,
+        view: usize,
+    ) -> (Losses, ViewField<'f, R>, Lent<'f, FieldGradient>) {
         let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
-        let loss = image_loss(&self.ssim, self.config.loss.d_ssim, seen.image().view(), &self.images[view]);
-        let mut gradient = field.zero_gradient();
-        seen.pull_back(loss.cotangent.view(), &mut gradient);
-        let losses = Losses { total: loss.total, l1: loss.l1, d_ssim: loss.d_ssim, ..Losses::default() };
-        (losses, seen, gradient)
+        let (mut image, mut cotangent) = (spaces.images.lend(), spaces.images.lend());
+        seen.image_into(&mut image);
+        let (target, weight) = (&self.images[view], self.config.loss.d_ssim);
+        let [total, l1, d_ssim] = image_loss_into(&self.ssim, weight, image.view(), target, &mut cotangent);
+        let mut gradient = field.lend_gradient();
+        seen.pull_back(cotangent.view(), &mut gradient);
+        (Losses { total, l1, d_ssim, ..Losses::default() }, seen, gradient)
     }
 
     /// Total variation of a random block of the volume, and its gradient, if it counts.
-    fn total_variation(&self, field: &Field<R>, iteration: usize) -> Option<(f64, FieldGradient)> {
+    fn total_variation<'f>(
+        &self,
+        field: &'f Field<R>,
+        spaces: &Spaces<R>,
+        iteration: usize,
+    ) -> Option<(f64, Lent<'f, FieldGradient>)> {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
         if loss.tv <= 0.0 {
             return None;
         }
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
         let there = field.on(&block);
-        let (value, mut cotangent) = tv(there.voxels().view());
+        let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
+        there.voxels_into(&mut voxels);
+        let value = tv_into(voxels.view(), &mut spaces.distances.lend(), &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
-        let mut gradient = field.zero_gradient();
+        let mut gradient = field.lend_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
         Some((value, gradient))
     }
 
     /// The wavelet loss of a random block of the volume `[Eq. 11]`–`[Eq. 15]`, and its gradient, if it is due.
-    fn wavelets(
+    fn wavelets<'f>(
         &self,
-        field: &Field<R>,
+        field: &'f Field<R>,
+        spaces: &Spaces<R>,
         physical: &Primitives,
         iteration: usize,
-    ) -> Result<Option<(f64, FieldGradient)>> {
+    ) -> Result<Option<(f64, Lent<'f, FieldGradient>)>> {
         let (grid, wavelet) = (&self.dataset.scanner.grid, &self.config.wavelet);
         if !(wavelet.enabled && iteration.is_multiple_of(wavelet.every)) {
             return Ok(None);
@@ -292,33 +347,34 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let settings = wavelet.settings();
         let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
         let there = field.on(&block);
-        let loss = wavelet_loss(there.voxels().view(), &routing, &settings);
-        let mut gradient = field.zero_gradient();
+        let mut voxels = spaces.volumes.lend();
+        there.voxels_into(&mut voxels);
+        let loss = wavelet_loss(voxels.view(), &routing, &settings);
+        let mut gradient = field.lend_gradient();
         there.pull_back(loss.gradient.view(), &mut gradient);
         Ok(Some((loss.value, gradient)))
     }
 
-    /// The gradient of the view and of the blocks together; blocks may leave the centres alone.
-    fn with_blocks(&self, mut gradient: FieldGradient, of_blocks: Vec<FieldGradient>) -> FieldGradient {
+    /// Adds the gradients of blocks to that of the view; they may leave the centres alone.
+    fn add_blocks(&self, gradient: &mut FieldGradient, of_blocks: [Option<Lent<'_, FieldGradient>>; 2]) {
+        let mut of_blocks = of_blocks.into_iter().flatten();
         if self.config.loss.blocks_move {
-            of_blocks.iter().for_each(|block| gradient.add(block));
-            return gradient;
-        }
-        let together = |mut all: FieldGradient, block| {
-            all.add(&block);
-            all
-        };
-        if let Some(mut held) = of_blocks.into_iter().reduce(together) {
+            of_blocks.for_each(|block| gradient.add(&block));
+        } else if let Some(mut held) = of_blocks.next() {
+            of_blocks.for_each(|block| held.add(&block));
             held.hold_centres();
             gradient.add(&held);
         }
-        gradient
     }
 
     /// The pull of ν towards its target `[Eq. 10]` and its gradient, if it counts.
-    fn pull_on_nu(&self, physical: &Primitives) -> Option<(f64, Vec<f64>)> {
+    fn pull_on_nu<'f>(&self, spaces: &'f Spaces<R>, physical: &Primitives) -> Option<(f64, Lent<'f, Vec<f64>>)> {
         let settings = &self.config.confidence;
-        let loss = || nu_loss(&physical.parameters.nu, &self.targets, &self.state.confidence, settings.weight);
+        let loss = || {
+            let mut gradient = spaces.pulls.lend();
+            let (nu, confidence) = (&physical.parameters.nu, &self.state.confidence);
+            (nu_loss_into(nu, &self.targets, confidence, settings.weight, &mut gradient), gradient)
+        };
         settings.enabled.then(loss)
     }
 

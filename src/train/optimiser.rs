@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Optimiser {
     /// In the order of [`Group::ALL`].
-    adam: Vec<Adam>,
+    adam: [Adam; Group::ALL.len()],
     /// Momentum of the positions.
     sghmc: Sghmc,
 }
@@ -35,29 +35,35 @@ impl Optimiser {
     pub(super) fn new(m: usize, config: &Config) -> Self {
         let o = &config.optimiser;
         let adam = Group::ALL.map(|group| Adam::new(m * group.width(), o.beta, o.epsilon));
-        Self { adam: adam.into(), sghmc: Sghmc::new(m) }
+        Self { adam, sghmc: Sghmc::new(m) }
     }
 
-    pub(super) fn step(&mut self, raw: &mut Parameters, gradient: &Parameters, step: &Step<'_>) {
+    /// One step of all; `direction` is memory to work in.
+    pub(super) fn step(
+        &mut self,
+        raw: &mut Parameters,
+        gradient: &Parameters,
+        direction: &mut Vec<[f64; 3]>,
+        step: &Step<'_>,
+    ) {
         let o = &step.config.optimiser;
         let pace = pace(o.horizon, step.config.iterations);
         let rate =
             |[first, last]: [f64; 2]| pace * Exponential { first, last, steps: step.config.iterations }.at(step.done);
-        let (of_mean, others) = self.adam.split_first_mut().expect("one for each group");
+        let [of_mean, others @ ..] = &mut self.adam;
         let Parameters { mean, scale, quaternion, density, nu } = raw;
-        let values = [scale.as_flattened_mut(), quaternion.as_flattened_mut(), density, nu];
+        let mut values = [scale.as_flattened_mut(), quaternion.as_flattened_mut(), density, nu];
         let ends = [o.scale, o.quaternion, o.density, o.nu];
-        let mut others: Vec<_> = others.iter_mut().zip(&Group::ALL[1..]).zip(values).zip(ends).collect();
         let move_positions = || match o.position {
             PositionOptimiser::Adam => {
                 of_mean.step(mean.as_flattened_mut(), gradient.group(Group::Mean), rate(o.mean));
             }
-            _ => sample(&mut self.sghmc, of_mean, mean, gradient, rate(o.mean).sqrt(), step),
+            _ => sample(&mut self.sghmc, of_mean, mean, gradient, direction, rate(o.mean).sqrt(), step),
         };
         let step_others = || {
-            threads::for_each_chunk(&mut others, 1, |_, other| {
-                let (((adam, group), values), ends) = &mut other[0];
-                adam.step(values, gradient.group(**group), rate(*ends));
+            let each = (threads::chunks(others, 1), threads::chunks(&mut values, 1));
+            threads::for_each_of(each, |i, (adam, values)| {
+                adam[0].step(values[0], gradient.group(Group::ALL[1 + i]), rate(ends[i]));
             });
         };
         threads::both(move_positions, step_others);
@@ -78,6 +84,7 @@ fn sample(
     adam: &mut Adam,
     mean: &mut [[f64; 3]],
     gradient: &Parameters,
+    direction: &mut Vec<[f64; 3]>,
     rate: f64,
     step: &Step<'_>,
 ) {
@@ -90,9 +97,10 @@ fn sample(
         DVec3::new(normal(), normal(), normal())
     };
     if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
-        let energy: Vec<_> = gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)).collect();
+        direction.clear();
+        direction.extend(gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)));
         let free = |i| Stir { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
-        return sghmc.step(mean, &energy, rate, Phase::Sampling(friction), free);
+        return sghmc.step(mean, direction, rate, Phase::Sampling(friction), free);
     }
     let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
     let phase = if burning { Phase::BurnIn(burn_in_friction) } else { Phase::Sampling(friction) };
@@ -104,7 +112,7 @@ fn sample(
             Stir { gate, noise: noise(i), covariance }
         }
     };
-    let direction = adam.direction(gradient.group(Group::Mean));
-    let (direction, _) = direction.as_chunks::<3>();
+    direction.resize(mean.len(), [0.0; 3]);
+    adam.direction(gradient.group(Group::Mean), direction.as_flattened_mut());
     sghmc.step(mean, direction, rate, phase, stir);
 }
