@@ -139,8 +139,9 @@ impl fmt::Display for Estimate {
 
 /// The sizes that everything follows from.
 struct Sizes {
-    /// Pixels of a view.
+    /// Pixels of a view, and its rows.
     detector: usize,
+    rows: usize,
     /// Pixels of all views that are used.
     pixels: usize,
     voxels: usize,
@@ -167,6 +168,7 @@ impl Sizes {
         };
         Self {
             detector,
+            rows: scan.scanner.detector.rows,
             pixels: views * detector,
             voxels: grid.voxels(),
             slice: grid.shape[1] * grid.shape[2],
@@ -204,27 +206,26 @@ impl Sizes {
         let mut start = self.fdk("first volume", false).rows;
         start.push(row("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
         let block = |side: usize| self.voxels.min(side * side * side);
+        // What an iteration works in stays for the next one, whatever is due between them.
+        let kept = [
+            physical,
+            shapes,
+            row(
+                "gradients of the view, of two blocks and of the parameters",
+                m,
+                3 * projector::bytes::GRADIENT + 2 * NUMBERS * F64 + 3 * F64,
+            ),
+            row("footprints in the view and on both blocks", m, projector::bytes::VIEW + 2 * projector::bytes::GRID),
+            row("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
+            row("image, loss and cotangent", d, 10 * real),
+            row("block of the total variation", block(config.loss.tv_block), 8 * real),
+        ];
+        let working = |name, rows: &[Row]| with(name, m, &[&kept, rows].concat());
         let mut moments = vec![
             with("first volume", self.points, &start),
-            with(
+            working(
                 "iteration",
-                m,
                 &[
-                    physical,
-                    shapes,
-                    row(
-                        "gradients of the view, of two blocks and of the parameters",
-                        m,
-                        3 * projector::bytes::GRADIENT + 2 * NUMBERS * F64 + 3 * F64,
-                    ),
-                    row(
-                        "footprints in the view and on both blocks",
-                        m,
-                        projector::bytes::VIEW + 2 * projector::bytes::GRID,
-                    ),
-                    row("lists of primitives by bands and slices", m, 3 * 16 * 4),
-                    row("image, loss and cotangent", d, 10 * real),
-                    row("block of the total variation", block(config.loss.tv_block), 8 * real),
                     row(
                         "block of the wavelets",
                         block(config.wavelet.block),
@@ -233,7 +234,7 @@ impl Sizes {
                     row("tree of neighbours", m, 8 * F64),
                 ],
             ),
-            with("checkpoint", m, &[row("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
+            working("checkpoint", &[row("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
             with(
                 "last volume",
                 m,
@@ -241,7 +242,6 @@ impl Sizes {
                     physical,
                     shapes,
                     row("primitives on the grid", m, projector::bytes::GRID),
-                    row("lists of primitives by slices", m, 2 * 4 * (self.slices / 4).max(16)),
                     row("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
                 ],
             ),
@@ -249,7 +249,7 @@ impl Sizes {
         if config.density_control.method != DensityControl::None {
             // The next population beside the last one: successors, raw and physical values, moments.
             let next = row("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
-            moments.push(with("density control", m, &[physical, next]));
+            moments.push(working("density control", &[next]));
         }
         moments
     }

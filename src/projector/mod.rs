@@ -51,6 +51,7 @@ use footprint::Footprint;
 use glam::DVec3;
 use kernel::Scratch;
 use ndarray::{Array3, ArrayView3, Axis};
+use patch::Patch;
 use shape::{Shape, ShapeGradient};
 
 /// Bytes of a primitive in each role, for the estimate of a run's memory.
@@ -90,6 +91,7 @@ struct Spaces<R: Real> {
     footprints: Spares<Vec<Footprint>>,
     members: Spares<Vec<view::Members>>,
     canvases: Spares<Canvas<R>>,
+    fetched: Spares<Vec<Patch>>,
     solids: Spares<Vec<voxelizer::Chunk>>,
     blocks: Spares<Blocks<R>>,
     scratch: Spares<Scratch<R::Lanes>>,

@@ -3,7 +3,6 @@
 use super::footprint::{Footprint, from_even};
 use super::kernel::{STRIP, Sums};
 use super::kernels::Kernels;
-use super::patch::Patch;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::Real;
 use crate::numeric::threads::{self, Lent};
@@ -95,18 +94,18 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         threads::for_each_chunk_in(image, STRIP * columns, &self.field.spaces.scratch, |band, pixels, scratch| {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
-            let mut canvas = self.field.spaces.canvases.lend();
+            let (mut canvas, mut fetched) = (self.field.spaces.canvases.lend(), self.field.spaces.fetched.lend());
             canvas.renew(height, columns);
-            let stride = canvas.stride;
-            let patch = |i: u32| {
-                let footprint = &self.footprints[i as usize];
-                let rows = footprint.rows_in(origin..origin + height);
-                let top = rows.start - origin;
-                footprint.patch(rows, top, stride)
-            };
+            fetched.reserve(FETCH);
             for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
-                let fetched: [Option<Patch>; FETCH] = std::array::from_fn(|k| some.get(k).map(|&i| patch(i)));
-                for patch in fetched.iter().flatten() {
+                fetched.clear();
+                fetched.extend(some.iter().map(|&i| {
+                    let footprint = &self.footprints[i as usize];
+                    let rows = footprint.rows_in(origin..origin + height);
+                    let top = rows.start - origin;
+                    footprint.patch(rows, top, canvas.stride)
+                }));
+                for patch in fetched.iter() {
                     kernel(patch, &mut canvas, scratch);
                 }
             }
