@@ -5,44 +5,68 @@
 
 use crate::numeric::{Real, real};
 
-/// The length of a slab, and of a run of slabs.
-fn slabs(shape: [usize; 3], axis: usize) -> (usize, usize) {
-    let slab = shape[axis + 1..].iter().product();
-    (slab, slab * shape[axis])
+/// The differences of slice `x` of a block `f` along its three axes, whose sides are at least 2.
+pub(super) fn forward<R: Real>(f: &[R], shape: [usize; 3], x: usize, [dx, dy, dz]: [&mut [R]; 3]) {
+    let [nx, ny, nz] = shape;
+    let slice = |x: usize| &f[x * ny * nz..][..ny * nz];
+    let (above, below) = ((x + 1).min(nx - 1), x.saturating_sub(1));
+    let difference = if above - below == 2 { within } else { at_face };
+    difference(slice(above), slice(below), dx);
+    along(slice(x), nz, dy);
+    slice(x).chunks_exact(nz).zip(dz.chunks_exact_mut(nz)).for_each(|(f, d)| along(f, 1, d));
 }
 
-/// Differences along an axis whose side is at least 2.
-pub(super) fn forward<R: Real>(f: &[R], shape: [usize; 3], axis: usize) -> Vec<R> {
-    let half = real::<R>(0.5);
-    let (slab, run) = slabs(shape, axis);
-    let mut differences = vec![R::ZERO; f.len()];
-    for (d, f) in differences.chunks_exact_mut(run).zip(f.chunks_exact(run)) {
-        let ends = [(0, slab, 0), (run - slab, run - slab, run - 2 * slab)];
-        for (at, above, below) in ends {
-            let pairs = f[above..][..slab].iter().zip(&f[below..][..slab]);
-            d[at..][..slab].iter_mut().zip(pairs).for_each(|(d, (above, below))| *d = *above - *below);
-        }
-        let pairs = f[2 * slab..].iter().zip(f);
-        d[slab..run - slab].iter_mut().zip(pairs).for_each(|(d, (above, below))| *d = half * (*above - *below));
-    }
-    differences
+/// Differences along a run of slabs.
+fn along<R: Real>(f: &[R], slab: usize, d: &mut [R]) {
+    let last = f.len() - slab;
+    at_face(&f[slab..][..slab], f, d);
+    within(&f[2 * slab..], f, &mut d[slab..last]);
+    at_face(&f[last..], &f[last - slab..], &mut d[last..]);
 }
 
-/// Adds the transpose of [`forward`] of `flux` to `out`.
-pub(super) fn add_transpose<R: Real>(flux: &[R], shape: [usize; 3], axis: usize, out: &mut [R]) {
+fn at_face<R: Real>(above: &[R], below: &[R], d: &mut [R]) {
+    d.iter_mut().zip(above.iter().zip(below)).for_each(|(d, (above, below))| *d = *above - *below);
+}
+
+fn within<R: Real>(above: &[R], below: &[R], d: &mut [R]) {
     let half = real::<R>(0.5);
-    let (slab, run) = slabs(shape, axis);
-    for (flux, out) in flux.chunks_exact(run).zip(out.chunks_exact_mut(run)) {
-        let ends = [(0, slab, 0), (run - slab, run - slab, run - 2 * slab)];
-        for (at, above, below) in ends {
-            let flux = &flux[at..][..slab];
-            out[above..][..slab].iter_mut().zip(flux).for_each(|(out, flux)| *out += *flux);
-            out[below..][..slab].iter_mut().zip(flux).for_each(|(out, flux)| *out -= *flux);
-        }
-        let flux = &flux[slab..run - slab];
-        out[2 * slab..].iter_mut().zip(flux).for_each(|(out, flux)| *out += half * *flux);
-        out.iter_mut().zip(flux).for_each(|(out, flux)| *out -= half * *flux);
+    d.iter_mut().zip(above.iter().zip(below)).for_each(|(d, (above, below))| *d = half * (*above - *below));
+}
+
+/// Adds slice `x` of the transpose of [`forward`] to `out`: of the fluxes along x in the slices before, at and after it, as
+/// far as there are such, and of those along y and z in itself.
+pub(super) fn add_transpose<R: Real>(
+    [before, here, after]: [&[R]; 3],
+    [along_y, along_z]: [&[R]; 2],
+    [nx, _, nz]: [usize; 3],
+    x: usize,
+    out: &mut [R],
+) {
+    let (one, half) = (R::ONE, real::<R>(0.5));
+    let faces = [(x == 1, one, before), (x == 0, -one, here), (x == nx - 1, one, here), (x == nx - 2, -one, after)];
+    let inner = [(x > 1, half, before), (x + 2 < nx, -half, after)];
+    for (_, factor, flux) in faces.into_iter().chain(inner).filter(|(counts, ..)| *counts) {
+        add(factor, flux, out);
     }
+    add_transpose_along(along_y, nz, out);
+    along_z.chunks_exact(nz).zip(out.chunks_exact_mut(nz)).for_each(|(flux, out)| add_transpose_along(flux, 1, out));
+}
+
+/// The same along a run of slabs.
+fn add_transpose_along<R: Real>(flux: &[R], slab: usize, out: &mut [R]) {
+    let (one, half, last) = (R::ONE, real::<R>(0.5), flux.len() - slab);
+    for (at, above, below) in [(0, slab, 0), (last, last, last - slab)] {
+        let flux = &flux[at..][..slab];
+        add(one, flux, &mut out[above..]);
+        add(-one, flux, &mut out[below..]);
+    }
+    let flux = &flux[slab..last];
+    add(half, flux, &mut out[2 * slab..]);
+    add(-half, flux, out);
+}
+
+fn add<R: Real>(factor: R, flux: &[R], out: &mut [R]) {
+    out.iter_mut().zip(flux).for_each(|(out, flux)| *out += factor * *flux);
 }
 
 #[cfg(test)]
@@ -50,29 +74,54 @@ mod tests {
     use super::*;
     use ndarray::Array3;
 
+    /// Differences along each axis of all slices.
+    fn all(f: &[f64], shape: [usize; 3]) -> [Vec<f64>; 3] {
+        let mut differences = [(); 3].map(|()| vec![0.0; f.len()]);
+        let size = shape[1] * shape[2];
+        for x in 0..shape[0] {
+            let slices = differences.each_mut().map(|d| &mut d[x * size..][..size]);
+            forward(f, shape, x, slices);
+        }
+        differences
+    }
+
+    /// The transpose for all slices.
+    fn transpose(flux: [&[f64]; 3], shape: [usize; 3]) -> Vec<f64> {
+        let size = shape[1] * shape[2];
+        let mut out = vec![0.0; flux[0].len()];
+        for (x, out) in out.chunks_exact_mut(size).enumerate() {
+            let slice = |axis: usize, x: usize| flux[axis].get(x * size..).and_then(|f| f.get(..size)).unwrap_or(&[]);
+            let along_x = [slice(0, x.wrapping_sub(1).min(shape[0])), slice(0, x), slice(0, x + 1)];
+            add_transpose(along_x, [slice(1, x), slice(2, x)], shape, x, out);
+        }
+        out
+    }
+
     #[test]
     fn differences_are_central_within_and_one_sided_at_the_faces() {
-        assert_eq!(forward(&[1.0, 4.0, 9.0, 25.0], [1, 1, 4], 2), [3.0, 4.0, 10.5, 16.0]);
-        assert_eq!(forward(&[1.0, 4.0], [1, 2, 1], 1), [3.0, 3.0]);
+        let mut d = [0.0; 4];
+        along(&[1.0, 4.0, 9.0, 25.0], 1, &mut d);
+        assert_eq!(d, [3.0, 4.0, 10.5, 16.0]);
+        let [dx, ..] = all(&[1.0, 1.0, 1.0, 1.0, 4.0, 4.0, 4.0, 4.0, 9.0, 9.0, 9.0, 9.0], [3, 2, 2]);
+        assert_eq!(dx, [3.0, 3.0, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0, 5.0, 5.0, 5.0, 5.0]);
         let f = Array3::from_shape_fn((4, 6, 2), |(x, y, z)| (3 * x + 5 * y + 11 * z) as f64);
-        for (axis, slope) in [3.0, 5.0, 11.0].into_iter().enumerate() {
-            assert!(forward(f.as_slice().unwrap(), [4, 6, 2], axis).iter().all(|d| *d == slope), "axis {axis}");
+        for (differences, slope) in all(f.as_slice().unwrap(), [4, 6, 2]).iter().zip([3.0, 5.0, 11.0]) {
+            assert!(differences.iter().all(|d| *d == slope), "slope {slope}");
         }
     }
 
     #[test]
     fn the_transpose_is_the_transpose_entry_by_entry() {
         for shape in [[2, 4, 6], [6, 2, 4], [4, 6, 2]] {
-            for axis in 0..3 {
-                let n: usize = shape.iter().product();
-                let unit = |i: usize| (0..n).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
-                let columns: Vec<_> = (0..n).map(|i| forward(&unit(i), shape, axis)).collect();
-                for i in 0..n {
-                    let mut row = vec![0.0; n];
-                    add_transpose(&unit(i), shape, axis, &mut row);
-                    let is_column = row.iter().zip(&columns).all(|(x, column)| *x == column[i]);
-                    assert!(is_column, "{shape:?}, axis {axis}, row {i}");
-                }
+            let n: usize = shape.iter().product();
+            let unit = |i: usize| (0..n).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
+            let (columns, zeros): (Vec<_>, _) = ((0..n).map(|i| all(&unit(i), shape)).collect(), vec![0.0; n]);
+            for (axis, i) in (0..3).flat_map(|axis| (0..n).map(move |i| (axis, i))) {
+                let (mut flux, unit) = ([&zeros[..]; 3], unit(i));
+                flux[axis] = &unit;
+                let row = transpose(flux, shape);
+                let is_column = row.iter().zip(&columns).all(|(x, column)| *x == column[axis][i]);
+                assert!(is_column, "{shape:?}, axis {axis}, row {i}");
             }
         }
     }

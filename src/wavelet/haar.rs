@@ -8,12 +8,14 @@
 //! c_b(cell) = Σ_o ±f(2·cell + o)/√8,   f(2·cell + o) = Σ_b ±c_b(cell)/√8,   ± = (-1)^|b ∧ o|,   o = 4·ox + 2·oy + oz
 //! ```
 
-use crate::numeric::Real;
+use crate::numeric::{Real, threads};
 use ndarray::{Array3, Array4, ArrayView3};
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Bands of one level.
 pub const BANDS: usize = 8;
+/// Slices along x that one task puts together, an even number: a constant, so the cut does not depend on the threads.
+const SLAB: usize = 8;
 
 /// What a block is made of `[Eq. 11]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,9 +67,9 @@ pub fn forward<R: Real>(block: ArrayView3<R>, levels: usize) -> Subbands<R> {
     let mut subbands = Subbands::zeros(shape, levels);
     let mut low: Vec<R> = block.iter().copied().collect();
     for level in 1..=levels {
-        for band in 0..BANDS {
-            analyse(&low, shape, band, subbands.band_mut(level, band));
-        }
+        let all = subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
+        let size = all.len() / BANDS;
+        threads::for_each_chunk(all, size, |band, coefficients| analyse(&low, shape, band, coefficients));
         low = subbands.band(level, 0).to_vec();
         shape = shape.map(|side| side / 2);
     }
@@ -80,12 +82,15 @@ pub fn inverse<R: Real>(subbands: &Subbands<R>) -> Array3<R> {
     let coarsest = subbands.levels.len();
     let mut low = subbands.band(coarsest, 0).to_vec();
     for level in (1..=coarsest).rev() {
-        let shape = shape.map(|side| side >> (level - 1));
-        let mut block = vec![R::ZERO; shape.iter().product()];
-        add_synthesis(&low, shape, 0, &mut block);
-        for band in 1..BANDS {
-            add_synthesis(subbands.band(level, band), shape, band, &mut block);
-        }
+        let [nx, ny, nz] = shape.map(|side| side >> (level - 1));
+        let mut block = vec![R::ZERO; nx * ny * nz];
+        threads::for_each_chunk(&mut block, SLAB * ny * nz, |slab, block| {
+            for band in 0..BANDS {
+                let coefficients = if band == 0 { &low } else { subbands.band(level, band) };
+                let first = slab * SLAB * ny * nz / BANDS;
+                add_synthesis(&coefficients[first..], [block.len() / (ny * nz), ny, nz], band, block);
+            }
+        });
         low = block;
     }
     Array3::from_shape_vec(shape, low).expect("coefficients of a block make up a block")

@@ -9,6 +9,9 @@ use ndarray::{Array3, ArrayView3};
 /// The bands that count in each level: not the low one, not the one that is high along all axes `[Eq. 11]`.
 const MIDDLE: std::ops::RangeInclusive<usize> = 1..=6;
 
+/// Voxels that one task adds up: a constant, so the cut does not depend on the threads.
+const CHUNK: usize = 4096;
+
 /// What a block has to answer for `[Eq. 15]`.
 #[derive(Clone, Debug)]
 pub struct WaveletLoss<R> {
@@ -52,26 +55,35 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
     let low = |high: u16| k - f64::from(high);
     // What a voxel's count is divided by: neighbours, voxels and bands.
     let share = k * high.len() as f64 * places.len() as f64;
-    let push: Vec<R> = high
-        .iter()
-        .map(|&h| {
+    let mut push = vec![R::ZERO; high.len()];
+    threads::for_each_chunk(&mut push, CHUNK, |chunk, push| {
+        for (push, &h) in push.iter_mut().zip(&high[chunk * CHUNK..]) {
             let enhance = settings.enhance * settings.enhancement * f64::from(h);
-            R::from_f64((settings.suppress * low(h) - enhance) / share)
-        })
-        .collect();
+            *push = R::from_f64((settings.suppress * low(h) - enhance) / share);
+        }
+    });
     let bands = threads::map(places.len(), |i| {
         let (level, band) = places[i];
         detail(subbands.band(level, band), shape, level, band, &push)
     });
 
     let mut gradient = Subbands::zeros(shape, settings.levels);
-    let mut strength = vec![0.0; high.len()];
     for (&(level, band), part) in places.iter().zip(&bands) {
         gradient.band_mut(level, band).copy_from_slice(&part.gradient);
-        strength.iter_mut().zip(&part.strength).for_each(|(sum, &part)| *sum += part.to_f64());
     }
-    let enhancement = settings.enhancement * reduce::sum_by(high.len(), &|i| f64::from(high[i]) * strength[i]) / share;
-    let suppression = reduce::sum_by(high.len(), &|i| low(high[i]) * strength[i]) / share;
+    let mut strength = vec![0.0; high.len()];
+    threads::for_each_chunk(&mut strength, CHUNK, |chunk, strength| {
+        for part in &bands {
+            let parts = &part.strength[chunk * CHUNK..];
+            strength.iter_mut().zip(parts).for_each(|(sum, &part)| *sum += part.to_f64());
+        }
+    });
+    let all = 0..high.len();
+    let (enhancement, suppression) = threads::both(
+        || reduce::sum_of(all.clone(), &|i| f64::from(high[i]) * strength[i]),
+        || reduce::sum_of(all.clone(), &|i| low(high[i]) * strength[i]),
+    );
+    let (enhancement, suppression) = (settings.enhancement * enhancement / share, suppression / share);
     WaveletLoss {
         value: settings.suppress * suppression - settings.enhance * enhancement,
         enhancement,
@@ -80,21 +92,33 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
     }
 }
 
-/// Strength of one band, and its coefficients' gradient for the gradient `push` to the strength.
+/// Strength of one band, and its coefficients' gradient for the gradient `push` to the strength. Goes through the
+/// block slice by slice, so that all but the block itself stays in the nearest cache.
 fn detail<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: usize, push: &[R]) -> Band<R> {
+    let [nx, ny, nz] = shape;
+    let (size, flat) = (ny * nz, real::<R>(FLAT));
     let mut block = haar::alone(coefficients, shape, level, band);
-    let [mut dx, mut dy, mut dz] = [0, 1, 2].map(|axis| differences::forward(&block, shape, axis));
     let mut strength = vec![R::ZERO; block.len()];
-    let flat = real::<R>(FLAT);
-    let slopes = dx.iter_mut().zip(&mut dy).zip(&mut dz);
-    for ((((dx, dy), dz), strength), &push) in slopes.zip(&mut strength).zip(push) {
-        *strength = (*dx * *dx + *dy * *dy + *dz * *dz + flat).sqrt();
-        let flux = push / *strength;
-        (*dx, *dy, *dz) = (flux * *dx, flux * *dy, flux * *dz);
-    }
-    block.fill(R::ZERO);
-    for (axis, flux) in [dx, dy, dz].iter().enumerate() {
-        differences::add_transpose(flux, shape, axis, &mut block);
+    // The fluxes of three slices, by turns. Behind them the gradient takes the block's place.
+    let mut flux: [[Vec<R>; 3]; 3] = std::array::from_fn(|_| std::array::from_fn(|_| vec![R::ZERO; size]));
+    for x in 0..=nx {
+        if x < nx {
+            let [dx, dy, dz] = &mut flux[x % 3];
+            differences::forward(&block, shape, x, [dx, dy, dz]);
+            let slopes = dx.iter_mut().zip(dy).zip(dz).zip(&mut strength[x * size..]);
+            for ((((dx, dy), dz), strength), &push) in slopes.zip(&push[x * size..]) {
+                *strength = (*dx * *dx + *dy * *dy + *dz * *dz + flat).sqrt();
+                let flux = push / *strength;
+                (*dx, *dy, *dz) = (flux * *dx, flux * *dy, flux * *dz);
+            }
+        }
+        if let Some(x) = x.checked_sub(1) {
+            let gradient = &mut block[x * size..][..size];
+            gradient.fill(R::ZERO);
+            let [before, here, after] = [x + 2, x, x + 1].map(|x| &flux[x % 3]);
+            let ([_, dy, dz], along_x) = (here, [&before[0], &here[0], &after[0]].map(|flux| &flux[..]));
+            differences::add_transpose(along_x, [dy, dz], shape, x, gradient);
+        }
     }
     Band { strength, gradient: haar::coefficients(&block, shape, level, band) }
 }
