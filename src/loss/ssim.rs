@@ -30,6 +30,8 @@ const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 /// Lines kept of each row: the derivatives of S by `G a`, `G a²` and `G ab`, and S itself.
 const LINES: usize = 4;
+/// Between lines: eleven rows that were a power of two apart would push each other out of the cache.
+const GAP: usize = 16;
 /// Columns weighed together: a few registers, so that eleven addresses are worth finding.
 const ABREAST: usize = 32;
 /// Rows that one task computes: a constant, so the cut does not depend on the threads.
@@ -40,7 +42,7 @@ const BAND: usize = 16;
 pub struct Ssim<R> {
     /// Weights at distance 0, 1, … from the centre.
     weights: [R; RADIUS + 1],
-    /// S and its derivatives by the three blurs, `[row][line][column]`.
+    /// S and its derivatives by the three blurs, `[row][line][column]`, each line with a gap after it.
     lines: Spares<Vec<R>>,
     rows: Spares<Rows<R>>,
     sums: Spares<Vec<f64>>,
@@ -176,17 +178,18 @@ impl<R: Real> Ssim<R> {
         if image.is_empty() {
             return;
         }
-        lines.resize(LINES * image.len(), R::ZERO);
+        let width = columns + GAP;
+        lines.resize(rows * LINES * width, R::ZERO);
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let share = R::from_f64(1.0 / image.len() as f64);
-        threads::for_each_chunk_in(lines, BAND * LINES * columns, &self.rows, |band, lines, space| {
+        threads::for_each_chunk_in(lines, BAND * LINES * width, &self.rows, |band, lines, space| {
             space.fit(columns);
             let Rows { line, zeros, products: [aa, ab], .. } = space;
             let inputs = reached_rows(band, rows);
             multiply(a, a, &inputs, columns, aa);
             multiply(a, b, &inputs, columns, ab);
-            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * columns)) {
-                let mut lines = lines.chunks_exact_mut(columns);
+            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * width)) {
+                let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
                 let [of_a, of_aa, of_ab, similarity]: [_; LINES] =
                     std::array::from_fn(|_| lines.next().expect("four lines of a row"));
                 self.blur(around(a, 0, columns, row, zeros), line, of_a);
@@ -210,11 +213,12 @@ impl<R: Real> Ssim<R> {
     ) {
         let (rows, columns) = image.dim();
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
+        let width = columns + GAP;
         space.fit(columns);
         let Rows { line, zeros, blurs, .. } = space;
         for (row, gradient) in band_rows(band, rows).zip(gradient.chunks_exact_mut(columns)) {
             for (kind, blur) in blurs.iter_mut().enumerate() {
-                let partial = around(&lines[kind * columns..], 0, LINES * columns, row, zeros);
+                let partial = around(&lines[kind * width..], 0, LINES * width, row, zeros);
                 self.blur(partial, line, blur);
             }
             let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| &blur[..columns]);
@@ -233,7 +237,8 @@ impl<R: Real> Ssim<R> {
         let mut bands = self.sums.lend();
         bands.resize(rows.div_ceil(BAND), 0.0);
         threads::for_each_chunk(&mut bands, 1, |band, sum| {
-            let sum_of_row = |row| reduce::sum(line_of(lines, columns, row * LINES + LINES - 1));
+            let similarity = |row: usize| &lines[(row * LINES + LINES - 1) * (columns + GAP)..][..columns];
+            let sum_of_row = |row| reduce::sum(similarity(row));
             sum[0] = band_rows(band, rows).map(sum_of_row).sum::<f64>();
         });
         reduce::sum(&bands) / (rows * columns) as f64
