@@ -19,22 +19,27 @@ use crate::numeric::elementary::exp;
 use crate::numeric::threads::{self, Spares};
 use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array2, ArrayView2};
-use std::ops::Range;
+use std::array::from_fn;
+use std::ops::{Add, Mul, Range};
 
 /// The window reaches this many pixels to each side.
 const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
+/// Rows blurred together: most of the rows that the window reaches from one are those that it reaches from the next.
+const TOGETHER: usize = 4;
+/// The rows that it reaches from all of these.
+const REACHED: usize = TAPS + TOGETHER - 1;
 /// Standard deviation of the window, pixels.
 const SIGMA: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
-/// Lines kept of each row: the derivatives of S by `G a`, `G a²` and `G ab`, and S itself.
-const LINES: usize = 4;
+/// Lines kept of each row: the derivatives of S by `G a`, `G a²` and `G ab`.
+const LINES: usize = 3;
 /// Between lines: eleven rows that were a power of two apart would push each other out of the cache.
 const GAP: usize = 16;
 /// Columns weighed together: a few registers, so that eleven addresses are worth finding.
 const ABREAST: usize = 32;
-/// Rows that one task computes: a constant, so the cut does not depend on the threads.
+/// Rows that one task computes, several times [`TOGETHER`]: a constant, so the cut does not depend on the threads.
 const BAND: usize = 16;
 
 /// Compares images: holds the window, which is symmetric and the same for rows and columns.
@@ -42,7 +47,7 @@ const BAND: usize = 16;
 pub struct Ssim<R> {
     /// Weights at distance 0, 1, … from the centre.
     weights: [R; RADIUS + 1],
-    /// S and its derivatives by the three blurs, `[row][line][column]`, each line with a gap after it.
+    /// The derivatives of S by the three blurs, `[row][line][column]`, each line with a gap after it.
     lines: Spares<Vec<R>>,
     rows: Spares<Rows<R>>,
     sums: Spares<Vec<f64>>,
@@ -51,13 +56,15 @@ pub struct Ssim<R> {
 /// What a task works in.
 #[derive(Debug, Default)]
 struct Rows<R> {
-    /// A row with room for the window's reach on both sides, where it is 0.
-    line: Vec<R>,
+    /// Rows with room for the window's reach on both sides, where they are 0.
+    lines: [Vec<R>; TOGETHER],
     /// A row outside of the image.
     zeros: Vec<R>,
+    /// S of a row.
+    similarity: Vec<R>,
     /// `a²` and `ab` of the rows that a band reaches.
     products: [Vec<R>; 2],
-    /// One row each.
+    /// [`TOGETHER`] rows each.
     blurs: [Vec<R>; 3],
 }
 
@@ -67,9 +74,10 @@ impl<R: Real> Rows<R> {
             values.clear();
             values.resize(n, R::ZERO);
         };
-        zeros(&mut self.line, columns + 2 * RADIUS);
+        self.lines.iter_mut().for_each(|line| zeros(line, columns + 2 * RADIUS));
         zeros(&mut self.zeros, columns);
-        self.blurs.iter_mut().for_each(|blur| blur.resize(columns, R::ZERO));
+        self.similarity.resize(columns, R::ZERO);
+        self.blurs.iter_mut().for_each(|blur| blur.resize(TOGETHER * columns, R::ZERO));
     }
 }
 
@@ -101,17 +109,18 @@ impl<R: Real> SsimTarget<R> {
         let bands = threads::map(rows.div_ceil(BAND), |band| {
             let mut space = ssim.rows.lend();
             space.fit(columns);
-            let Rows { line, zeros, products: [squares, _], .. } = &mut *space;
+            let Rows { lines, zeros, products: [squares, _], .. } = &mut *space;
             let inputs = reached_rows(band, rows);
             multiply(values, values, &inputs, columns, squares);
             let band = band_rows(band, rows);
             let (mut mean, mut variance) = (vec![R::ZERO; band.len() * columns], vec![R::ZERO; band.len() * columns]);
-            for (slot, row) in band.enumerate() {
-                let here = slot * columns..(slot + 1) * columns;
+            let size = TOGETHER * columns.max(1);
+            let outs = mean.chunks_mut(size).zip(variance.chunks_mut(size));
+            for (row, (mean, variance)) in band.step_by(TOGETHER).zip(outs) {
                 let b = around(values, 0, columns, row, zeros);
                 let bb = around(squares, inputs.start, columns, row, zeros);
-                ssim.blur(b, line, &mut mean[here.clone()]);
-                ssim.blur(bb, line, &mut variance[here]);
+                ssim.blur(b, lines, mean.chunks_exact_mut(columns));
+                ssim.blur(bb, lines, variance.chunks_exact_mut(columns));
             }
             variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v -= m * m);
             (mean, variance)
@@ -136,8 +145,7 @@ impl<R: Real> Ssim<R> {
     pub fn value(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> f64 {
         let image = image.as_standard_layout();
         let mut lines = self.lines.lend();
-        self.compare(image.view(), target, &mut lines);
-        self.mean_similarity(&lines, image.dim())
+        self.compare(image.view(), target, &mut lines)
     }
 
     /// [`Self::value`] and ∂SSIM/∂image, an array of the image's shape.
@@ -161,44 +169,56 @@ impl<R: Real> Ssim<R> {
             *gradient = Array2::default(image.raw_dim());
         }
         let mut lines = self.lines.lend();
-        self.compare(image.view(), target, &mut lines);
+        let value = self.compare(image.view(), target, &mut lines);
         if !image.is_empty() {
             let values = gradient.as_slice_mut().expect("standard layout");
             threads::for_each_chunk_in(values, BAND * image.ncols(), &self.rows, |band, values, space| {
                 self.pull_back(&lines, image.view(), target, band, space, values);
             });
         }
-        self.mean_similarity(&lines, image.dim())
+        value
     }
 
-    /// S and its derivatives by the three blurs. `image` is in standard layout.
-    fn compare(&self, image: ArrayView2<R>, target: &SsimTarget<R>, lines: &mut Vec<R>) {
+    /// The mean of S, and its derivatives by the three blurs. `image` is in standard layout. Rows are summed first, then
+    /// their sums in a band, then these.
+    fn compare(&self, image: ArrayView2<R>, target: &SsimTarget<R>, lines: &mut Vec<R>) -> f64 {
         assert_eq!(image.shape(), target.image.shape(), "SSIM of an image and a target of different shapes");
         let (rows, columns) = image.dim();
         if image.is_empty() {
-            return;
+            return 1.0;
         }
         let width = columns + GAP;
         lines.resize(rows * LINES * width, R::ZERO);
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let share = R::from_f64(1.0 / image.len() as f64);
-        threads::for_each_chunk_in(lines, BAND * LINES * width, &self.rows, |band, lines, space| {
+        let mut sums = self.sums.lend();
+        sums.resize(rows.div_ceil(BAND), 0.0);
+        let bands = (threads::chunks(lines, BAND * LINES * width), threads::chunks(&mut sums, 1));
+        threads::for_each_of(bands, |band, (lines, sum)| {
+            let mut space = self.rows.lend();
             space.fit(columns);
-            let Rows { line, zeros, products: [aa, ab], .. } = space;
+            let Rows { lines: space, zeros, similarity, products: [aa, ab], .. } = &mut *space;
             let inputs = reached_rows(band, rows);
             multiply(a, a, &inputs, columns, aa);
             multiply(a, b, &inputs, columns, ab);
-            for (row, lines) in band_rows(band, rows).zip(lines.chunks_exact_mut(LINES * width)) {
-                let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
-                let [of_a, of_aa, of_ab, similarity]: [_; LINES] =
-                    std::array::from_fn(|_| lines.next().expect("four lines of a row"));
-                self.blur(around(a, 0, columns, row, zeros), line, of_a);
-                self.blur(around(aa, inputs.start, columns, row, zeros), line, of_aa);
-                self.blur(around(ab, inputs.start, columns, row, zeros), line, of_ab);
-                let (mean, variance) = (line_of(&target.mean, columns, row), line_of(&target.variance, columns, row));
-                differentiate(mean, variance, share, of_a, of_aa, of_ab, similarity);
+            let blurred = [(a, 0), (&aa[..], inputs.start), (&ab[..], inputs.start)];
+            sum[0] = 0.0;
+            let groups = band_rows(band, rows).step_by(TOGETHER).zip(lines.chunks_mut(TOGETHER * LINES * width));
+            for (first, group) in groups {
+                for (kind, (x, start)) in blurred.into_iter().enumerate() {
+                    let outs = group.chunks_exact_mut(width).skip(kind).step_by(LINES).map(|line| &mut line[..columns]);
+                    self.blur(around(x, start, columns, first, zeros), space, outs);
+                }
+                for (row, lines) in (first..).zip(group.chunks_exact_mut(LINES * width)) {
+                    let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
+                    let blurs: [_; LINES] = from_fn(|_| lines.next().expect("three lines of a row"));
+                    let [mean, variance] = [&target.mean, &target.variance].map(|all| line_of(all, columns, row));
+                    differentiate(mean, variance, share, blurs, similarity);
+                    sum[0] += reduce::sum(similarity);
+                }
             }
         });
+        reduce::sum(&sums) / (rows * columns) as f64
     }
 
     /// The gradient of one band of rows: the transpose of [`Self::compare`].
@@ -215,65 +235,80 @@ impl<R: Real> Ssim<R> {
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let width = columns + GAP;
         space.fit(columns);
-        let Rows { line, zeros, blurs, .. } = space;
-        for (row, gradient) in band_rows(band, rows).zip(gradient.chunks_exact_mut(columns)) {
+        let Rows { lines: space, zeros, blurs, .. } = space;
+        let groups = band_rows(band, rows).step_by(TOGETHER).zip(gradient.chunks_mut(TOGETHER * columns));
+        for (first, group) in groups {
             for (kind, blur) in blurs.iter_mut().enumerate() {
-                let partial = around(&lines[kind * width..], 0, LINES * width, row, zeros);
-                self.blur(partial, line, blur);
+                let partial = around(&lines[kind * width..], 0, LINES * width, first, zeros);
+                self.blur(partial, space, blur.chunks_exact_mut(columns));
             }
-            let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| &blur[..columns]);
-            let (a, b) = (line_of(a, columns, row), line_of(b, columns, row));
-            for (j, g) in gradient.iter_mut().enumerate() {
-                *g = of_a[j] + a[j] * of_aa[j] + b[j] * of_ab[j];
+            for (i, gradient) in group.chunks_exact_mut(columns).enumerate() {
+                let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| line_of(blur, columns, i));
+                let (a, b) = (line_of(a, columns, first + i), line_of(b, columns, first + i));
+                for (j, g) in gradient.iter_mut().enumerate() {
+                    *g = of_a[j] + a[j] * of_aa[j] + b[j] * of_ab[j];
+                }
             }
         }
     }
 
-    /// Mean of S; rows are summed first, then their sums.
-    fn mean_similarity(&self, lines: &[R], (rows, columns): (usize, usize)) -> f64 {
-        if rows * columns == 0 {
-            return 1.0;
+    /// Some rows of `G x`: down the rows around them into the middle of `lines`, then along the lines. There may be fewer
+    /// `outs` than [`TOGETHER`].
+    fn blur<'o>(&self, x: [&[R]; REACHED], lines: &mut [Vec<R>; TOGETHER], outs: impl Iterator<Item = &'o mut [R]>)
+    where
+        R: 'o,
+    {
+        self.down(x, lines.each_mut().map(|line| &mut line[RADIUS..][..x[0].len()]));
+        for (line, out) in lines.iter().zip(outs) {
+            self.along(line, out);
         }
-        let mut bands = self.sums.lend();
-        bands.resize(rows.div_ceil(BAND), 0.0);
-        threads::for_each_chunk(&mut bands, 1, |band, sum| {
-            let similarity = |row: usize| &lines[(row * LINES + LINES - 1) * (columns + GAP)..][..columns];
-            let sum_of_row = |row| reduce::sum(similarity(row));
-            sum[0] = band_rows(band, rows).map(sum_of_row).sum::<f64>();
-        });
-        reduce::sum(&bands) / (rows * columns) as f64
     }
 
-    /// One row of `G x`: down the eleven rows around it into the middle of `line`, then along the line.
-    fn blur(&self, x: [&[R]; TAPS], line: &mut [R], out: &mut [R]) {
-        self.weigh(x, &mut line[RADIUS..][..out.len()]);
-        self.weigh(std::array::from_fn(|t| &line[t..][..out.len()]), out);
+    /// `outs[r][j] = Σ_t w_t x[r+t][j]` over the eleven taps: some registers at a time, then what is left.
+    fn down(&self, x: [&[R]; REACHED], mut outs: [&mut [R]; TOGETHER]) {
+        let wide = x.map(|x| x.as_chunks::<ABREAST>());
+        let count = wide[0].0.len();
+        let blocks = wide.map(|(blocks, _)| &blocks[..count]);
+        let weights = self.weights.map(R::Lanes::splat);
+        for block in 0..count {
+            for j in (0..ABREAST).step_by(R::Lanes::WIDTH) {
+                let mut x = [R::Lanes::default(); REACHED];
+                x.iter_mut().zip(blocks).for_each(|(x, blocks)| *x = R::Lanes::from_slice(&blocks[block][j..]));
+                for (r, out) in outs.iter_mut().enumerate() {
+                    weigh(&weights, |t| x[r + t]).write(&mut out[block * ABREAST + j..]);
+                }
+            }
+        }
+        for j in count * ABREAST..x[0].len() {
+            for (r, out) in outs.iter_mut().enumerate() {
+                out[j] = weigh(&self.weights, |t| x[r + t][j]);
+            }
+        }
     }
 
-    /// `out[j] = Σ_t w_t x[t][j]` over the eleven taps, from the centre outwards: some registers at a time, then what is left.
-    fn weigh(&self, x: [&[R]; TAPS], out: &mut [R]) {
+    /// `out[j] = Σ_t w_t line[j+t]`.
+    fn along(&self, line: &[R], out: &mut [R]) {
+        let x: [_; TAPS] = from_fn(|t| &line[t..][..out.len()]);
         let (blocks, rest) = out.as_chunks_mut::<ABREAST>();
         let (first, count) = (blocks.len() * ABREAST, blocks.len());
         let wide = x.map(|x| &x.as_chunks::<ABREAST>().0[..count]);
         let weights = self.weights.map(R::Lanes::splat);
         for (block, out) in blocks.iter_mut().enumerate() {
             for j in (0..ABREAST).step_by(R::Lanes::WIDTH) {
-                let at = |t: usize| R::Lanes::from_slice(&wide[t][block][j..]);
-                let mut sum = weights[0] * at(RADIUS);
-                for (d, &weight) in weights.iter().enumerate().skip(1) {
-                    sum += weight * (at(RADIUS - d) + at(RADIUS + d));
-                }
-                sum.write(&mut out[j..]);
+                weigh(&weights, |t| R::Lanes::from_slice(&wide[t][block][j..])).write(&mut out[j..]);
             }
         }
-        let x = x.map(|x| &x[first..][..rest.len()]);
-        for (j, out) in rest.iter_mut().enumerate() {
-            *out = self.weights[0] * x[RADIUS][j];
-            for (d, &weight) in self.weights.iter().enumerate().skip(1) {
-                *out += weight * (x[RADIUS - d][j] + x[RADIUS + d][j]);
-            }
+        for (j, out) in (first..).zip(rest) {
+            *out = weigh(&self.weights, |t| x[t][j]);
         }
     }
+}
+
+/// `Σ_t w_t x(t)` over the eleven taps, from the centre outwards.
+#[inline(always)]
+fn weigh<T: Copy + Add<Output = T> + Mul<Output = T>>(weights: &[T; RADIUS + 1], x: impl Fn(usize) -> T) -> T {
+    let outer = weights.iter().enumerate().skip(1);
+    outer.fold(weights[0] * x(RADIUS), |sum, (d, &weight)| sum + weight * (x(RADIUS - d) + x(RADIUS + d)))
 }
 
 /// In one row, turns the blurs of `a`, `a²` and `ab` into `share` times the derivatives of S by them, the
@@ -282,9 +317,7 @@ fn differentiate<R: Real>(
     mean: &[R],
     variance: &[R],
     share: R,
-    of_a: &mut [R],
-    of_aa: &mut [R],
-    of_ab: &mut [R],
+    [of_a, of_aa, of_ab]: [&mut [R]; LINES],
     similarity: &mut [R],
 ) {
     let n = similarity.len();
@@ -336,10 +369,10 @@ fn multiply<R: Real>(x: &[R], y: &[R], rows: &Range<usize>, columns: usize, prod
     products.extend(x[range.clone()].iter().zip(&y[range]).map(|(&x, &y)| x * y));
 }
 
-/// The eleven rows around `row`; `values` holds the image's rows from `first` on, `stride` apart. Those outside
-/// of the image are `zeros`, which has the length of a row.
-fn around<'a, R>(values: &'a [R], first: usize, stride: usize, row: usize, zeros: &'a [R]) -> [&'a [R]; TAPS] {
-    std::array::from_fn(|t| {
+/// The rows around [`TOGETHER`] rows from `row` on; `values` holds the image's rows from `first` on, `stride` apart. Those
+/// outside of the image are `zeros`, which has the length of a row.
+fn around<'a, R>(values: &'a [R], first: usize, stride: usize, row: usize, zeros: &'a [R]) -> [&'a [R]; REACHED] {
+    from_fn(|t| {
         let index = (row + t).checked_sub(RADIUS + first);
         index.and_then(|i| values.get(i * stride..)?.get(..zeros.len())).unwrap_or(zeros)
     })

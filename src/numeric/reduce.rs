@@ -5,6 +5,8 @@ use std::ops::Range;
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
+/// Leaves gone through side by side: a sum waits for the one before in its own leaf alone.
+const ABREAST: usize = 8;
 /// Values that one worker adds up, so that handing them over costs little beside.
 const SHARE: usize = 1 << 13;
 
@@ -36,6 +38,15 @@ pub fn sum_by(n: usize, term: &impl Fn(usize) -> f64) -> f64 {
 fn tree(indices: Range<usize>, term: &impl Fn(usize) -> f64) -> f64 {
     if indices.len() <= LEAF {
         indices.fold(0.0, |total, i| total + term(i))
+    } else if indices.len() == ABREAST * LEAF {
+        let mut leaves = [0.0; ABREAST];
+        for i in indices.start..indices.start + LEAF {
+            for (leaf, total) in leaves.iter_mut().enumerate() {
+                *total += term(i + leaf * LEAF);
+            }
+        }
+        let [a, b, c, d, e, f, g, h] = leaves;
+        ((a + b) + (c + d)) + ((e + f) + (g + h))
     } else {
         let between = indices.start + middle(indices.len());
         tree(indices.start..between, term) + tree(between..indices.end, term)
@@ -59,6 +70,19 @@ mod tests {
             let values: Vec<f64> = (0..n).map(|i| 1.0 / (i as f64 + 1.7)).collect();
             assert_eq!(sum(&values), sum_by(n, &|i| values[i]));
             assert_eq!(sum_of(5..n, &|i| values[i]), sum(&values[5..]));
+        }
+    }
+
+    #[test]
+    fn leaves_side_by_side_have_the_sum_of_leaves_one_after_another() {
+        let value = |i: usize| 1.0 / (i as f64 + 0.3);
+        let leaf = |i: usize| (i * LEAF..(i + 1) * LEAF).fold(0.0, |total, i| total + value(i));
+        let pair = |i: usize| leaf(i) + leaf(i + 1);
+        for first in [0, ABREAST] {
+            let [a, b, c, d] = [0, 2, 4, 6].map(|i| pair(first + i));
+            let found = sum_of(first * LEAF..(first + ABREAST) * LEAF, &value);
+            assert_eq!(found, (a + b) + (c + d));
+            assert_ne!(found, (first * LEAF..(first + ABREAST) * LEAF).fold(0.0, |total, i| total + value(i)));
         }
     }
 

@@ -13,7 +13,12 @@ pub(super) fn forward<R: Real>(f: &[R], shape: [usize; 3], x: usize, [dx, dy, dz
     let difference = if above - below == 2 { within } else { at_face };
     difference(slice(above), slice(below), dx);
     along(slice(x), nz, dy);
-    slice(x).chunks_exact(nz).zip(dz.chunks_exact_mut(nz)).for_each(|(f, d)| along(f, 1, d));
+    // All rows as one, then the faces, where one row meets the next.
+    let (f, inner) = (slice(x), 1..ny * nz - 1);
+    within(&f[2..], f, &mut dz[inner]);
+    for (f, d) in f.chunks_exact(nz).zip(dz.chunks_exact_mut(nz)) {
+        (d[0], d[nz - 1]) = (f[1] - f[0], f[nz - 1] - f[nz - 2]);
+    }
 }
 
 /// Differences along a run of slabs.
@@ -34,10 +39,11 @@ fn within<R: Real>(above: &[R], below: &[R], d: &mut [R]) {
 }
 
 /// Adds slice `x` of the transpose of [`forward`] to `out`: of the fluxes along x in the slices before, at and after it, as
-/// far as there are such, and of those along y and z in itself.
+/// far as there are such, and of those along y and z in itself. Those along z lose their faces.
 pub(super) fn add_transpose<R: Real>(
     [before, here, after]: [&[R]; 3],
-    [along_y, along_z]: [&[R]; 2],
+    along_y: &[R],
+    along_z: &mut [R],
     [nx, _, nz]: [usize; 3],
     x: usize,
     out: &mut [R],
@@ -49,7 +55,16 @@ pub(super) fn add_transpose<R: Real>(
         add(factor, flux, out);
     }
     add_transpose_along(along_y, nz, out);
-    along_z.chunks_exact(nz).zip(out.chunks_exact_mut(nz)).for_each(|(flux, out)| add_transpose_along(flux, 1, out));
+    for (flux, out) in along_z.chunks_exact_mut(nz).zip(out.chunks_exact_mut(nz)) {
+        for (at, above, below) in [(0, 1, 0), (nz - 1, nz - 1, nz - 2)] {
+            out[above] += flux[at];
+            out[below] -= flux[at];
+            flux[at] = R::ZERO;
+        }
+    }
+    // All rows as one: from a face nothing goes beyond.
+    add(half, along_z, &mut out[1..]);
+    add(-half, &along_z[1..], out);
 }
 
 /// The same along a run of slabs.
@@ -92,7 +107,7 @@ mod tests {
         for (x, out) in out.chunks_exact_mut(size).enumerate() {
             let slice = |axis: usize, x: usize| flux[axis].get(x * size..).and_then(|f| f.get(..size)).unwrap_or(&[]);
             let along_x = [slice(0, x.wrapping_sub(1).min(shape[0])), slice(0, x), slice(0, x + 1)];
-            add_transpose(along_x, [slice(1, x), slice(2, x)], shape, x, out);
+            add_transpose(along_x, slice(1, x), &mut slice(2, x).to_vec(), shape, x, out);
         }
         out
     }

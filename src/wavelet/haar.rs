@@ -10,6 +10,7 @@
 
 use crate::numeric::{Real, threads};
 use ndarray::{Array3, Array4, ArrayView3};
+use std::borrow::Cow;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Bands of one level.
@@ -65,12 +66,15 @@ pub fn forward<R: Real>(block: ArrayView3<R>, levels: usize) -> Subbands<R> {
     let (x, y, z) = block.dim();
     let mut shape = [x, y, z];
     let mut subbands = Subbands::zeros(shape, levels);
-    let mut low: Vec<R> = block.iter().copied().collect();
+    let block = block.as_standard_layout();
+    let mut low = Cow::Borrowed(block.as_slice().expect("standard layout"));
     for level in 1..=levels {
         let all = subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
         let size = all.len() / BANDS;
         threads::for_each_chunk(all, size, |band, coefficients| analyse(&low, shape, band, coefficients));
-        low = subbands.band(level, 0).to_vec();
+        if level < levels {
+            low = Cow::Owned(subbands.band(level, 0).to_vec());
+        }
         shape = shape.map(|side| side / 2);
     }
     subbands
@@ -98,27 +102,27 @@ pub fn inverse<R: Real>(subbands: &Subbands<R>) -> Array3<R> {
 
 /// One band alone at full size: `shape` voxels in the order `[x, y, z]` from the band's coefficients of a level.
 pub(super) fn alone<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
-    let mut low = coefficients.to_vec();
+    let mut low = Cow::Borrowed(coefficients);
     for finer in (0..level).rev() {
         let shape = shape.map(|side| side >> finer);
         let mut block = vec![R::ZERO; shape.iter().product()];
         let band = if finer + 1 == level { band } else { 0 };
         add_synthesis(&low, shape, band, &mut block);
-        low = block;
+        low = Cow::Owned(block);
     }
-    low
+    low.into_owned()
 }
 
 /// The transpose of [`alone`]: the band's coefficients, of a level, of a block.
 pub(super) fn coefficients<R: Real>(block: &[R], shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
-    let mut low = block.to_vec();
+    let mut low = Cow::Borrowed(block);
     for finer in 0..level {
         let mut halved = vec![R::ZERO; low.len() / BANDS];
         let band = if finer + 1 == level { band } else { 0 };
         analyse(&low, shape.map(|side| side >> finer), band, &mut halved);
-        low = halved;
+        low = Cow::Owned(halved);
     }
-    low
+    low.into_owned()
 }
 
 /// What the odd voxels along x, y and z count in a band: -1 where it is high, 1 where it is low.

@@ -99,11 +99,12 @@ fn detail<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: us
     let (size, flat) = (ny * nz, real::<R>(FLAT));
     let mut block = haar::alone(coefficients, shape, level, band);
     let mut strength = vec![R::ZERO; block.len()];
-    // The fluxes of three slices, by turns. Behind them the gradient takes the block's place.
-    let mut flux: [[Vec<R>; 3]; 3] = std::array::from_fn(|_| std::array::from_fn(|_| vec![R::ZERO; size]));
+    // The fluxes of three slices, or of two, by turns. Behind them the gradient takes the block's place.
+    let slice = || vec![R::ZERO; size];
+    let (mut along_x, mut along_y, mut along_z) = ([(); 3].map(|()| slice()), [slice(), slice()], [slice(), slice()]);
     for x in 0..=nx {
         if x < nx {
-            let [dx, dy, dz] = &mut flux[x % 3];
+            let [dx, dy, dz] = [&mut along_x[x % 3], &mut along_y[x % 2], &mut along_z[x % 2]];
             differences::forward(&block, shape, x, [dx, dy, dz]);
             let slopes = dx.iter_mut().zip(dy).zip(dz).zip(&mut strength[x * size..]);
             for ((((dx, dy), dz), strength), &push) in slopes.zip(&push[x * size..]) {
@@ -115,9 +116,8 @@ fn detail<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: us
         if let Some(x) = x.checked_sub(1) {
             let gradient = &mut block[x * size..][..size];
             gradient.fill(R::ZERO);
-            let [before, here, after] = [x + 2, x, x + 1].map(|x| &flux[x % 3]);
-            let ([_, dy, dz], along_x) = (here, [&before[0], &here[0], &after[0]].map(|flux| &flux[..]));
-            differences::add_transpose(along_x, [dy, dz], shape, x, gradient);
+            let around = [x + 2, x, x + 1].map(|x| &along_x[x % 3][..]);
+            differences::add_transpose(around, &along_y[x % 2], &mut along_z[x % 2], shape, x, gradient);
         }
     }
     Band { strength, gradient: haar::coefficients(&block, shape, level, band) }
