@@ -56,8 +56,8 @@ pub struct Ssim<R> {
 /// What a task works in.
 #[derive(Debug, Default)]
 struct Rows<R> {
-    /// Rows with room for the window's reach on both sides, where they are 0.
-    lines: [Vec<R>; TOGETHER],
+    /// Rows blurred down the columns, with room for the window's reach on both sides, where they are 0.
+    down: [Vec<R>; TOGETHER],
     /// A row outside of the image.
     zeros: Vec<R>,
     /// S of a row.
@@ -74,7 +74,7 @@ impl<R: Real> Rows<R> {
             values.clear();
             values.resize(n, R::ZERO);
         };
-        self.lines.iter_mut().for_each(|line| zeros(line, columns + 2 * RADIUS));
+        self.down.iter_mut().for_each(|line| zeros(line, columns + 2 * RADIUS));
         zeros(&mut self.zeros, columns);
         self.similarity.resize(columns, R::ZERO);
         self.blurs.iter_mut().for_each(|blur| blur.resize(TOGETHER * columns, R::ZERO));
@@ -109,7 +109,7 @@ impl<R: Real> SsimTarget<R> {
         let bands = threads::map(rows.div_ceil(BAND), |band| {
             let mut space = ssim.rows.lend();
             space.fit(columns);
-            let Rows { lines, zeros, products: [squares, _], .. } = &mut *space;
+            let Rows { down, zeros, products: [squares, _], .. } = &mut *space;
             let inputs = reached_rows(band, rows);
             multiply(values, values, &inputs, columns, squares);
             let band = band_rows(band, rows);
@@ -119,8 +119,8 @@ impl<R: Real> SsimTarget<R> {
             for (row, (mean, variance)) in band.step_by(TOGETHER).zip(outs) {
                 let b = around(values, 0, columns, row, zeros);
                 let bb = around(squares, inputs.start, columns, row, zeros);
-                ssim.blur(b, lines, mean.chunks_exact_mut(columns));
-                ssim.blur(bb, lines, variance.chunks_exact_mut(columns));
+                ssim.blur(b, down, mean.chunks_exact_mut(columns));
+                ssim.blur(bb, down, variance.chunks_exact_mut(columns));
             }
             variance.iter_mut().zip(&mean).for_each(|(v, &m)| *v -= m * m);
             (mean, variance)
@@ -197,7 +197,7 @@ impl<R: Real> Ssim<R> {
         threads::for_each_of(bands, |band, (lines, sum)| {
             let mut space = self.rows.lend();
             space.fit(columns);
-            let Rows { lines: space, zeros, similarity, products: [aa, ab], .. } = &mut *space;
+            let Rows { down, zeros, similarity, products: [aa, ab], .. } = &mut *space;
             let inputs = reached_rows(band, rows);
             multiply(a, a, &inputs, columns, aa);
             multiply(a, b, &inputs, columns, ab);
@@ -207,7 +207,7 @@ impl<R: Real> Ssim<R> {
             for (first, group) in groups {
                 for (kind, (x, start)) in blurred.into_iter().enumerate() {
                     let outs = group.chunks_exact_mut(width).skip(kind).step_by(LINES).map(|line| &mut line[..columns]);
-                    self.blur(around(x, start, columns, first, zeros), space, outs);
+                    self.blur(around(x, start, columns, first, zeros), down, outs);
                 }
                 for (row, lines) in (first..).zip(group.chunks_exact_mut(LINES * width)) {
                     let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
@@ -235,12 +235,12 @@ impl<R: Real> Ssim<R> {
         let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
         let width = columns + GAP;
         space.fit(columns);
-        let Rows { lines: space, zeros, blurs, .. } = space;
+        let Rows { down, zeros, blurs, .. } = space;
         let groups = band_rows(band, rows).step_by(TOGETHER).zip(gradient.chunks_mut(TOGETHER * columns));
         for (first, group) in groups {
             for (kind, blur) in blurs.iter_mut().enumerate() {
                 let partial = around(&lines[kind * width..], 0, LINES * width, first, zeros);
-                self.blur(partial, space, blur.chunks_exact_mut(columns));
+                self.blur(partial, down, blur.chunks_exact_mut(columns));
             }
             for (i, gradient) in group.chunks_exact_mut(columns).enumerate() {
                 let [of_a, of_aa, of_ab] = blurs.each_ref().map(|blur| line_of(blur, columns, i));
@@ -252,14 +252,14 @@ impl<R: Real> Ssim<R> {
         }
     }
 
-    /// Some rows of `G x`: down the rows around them into the middle of `lines`, then along the lines. There may be fewer
+    /// Some rows of `G x`: down the rows around them into the middle of `down`, then along these. There may be fewer
     /// `outs` than [`TOGETHER`].
-    fn blur<'o>(&self, x: [&[R]; REACHED], lines: &mut [Vec<R>; TOGETHER], outs: impl Iterator<Item = &'o mut [R]>)
+    fn blur<'o>(&self, x: [&[R]; REACHED], down: &mut [Vec<R>; TOGETHER], outs: impl Iterator<Item = &'o mut [R]>)
     where
         R: 'o,
     {
-        self.down(x, lines.each_mut().map(|line| &mut line[RADIUS..][..x[0].len()]));
-        for (line, out) in lines.iter().zip(outs) {
+        self.down(x, down.each_mut().map(|line| &mut line[RADIUS..][..x[0].len()]));
+        for (line, out) in down.iter().zip(outs) {
             self.along(line, out);
         }
     }

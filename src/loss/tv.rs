@@ -1,11 +1,21 @@
 //! Total variation of a block of voxels.
 
 use super::l1::sign;
-use crate::numeric::{Real, reduce, threads};
+use crate::numeric::threads::{self, Spares};
+use crate::numeric::{Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
 /// Slices along x that one task works on: a constant, so the cut does not depend on the threads.
 const SLAB: usize = 8;
+
+/// What [`tv_into`] works in.
+#[derive(Default)]
+pub(crate) struct Space<R> {
+    /// |Δ f| along each axis.
+    distances: [Vec<R>; 3],
+    /// What the differences within a slice push voxels by.
+    pushes: Spares<Vec<R>>,
+}
 
 /// Value and gradient of the anisotropic total variation per difference,
 /// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
@@ -18,8 +28,8 @@ pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     (tv_into(block, &mut Default::default(), &mut gradient), gradient)
 }
 
-/// [`tv`] with the gradient in the place of another array, and memory for the differences along each axis.
-pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, distances: &mut [Vec<R>; 3], gradient: &mut Array3<R>) -> f64 {
+/// [`tv`] with the gradient in the place of another array.
+pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, space: &mut Space<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
         *gradient = Array3::default(block.raw_dim());
@@ -32,17 +42,16 @@ pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, distances: &mut [Vec<R>; 3]
     }
     let values = block.as_slice().expect("standard layout");
     let slices = gradient.as_slice_mut().expect("standard layout");
-    let [x, y, z] = distances;
+    let Space { distances: [x, y, z], pushes } = space;
     let along = |axis: usize, distances: &mut Vec<R>| {
         measure(values, shape, axis, distances);
         reduce::sum(distances)
     };
     let push = || {
         let (slope, [_, ny, nz]) = (R::from_f64(1.0 / number as f64), shape);
-        threads::for_each_chunk(slices, SLAB * ny * nz, |slab, slices| {
-            slices.fill(R::ZERO);
+        threads::for_each_chunk_in(slices, SLAB * ny * nz, pushes, |slab, slices, pushes| {
             for (x, slice) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz)) {
-                push(values, shape, slope, x, slice);
+                push(values, shape, slope, x, pushes, slice);
             }
         });
     };
@@ -71,28 +80,27 @@ fn measure<R: Real>(values: &[R], shape: [usize; 3], axis: usize, distances: &mu
     }
 }
 
-/// Adds the gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
-fn push<R: Real>(values: &[R], [nx, ny, nz]: [usize; 3], slope: R, x: usize, slice: &mut [R]) {
-    for (axis, offset) in [ny * nz, nz, 1].into_iter().enumerate() {
-        let inner = usize::from(axis == 2);
-        for (y, gradient) in slice.chunks_exact_mut(nz).enumerate() {
-            let first = (x * ny + y) * nz;
-            let (begins, ends) = match axis {
-                0 => (x == 0, x == nx - 1),
-                1 => (y == 0, y == ny - 1),
-                _ => (false, false),
-            };
-            if !begins {
-                let (before, here) = (&values[first + inner - offset..], &values[first + inner..]);
-                let pairs = gradient[inner..].iter_mut().zip(before).zip(here);
-                pairs.for_each(|((g, &before), &here)| *g += slope * sign(here - before));
-            }
-            if !ends {
-                let (here, after) = (&values[first..], &values[first + offset..]);
-                let pairs = gradient[..nz - inner].iter_mut().zip(here).zip(after);
-                pairs.for_each(|((g, &here), &after)| *g -= slope * sign(after - here));
-            }
-        }
+/// The gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
+fn push<R: Real>(values: &[R], [nx, ny, nz]: [usize; 3], slope: R, x: usize, pushes: &mut Vec<R>, slice: &mut [R]) {
+    let size = ny * nz;
+    let slice_of = |x: usize| &values[x * size..][..size];
+    let (here, force) = (slice_of(x), |before: R, after: R| slope * sign(after - before));
+    slice.fill(R::ZERO);
+    if x > 0 {
+        let pairs = slice_of(x - 1).iter().zip(here);
+        slice.iter_mut().zip(pairs).for_each(|(g, (&before, &here))| *g += force(before, here));
+    }
+    if x + 1 < nx {
+        let pairs = here.iter().zip(slice_of(x + 1));
+        slice.iter_mut().zip(pairs).for_each(|(g, (&here, &after))| *g -= force(here, after));
+    }
+    for (offset, run) in [(nz, size), (1, nz)] {
+        pushes.clear();
+        pushes.extend(here.iter().zip(&here[offset..]).map(|(&before, &after)| force(before, after)));
+        // Between the last of a run and the first of the next there is no difference.
+        pushes.iter_mut().skip(run - 1).step_by(run).for_each(|push| *push = R::ZERO);
+        slice[offset..].iter_mut().zip(&*pushes).for_each(|(g, &push)| *g += push);
+        slice.iter_mut().zip(&*pushes).for_each(|(g, &push)| *g -= push);
     }
 }
 
@@ -123,10 +131,10 @@ mod tests {
 
     #[test]
     fn a_block_after_others_has_the_bits_of_the_first_one() {
-        let (mut distances, mut gradient) = (Default::default(), Array3::default((0, 0, 0)));
+        let (mut space, mut gradient) = (Space::default(), Array3::default((0, 0, 0)));
         for shape in [(9, 5, 7), (4, 3, 5), (1, 1, 1), (9, 5, 7), (1, 6, 1)] {
             let block = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 3.0);
-            let value = tv_into(block.view(), &mut distances, &mut gradient);
+            let value = tv_into(block.view(), &mut space, &mut gradient);
             let expected = tv(block.view());
             assert_eq!((value, &gradient), (expected.0, &expected.1), "{shape:?}");
         }

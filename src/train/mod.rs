@@ -22,7 +22,7 @@ use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
 use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
-use crate::loss::{Ssim, SsimTarget, image_loss_into, tv::tv_into};
+use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads::{self, Lent, Spares};
 use crate::numeric::{real, reduce};
@@ -137,7 +137,7 @@ struct Trainer<'a, R> {
 struct Spaces<R> {
     images: Spares<Array2<R>>,
     volumes: Spares<Array3<R>>,
-    distances: Spares<[Vec<R>; 3]>,
+    tv: Spares<tv::Space<R>>,
     pulls: Spares<Vec<f64>>,
 }
 
@@ -323,7 +323,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let there = field.on(&block);
         let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
         there.voxels_into(&mut voxels);
-        let value = tv_into(voxels.view(), &mut spaces.distances.lend(), &mut cotangent);
+        let value = tv::tv_into(voxels.view(), &mut spaces.tv.lend(), &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
         let mut gradient = field.lend_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
