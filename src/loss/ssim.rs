@@ -189,39 +189,52 @@ impl<R: Real> Ssim<R> {
         }
         let width = columns + GAP;
         lines.resize(rows * LINES * width, R::ZERO);
-        let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
-        let share = R::from_f64(1.0 / image.len() as f64);
         let mut sums = self.sums.lend();
         sums.resize(rows.div_ceil(BAND), 0.0);
         let bands = (threads::chunks(lines, BAND * LINES * width), threads::chunks(&mut sums, 1));
         threads::for_each_of(bands, |band, (lines, sum)| {
-            let mut space = self.rows.lend();
-            space.fit(columns);
-            let Rows { down, zeros, similarity, products: [aa, ab], .. } = &mut *space;
-            let inputs = reached_rows(band, rows);
-            multiply(a, a, &inputs, columns, aa);
-            multiply(a, b, &inputs, columns, ab);
-            let blurred = [(a, 0), (&aa[..], inputs.start), (&ab[..], inputs.start)];
-            sum[0] = 0.0;
-            let groups = band_rows(band, rows).step_by(TOGETHER).zip(lines.chunks_mut(TOGETHER * LINES * width));
-            for (first, group) in groups {
-                for (kind, (x, start)) in blurred.into_iter().enumerate() {
-                    let outs = group.chunks_exact_mut(width).skip(kind).step_by(LINES).map(|line| &mut line[..columns]);
-                    self.blur(around(x, start, columns, first, zeros), down, outs);
-                }
-                for (row, lines) in (first..).zip(group.chunks_exact_mut(LINES * width)) {
-                    let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
-                    let blurs: [_; LINES] = from_fn(|_| lines.next().expect("three lines of a row"));
-                    let [mean, variance] = [&target.mean, &target.variance].map(|all| line_of(all, columns, row));
-                    differentiate(mean, variance, share, blurs, similarity);
-                    sum[0] += reduce::sum(similarity);
-                }
-            }
+            sum[0] = self.compare_band(image, target, band, &mut self.rows.lend(), lines);
         });
         reduce::sum(&sums) / (rows * columns) as f64
     }
 
-    /// The gradient of one band of rows: the transpose of [`Self::compare`].
+    /// The sum of S in one band of rows, and the derivatives of its mean.
+    fn compare_band(
+        &self,
+        image: ArrayView2<R>,
+        target: &SsimTarget<R>,
+        band: usize,
+        space: &mut Rows<R>,
+        lines: &mut [R],
+    ) -> f64 {
+        let (rows, columns) = image.dim();
+        let (a, b) = (contiguous(&image), contiguous(&target.image.view()));
+        let (width, share) = (columns + GAP, R::from_f64(1.0 / image.len() as f64));
+        space.fit(columns);
+        let Rows { down, zeros, similarity, products: [aa, ab], .. } = space;
+        let inputs = reached_rows(band, rows);
+        multiply(a, a, &inputs, columns, aa);
+        multiply(a, b, &inputs, columns, ab);
+        let blurred = [(a, 0), (&aa[..], inputs.start), (&ab[..], inputs.start)];
+        let mut sum = 0.0;
+        let groups = band_rows(band, rows).step_by(TOGETHER).zip(lines.chunks_mut(TOGETHER * LINES * width));
+        for (first, group) in groups {
+            for (kind, (x, start)) in blurred.into_iter().enumerate() {
+                let outs = group.chunks_exact_mut(width).skip(kind).step_by(LINES).map(|line| &mut line[..columns]);
+                self.blur(around(x, start, columns, first, zeros), down, outs);
+            }
+            for (row, lines) in (first..).zip(group.chunks_exact_mut(LINES * width)) {
+                let mut lines = lines.chunks_exact_mut(width).map(|line| &mut line[..columns]);
+                let blurs: [_; LINES] = from_fn(|_| lines.next().expect("three lines of a row"));
+                let [mean, variance] = [&target.mean, &target.variance].map(|all| line_of(all, columns, row));
+                differentiate(mean, variance, share, blurs, similarity);
+                sum += reduce::sum(similarity);
+            }
+        }
+        sum
+    }
+
+    /// The gradient of one band of rows: the transpose of [`Self::compare_band`].
     fn pull_back(
         &self,
         lines: &[R],
