@@ -1,7 +1,9 @@
 //! From confidence to degrees of freedom: the target of ν and the loss that pulls ν towards it.
 
 use super::Settings;
-use crate::numeric::elementary::{log, logit, sigmoid};
+use crate::numeric::elementary::{logit, sigmoid};
+use crate::numeric::exponentials::log;
+use crate::numeric::vectors::{EIGHT, each};
 use crate::numeric::{reduce, threads};
 use crate::primitives::activation::Interval;
 
@@ -49,8 +51,10 @@ pub(crate) fn nu_loss_into(
     gradient.resize(m, 0.0);
     // Distances first, which become slopes.
     threads::for_each_chunk(gradient, CHUNK, |chunk, distance| {
-        for (i, distance) in (chunk * CHUNK..).zip(distance) {
-            *distance = log(nu[i]) - log(target[i]);
+        for (first, distance) in (chunk * CHUNK..).step_by(EIGHT).zip(distance.chunks_mut(EIGHT)) {
+            let logs = |of: &[f64]| log(each(|i| of[(first + i).min(m - 1)]));
+            let found = (logs(nu) - logs(target)).to_array();
+            distance.copy_from_slice(&found[..distance.len()]);
         }
     });
     let pull = |i: usize| weight * (1.0 - confidence[i]);

@@ -1,6 +1,7 @@
 //! The ground: scalars, SIMD lanes, sums, random numbers and threads. Knows nothing of CT.
 
 pub mod elementary;
+pub mod exponentials;
 pub mod lanes;
 mod polynomials;
 pub mod reduce;

@@ -4,7 +4,7 @@
 use super::Lanes;
 use glam::DVec3;
 use std::ops::{Add, Mul, Sub};
-use wide::f64x8;
+use wide::{f64x8, u64x8};
 
 /// A number in each of [`EIGHT`] lanes.
 pub type Eight = f64x8;
@@ -28,6 +28,22 @@ pub fn each(value: impl FnMut(usize) -> f64) -> Eight {
 #[inline(always)]
 pub fn lanes<'a, T, U: ?Sized>(some: &'a [T], of: impl Fn(&'a T) -> &'a U) -> [&'a U; EIGHT] {
     std::array::from_fn(|i| of(&some[i.min(some.len() - 1)]))
+}
+
+/// In each lane the power of two at or below a positive number: [`power_of_two_below`](super::elementary::power_of_two_below).
+#[inline(always)]
+pub fn powers_of_two_below(x: Eight) -> Eight {
+    let bits: u64x8 = bytemuck::cast(x);
+    bytemuck::cast(bits & u64x8::splat(f64::INFINITY.to_bits()))
+}
+
+/// `f` of every number, eight at a time; in the lanes that are left over, of 0.
+#[inline(always)]
+pub fn map_into(values: &mut [f64], given: &[f64], f: impl Fn(Eight) -> Eight) {
+    for (values, given) in values.chunks_mut(EIGHT).zip(given.chunks(EIGHT)) {
+        let found = f(each(|i| given.get(i).copied().unwrap_or(0.0))).to_array();
+        values.copy_from_slice(&found[..values.len()]);
+    }
 }
 
 /// A vector in each lane.

@@ -11,8 +11,10 @@
 //! Not in the paper: its parametrisation is not given; scales and densities follow R²-Gaussian.
 
 use super::{Kernel, Parameters, Primitives};
-use crate::numeric::elementary::{logit, sigmoid, softplus, softplus_inverse};
+use crate::numeric::elementary::{logit, softplus_inverse};
+use crate::numeric::exponentials::{expm1, sigmoid, softplus};
 use crate::numeric::threads;
+use crate::numeric::vectors::{self, Eight, all};
 
 /// Primitives worked on together.
 const CHUNK: usize = 256;
@@ -40,8 +42,8 @@ pub struct Activation {
 }
 
 impl Interval {
-    fn physical(&self, raw: f64) -> f64 {
-        self.min + (self.max - self.min) * sigmoid(raw)
+    fn physical(&self, raw: Eight) -> Eight {
+        all(self.min) + all(self.max - self.min) * sigmoid(raw)
     }
 
     /// The raw value; what lies outside is first moved just inside.
@@ -66,23 +68,28 @@ impl Activation {
 
     /// [`Self::forward`] in the place of others.
     pub(crate) fn forward_into(&self, raw: &Parameters, physical: &mut Primitives) {
-        let m = raw.len();
         physical.kernel = self.kernel;
+        physical.parameters.resize(raw.len());
         let Parameters { mean, scale, quaternion, density, nu } = &mut physical.parameters;
-        let copies = || {
-            mean.clone_from(&raw.mean);
-            quaternion.clone_from(&raw.quaternion);
-        };
-        let of_scale = || threads::map_many_into(scale, m, |i| raw.scale[i].map(|s| self.scale.physical(s)));
-        let of_density = || threads::map_many_into(density, m, |i| softplus(raw.density[i]));
-        let of_nu = || match self.kernel {
-            Kernel::Gaussian => {
-                nu.clear();
-                nu.resize(m, f64::INFINITY);
+        let chunks = (
+            threads::chunks(mean, CHUNK),
+            threads::chunks(scale, CHUNK),
+            threads::chunks(quaternion, CHUNK),
+            threads::chunks(density, CHUNK),
+            threads::chunks(nu, CHUNK),
+        );
+        threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+            let here = chunk * CHUNK..chunk * CHUNK + nu.len();
+            mean.copy_from_slice(&raw.mean[here.clone()]);
+            quaternion.copy_from_slice(&raw.quaternion[here.clone()]);
+            let scales = raw.scale[here.clone()].as_flattened();
+            vectors::map_into(scale.as_flattened_mut(), scales, |raw| self.scale.physical(raw));
+            vectors::map_into(density, &raw.density[here.clone()], softplus);
+            match self.kernel {
+                Kernel::Gaussian => nu.fill(f64::INFINITY),
+                Kernel::StudentT => vectors::map_into(nu, &raw.nu[here], |raw| self.nu.physical(raw)),
             }
-            Kernel::StudentT => threads::map_many_into(nu, m, |i| self.nu.physical(raw.nu[i])),
-        };
-        threads::both(copies, || threads::both(of_scale, || threads::both(of_density, of_nu)));
+        });
     }
 
     /// Raw parameters of physical values; values at or outside of a range come to lie just inside.
@@ -111,9 +118,10 @@ impl Activation {
         // d softplus / d raw = 1 - e^-ρ, without the raw value.
         let of_density = || {
             threads::for_each_chunk(density, CHUNK, |chunk, gradient| {
-                for (d_density, density) in gradient.iter_mut().zip(&values.density[chunk * CHUNK..]) {
-                    *d_density *= -libm::expm1(-density);
-                }
+                let mut slopes = [0.0; CHUNK];
+                let slopes = &mut slopes[..gradient.len()];
+                vectors::map_into(slopes, &values.density[chunk * CHUNK..], |density| -expm1(-density));
+                gradient.iter_mut().zip(slopes).for_each(|(d_density, slope)| *d_density *= *slope);
             });
         };
         let of_nu = || match self.kernel {

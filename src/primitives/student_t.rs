@@ -1,7 +1,9 @@
 //! The Student's t-kernel's own constants: its integral along a line and how far it reaches.
 
-use crate::numeric::Real;
 use crate::numeric::elementary::{exp2, log2};
+use crate::numeric::exponentials::expm1;
+use crate::numeric::vectors::{Eight, all};
+use crate::numeric::{Lanes, Real};
 use std::f64::consts::PI;
 
 /// Series of `Γ(z)/Γ(z+½)·√w` in powers of `1/w²`, w = z-¼, exact fractions; the remainder at w ≥ 10 is below 1e-18.
@@ -38,32 +40,61 @@ const SERIES_FROM: f64 = 10.0;
 /// ν > 0. Relative error below 4e-16 (value) and 1e-13 (derivative) against 50 digits. The ratio is taken as
 /// one number: a difference of two log-gammas loses five digits at ν = 10⁴.
 pub fn line_integral(nu: f64) -> (f64, f64) {
+    let (value, derivative) = line_integrals(all(nu));
+    (value.to_array()[0], derivative.to_array()[0])
+}
+
+/// [`line_integral`] of eight.
+pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
+    let (quarter, half, one, two, zero) = (all(0.25), all(0.5), all(1.0), all(2.0), all(0.0));
     // Γ(z)/Γ(z+½) = Γ(z+1)/Γ(z+3/2)·(z+½)/z, as often as the series asks for.
-    let mut z = (nu + 2.0) / 2.0;
-    let (mut shift, mut shift_log_derivative) = (1.0, 0.0);
-    while z - 0.25 < SERIES_FROM {
-        shift *= (z + 0.5) / z;
-        shift_log_derivative -= 0.5 / (z * (z + 0.5));
-        z += 1.0;
+    let mut z = (nu + two) / two;
+    let (mut shift, mut shift_log_derivative) = (one, zero);
+    loop {
+        let early = (z - quarter).simd_lt(all(SERIES_FROM));
+        if !early.any() {
+            break;
+        }
+        shift *= early.select((z + half) / z, one);
+        shift_log_derivative -= early.select(half / (z * (z + half)), zero);
+        z += early.select(one, zero);
     }
-    let w = z - 0.25;
-    let x = 1.0 / (w * w);
-    let series = GAMMA_RATIO.iter().rev().fold(0.0, |sum, a| sum * x + a);
-    let value = (nu * PI / w).sqrt() * series * shift;
-    let tail = LOG_GAMMA_RATIO.iter().enumerate().rev().fold(0.0, |sum, (k, b)| sum * x + b * (k + 1) as f64);
-    let log_derivative_z = -0.5 / w - 2.0 * tail * x / w + shift_log_derivative;
-    (value, value * (0.5 / nu + 0.5 * log_derivative_z))
+    let w = z - quarter;
+    let x = one / (w * w);
+    let series = GAMMA_RATIO.iter().rev().fold(zero, |sum, &a| sum * x + all(a));
+    let value = (nu * all(PI) / w).sqrt() * series * shift;
+    let tail = LOG_GAMMA_RATIO.iter().enumerate().rev();
+    let tail = tail.fold(zero, |sum, (k, b)| sum * x + all(b * (k + 1) as f64));
+    let log_derivative_z = all(-0.5) / w - two * tail * x / w + shift_log_derivative;
+    (value, value * (half / nu + half * log_derivative_z))
 }
 
 /// The Mahalanobis distance δ where the projected kernel has fallen to 2^-`bits`: `(1+δ/ν)^(-(ν+2)/2) = 2^-bits` `[X2]`.
 pub(crate) fn reach(nu: f64, bits: f64) -> f64 {
-    nu * libm::expm1(std::f64::consts::LN_2 * bits * 2.0 / (nu + 2.0))
+    reaches(all(nu), bits).to_array()[0]
+}
+
+/// [`reach`] of eight.
+pub(crate) fn reaches(nu: Eight, bits: f64) -> Eight {
+    nu * expm1(all(std::f64::consts::LN_2 * bits * 2.0) / (nu + all(2.0)))
 }
 
 /// The largest δ/ν at which kernels in `R` hold every power of 1+δ/ν in use. The largest exponent is that of the
 /// voxel gradient, (ν+3)/2 + 1.
 pub(crate) fn horizon<R: Real>(nu: f64) -> f64 {
     exp2(R::HORIZON / ((nu + 5.0) / 2.0)) - 1.0
+}
+
+/// The smaller one of [`reach`] and [`horizon`], which is the latter only for a cutoff near what `R` can hold: both in units of ν.
+pub(crate) fn limits<R: Real>(nu: Eight, bits: f64, reaches: Eight) -> Eight {
+    // Exponents of 2 that are apart tell the powers apart.
+    let within = all(bits) / (nu + all(2.0));
+    let held = all(R::HORIZON) / (nu + all(5.0));
+    if within.simd_lt(held * all(0.999)).all() {
+        return reaches;
+    }
+    let (nu, reaches) = (nu.to_array(), reaches.to_array());
+    Eight::from_fn(|i| reaches[i].min(horizon::<R>(nu[i])))
 }
 
 /// `-log2 ε` for a relative cutoff, infinite for none.
@@ -87,6 +118,14 @@ mod tests {
             // The slope is a small difference of large terms in both, worst at large ν.
             approx::assert_relative_eq!(derivative, value * slope, max_relative = 1e-9, epsilon = 1e-13);
         }
+    }
+
+    #[test]
+    fn lanes_with_other_numbers_of_shifts_do_not_disturb_each_other() {
+        let nus = [0.5, 1.0, 3.7, 10.0, 17.4, 17.6, 100.0, 1e12];
+        let (values, derivatives) = line_integrals(Eight::new(nus));
+        let alone = nus.map(line_integral);
+        assert_eq!((values.to_array(), derivatives.to_array()), (alone.map(|l| l.0), alone.map(|l| l.1)));
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
 use crate::numeric::Lanes;
 use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
 use crate::scene::{Beam, Scanner, View};
+use std::array::from_fn;
 use std::ops::Range;
 
 /// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
@@ -60,14 +61,14 @@ impl Geometry<Eight> {
     fn of(footprints: [&Footprint; EIGHT]) -> Self {
         let of = footprints.map(|footprint| &footprint.geometry);
         Self {
-            slope: [0, 1].map(|axis| each(|i| of[i].slope[axis])),
+            slope: from_fn(|axis| each(|i| of[i].slope[axis])),
             kappa: each(|i| of[i].kappa),
-            p0: [0, 1, 2].map(|axis| each(|i| of[i].p0[axis])),
-            g: [0, 1].map(|axis| each(|i| of[i].g[axis])),
+            p0: from_fn(|axis| each(|i| of[i].p0[axis])),
+            g: from_fn(|axis| each(|i| of[i].g[axis])),
             b: each(|i| of[i].b),
             ab: each(|i| of[i].ab),
             a: each(|i| of[i].a),
-            half: [0, 1].map(|axis| each(|i| of[i].half[axis])),
+            half: from_fn(|axis| each(|i| of[i].half[axis])),
         }
     }
 
@@ -197,31 +198,34 @@ impl Prepared {
 }
 
 impl Footprint {
-    /// Primitives as the view sees them.
+    /// Up to eight primitives as the view sees them.
     pub(super) fn eight(
+        footprints: &mut [Self],
         shapes: [&Shape; EIGHT],
         scanner: &Scanner,
         view: &View,
         projection: Projection,
-    ) -> [Self; EIGHT] {
+    ) {
         let Prepared { seen, planes, geometry, support } = Prepared::new(shapes, scanner, view, projection);
         let counts = [scanner.detector.rows, scanner.detector.columns];
         let unit = each(|i| shapes[i].unit);
         let (ellipse, extents) = support.extents(planes.limit * unit);
-        let [rows, columns] = [0, 1].map(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
+        let [rows, columns] = from_fn(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
         let planes = planes.to_array(&planes.bounds(rows, columns));
         let (rows, columns, geometry) = (rows.ranges(), columns.ranges(), geometry.to_array());
         let seen = seen.to_bitmask();
-        std::array::from_fn(|i| match seen >> i & 1 {
-            0 => Self::default(),
-            _ => Self {
-                seen: true,
-                plane: planes[i],
-                rows: rows[i].clone(),
-                columns: columns[i].clone(),
-                geometry: geometry[i],
-            },
-        })
+        for (i, footprint) in footprints.iter_mut().enumerate() {
+            *footprint = match seen >> i & 1 {
+                0 => Self::default(),
+                _ => Self {
+                    seen: true,
+                    plane: planes[i],
+                    rows: rows[i].clone(),
+                    columns: columns[i].clone(),
+                    geometry: geometry[i],
+                },
+            };
+        }
     }
 
     /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has them.
@@ -276,9 +280,9 @@ impl Footprint {
         let unit = each(|i| shapes[i].unit);
         let unit_root = unit.sqrt();
         // Sums with the weight in and lengths for units: Σ G (y, z), Σ G (yy, yz, zz); the same of h; of k.
-        let [y, z, yy, yz, zz] = [1, 2, 3, 4, 5].map(|j| each(|i| sums[i].distance[j]) * weight);
+        let [y, z, yy, yz, zz] = from_fn(|j| each(|i| sums[i].distance[1 + j]) * weight);
         let first = [y / unit_root, z / unit_root];
-        let [h, hy, hz] = [0, 1, 2].map(|j| all(2.0) * each(|i| sums[i].h[j]) * weight);
+        let [h, hy, hz] = from_fn(|j| all(2.0) * each(|i| sums[i].h[j]) * weight);
         let d_h = [hy * unit_root, hz * unit_root];
         let k_sum = each(|i| sums[i].k) * weight;
         let d_k = k_sum * unit;
@@ -319,13 +323,13 @@ impl Footprint {
         // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|. In a parallel beam κ is 0.
         let g_h = g_yz[0] * d_h[0] + g_yz[1] * d_h[1];
         let along = [yy * g_yz[0] + yz * g_yz[1], yz * g_yz[0] + zz * g_yz[1]];
-        let mut d_slope = geometry.on_detector([0, 1].map(|j| along[j] * (all(-2.0) / a0) + d_h[j] * (kappa / a0)));
+        let mut d_slope = geometry.on_detector(from_fn(|j| along[j] * (all(-2.0) / a0) + d_h[j] * (kappa / a0)));
         let by_g = all(2.0) * d_a0 - kappa * g_h / (a0 * a0);
         let by_slope = weight * d_weight / d0_squared;
         let mut d_z = slope[0] * d_offset_u + slope[1] * d_offset_v + kappa * (all(2.0) * (yy + zz) + kappa / a0 * g_h);
-        d_slope = [0, 1].map(|j| d_slope[j] + g[j] * by_g);
+        d_slope = from_fn(|j| d_slope[j] + g[j] * by_g);
         match projection {
-            Projection::Affine => d_slope = [0, 1].map(|j| d_slope[j] + slope[j] * by_slope),
+            Projection::Affine => d_slope = from_fn(|j| d_slope[j] + slope[j] * by_slope),
             Projection::Exact => d_z -= kappa * kappa * (g_h + all(2.0) * kappa * d_k) / a0,
         }
         let d_u = kappa * d_slope[0] - d_offset_u;
@@ -399,9 +403,14 @@ mod tests {
         }
     }
 
+    fn eight(shapes: [&Shape; EIGHT], scanner: &Scanner, view: &View, projection: Projection) -> [Footprint; EIGHT] {
+        let mut footprints: [Footprint; EIGHT] = Default::default();
+        Footprint::eight(&mut footprints, shapes, scanner, view, projection);
+        footprints
+    }
+
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
-        let [footprint, ..] =
-            Footprint::eight([&shape(mean, scale, 1e-2); EIGHT], &scanner(), &scanner().view(0.8), projection);
+        let [footprint, ..] = eight([&shape(mean, scale, 1e-2); EIGHT], &scanner(), &scanner().view(0.8), projection);
         footprint
     }
 
@@ -516,12 +525,12 @@ mod tests {
             ..Sums::default()
         });
         for projection in [Projection::Exact, Projection::Affine] {
-            let together = Footprint::eight(shapes, &scanner, &view, projection);
+            let together = eight(shapes, &scanner, &view, projection);
             let boxes = Footprint::support_boxes(shapes, &scanner, &view, projection);
             let parts = Footprint::pull_back(together.each_ref(), shapes, &view, projection, &sums);
             assert_eq!(together.each_ref().map(|f| f.seen), [true, false, true, true, true, true, true, true]);
             for (i, shape) in shapes.into_iter().enumerate() {
-                let [alone, ..] = Footprint::eight([shape; EIGHT], &scanner, &view, projection);
+                let [alone, ..] = eight([shape; EIGHT], &scanner, &view, projection);
                 assert_eq!(format!("{alone:?}"), format!("{:?}", together[i]), "{i} {projection:?}");
                 assert_eq!(Footprint::support_boxes([shape; EIGHT], &scanner, &view, projection)[0], boxes[i]);
                 if alone.seen {

@@ -1,17 +1,19 @@
 //! What a primitive is, wherever it is seen from: its whitening matrix and the constants of its kernel, and the
 //! way back from a gradient in these terms to scales, quaternion, density and ν.
 
-use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all};
-use crate::numeric::{Real, threads};
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, rotation, student_t};
+use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, each};
+use crate::numeric::{Lanes, Real, threads};
+use crate::primitives::rotation::Units;
+use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use std::array::from_fn;
 use std::ops::Add;
 
 /// Primitives worked on together.
 pub(super) const CHUNK: usize = 256;
 
 /// One primitive, prepared once for all views and grids.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Shape {
     pub(super) mean: DVec3,
     /// Unit quaternion.
@@ -33,6 +35,8 @@ pub(super) struct Shape {
     pub(super) limit: f64,
     /// ν, infinite for the Gaussian.
     pub(super) nu: f64,
+    /// Of a sphere around all that counts.
+    pub(super) radius: f64,
 }
 
 /// Gradient to a primitive in the terms in which all its uses are linear.
@@ -71,7 +75,8 @@ impl Symmetric {
     pub(super) fn new(a: Vectors, b: Vectors, factor: Eight) -> Self {
         let half = all(0.5) * factor;
         let (a, b) = ([a.x, a.y, a.z], [b.x, b.y, b.z]);
-        Self([[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]].map(|[i, j]| (a[i] * b[j] + b[i] * a[j]) * half))
+        let entry = |i: usize, j: usize| (a[i] * b[j] + b[i] * a[j]) * half;
+        Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])
     }
 }
 
@@ -79,7 +84,7 @@ impl Add for Symmetric {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+        Self(from_fn(|i| self.0[i] + other.0[i]))
     }
 }
 
@@ -98,11 +103,12 @@ impl Gradients {
     #[inline(always)]
     pub(super) fn to_array(&self) -> [ShapeGradient; EIGHT] {
         let mean = self.mean.to_array();
-        let precision = self.precision.0.map(Eight::to_array);
-        let [density, nu, u, v] = [self.density, self.nu, self.shadow[0], self.shadow[1]].map(Eight::to_array);
-        std::array::from_fn(|i| ShapeGradient {
+        let precision: [_; 6] = from_fn(|entry| self.precision.0[entry].to_array());
+        let (density, nu) = (self.density.to_array(), self.nu.to_array());
+        let [u, v] = [self.shadow[0].to_array(), self.shadow[1].to_array()];
+        from_fn(|i| ShapeGradient {
             mean: mean[i],
-            precision: precision.map(|entry| entry[i]),
+            precision: from_fn(|entry| precision[entry][i]),
             density: density[i],
             nu: nu[i],
             shadow: DVec2::new(u[i], v[i]),
@@ -111,42 +117,69 @@ impl Gradients {
 }
 
 impl Shape {
-    /// Primitive `i`, cut off where it has fallen to 2^-`bits`, for kernels that run in `R`.
-    pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
+    /// Up to eight primitives, cut off where they have fallen to 2^-`bits`, for kernels that run in `R`.
+    #[inline(always)]
+    fn eight<R: Real>(shapes: &mut [Self], primitives: &Primitives, indices: [usize; EIGHT], bits: f64) {
         let p = &primitives.parameters;
-        let (rotation, norm) = rotation::unit(p.quaternion[i]);
-        let inverse_scale = 1.0 / DVec3::from_array(p.scale[i]);
-        let nu = p.nu[i];
-        let (line, unit, reach, horizon) = match primitives.kernel {
-            Kernel::Gaussian => (
-                (gaussian::line_integral(), 0.0),
-                gaussian::UNIT,
-                gaussian::reach(bits) / gaussian::UNIT,
-                gaussian::horizon::<R>(),
-            ),
+        let (rotations, norms) = Units::new(from_fn(|entry| each(|i| p.quaternion[indices[i]][entry])));
+        let one = all(1.0);
+        let [x, y, z] = from_fn(|axis| one / each(|i| p.scale[indices[i]][axis]));
+        let nu = each(|i| p.nu[indices[i]]);
+        let (line, unit, reach, limit) = match primitives.kernel {
+            Kernel::Gaussian => {
+                let reach = gaussian::reach(bits) / gaussian::UNIT;
+                let line = (all(gaussian::line_integral()), all(0.0));
+                (line, all(gaussian::UNIT), all(reach), all(reach.min(gaussian::horizon::<R>())))
+            }
             Kernel::StudentT => {
-                (student_t::line_integral(nu), nu, student_t::reach(nu, bits) / nu, student_t::horizon::<R>(nu))
+                let reach = student_t::reaches(nu, bits) / nu;
+                (student_t::line_integrals(nu), nu, reach, student_t::limits::<R>(nu, bits, reach))
             }
         };
-        Self {
-            mean: DVec3::from_array(p.mean[i]),
-            rotation,
-            norm,
-            inverse_scale,
-            whitening: DMat3::from_diagonal(inverse_scale) * DMat3::from_quat(rotation).transpose(),
-            density: p.density[i],
-            line,
-            unit,
-            reach,
-            limit: reach.min(horizon),
-            nu,
+        let radius = (limit * unit).sqrt() / x.at_most(y.at_most(z)) * all(1.0 + 1e-9);
+        let columns = rotations.transposed().columns;
+        let whitening: [_; 3] =
+            from_fn(|j| Vectors::new(x * columns[j].x, y * columns[j].y, z * columns[j].z).to_array());
+        let (rotations, norms) = (rotations.to_array(), norms.to_array());
+        let inverse_scale = Vectors::new(x, y, z).to_array();
+        let (line, slope, unit) = (line.0.to_array(), line.1.to_array(), unit.to_array());
+        let (reach, limit, radius) = (reach.to_array(), limit.to_array(), radius.to_array());
+        for (lane, (shape, i)) in shapes.iter_mut().zip(indices).enumerate() {
+            *shape = Self {
+                mean: DVec3::from_array(p.mean[i]),
+                rotation: rotations[lane],
+                norm: norms[lane],
+                inverse_scale: inverse_scale[lane],
+                whitening: DMat3::from_cols(whitening[0][lane], whitening[1][lane], whitening[2][lane]),
+                density: p.density[i],
+                line: (line[lane], slope[lane]),
+                unit: unit[lane],
+                reach: reach[lane],
+                limit: limit[lane],
+                nu: p.nu[i],
+                radius: radius[lane],
+            };
         }
+    }
+
+    /// Primitive `i` alone.
+    #[cfg(test)]
+    pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
+        let mut shape = Self::default();
+        Self::eight::<R>(std::slice::from_mut(&mut shape), primitives, [i; EIGHT], bits);
+        shape
     }
 
     /// All primitives with a relative cutoff ε (0: none), in parallel.
     pub(super) fn all_into<R: Real>(shapes: &mut Vec<Self>, primitives: &Primitives, epsilon: f64) {
-        let bits = student_t::bits(epsilon);
-        threads::map_many_into(shapes, primitives.len(), |i| Self::new::<R>(primitives, i, bits));
+        let (bits, last) = (student_t::bits(epsilon), primitives.len().saturating_sub(1));
+        shapes.resize(primitives.len(), Self::default());
+        threads::for_each_chunk(shapes, CHUNK, |chunk, shapes| {
+            for (first, shapes) in (chunk * CHUNK..).step_by(EIGHT).zip(shapes.chunks_mut(EIGHT)) {
+                let indices = from_fn(|i| (first + i).min(last));
+                Self::eight::<R>(shapes, primitives, indices, bits);
+            }
+        });
     }
 
     /// `1/(s₁s₂s₃)`, the determinant of the whitening matrix.
@@ -167,17 +200,20 @@ impl Shape {
     fn finish(&self, gradient: &ShapeGradient) -> ([f64; 3], [f64; 3], [f64; 4]) {
         let [xx, xy, xz, yy, yz, zz] = gradient.precision;
         let inverse = self.inverse_scale;
-        let scale = [(0, xx), (1, yy), (2, zz)].map(|(k, d)| -2.0 * inverse[k] * d);
-        let torque = |a: usize, b: usize, d: f64| 2.0 * d * (inverse[a] / inverse[b] - inverse[b] / inverse[a]);
-        let q = self.rotation * DQuat::from_xyzw(torque(1, 2, yz), torque(2, 0, xz), torque(0, 1, xy), 0.0);
-        (gradient.mean.to_array(), scale, [q.w, q.x, q.y, q.z].map(|x| 2.0 * x / self.norm))
+        let scale = [-2.0 * inverse.x * xx, -2.0 * inverse.y * yy, -2.0 * inverse.z * zz];
+        let torque = |a: f64, b: f64, d: f64| 2.0 * d * (a / b - b / a);
+        let DVec3 { x, y, z } = inverse;
+        let q = self.rotation * DQuat::from_xyzw(torque(y, z, yz), torque(z, x, xz), torque(x, y, xy), 0.0);
+        let slope = |x: f64| 2.0 * x / self.norm;
+        (gradient.mean.to_array(), scale, [slope(q.w), slope(q.x), slope(q.y), slope(q.z)])
     }
 }
 
 /// The whitening matrices of eight primitives.
 #[inline(always)]
 pub(super) fn whitening(shapes: [&Shape; EIGHT]) -> Matrices {
-    Matrices { columns: [0, 1, 2].map(|axis| Vectors::each(|i| shapes[i].whitening.col(axis))) }
+    let (x, y) = (Vectors::each(|i| shapes[i].whitening.x_axis), Vectors::each(|i| shapes[i].whitening.y_axis));
+    Matrices { columns: [x, y, Vectors::each(|i| shapes[i].whitening.z_axis)] }
 }
 
 /// The gradient to all parameters of all primitives, in parallel.
@@ -203,6 +239,9 @@ pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient], all: &mut Pa
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::rng::{Purpose, stream};
+    use crate::primitives::rotation;
+    use rand::RngExt;
 
     fn primitives(quaternion: [f64; 4]) -> Primitives {
         Primitives::new(Parameters {
@@ -221,6 +260,37 @@ mod tests {
         let m = Shape::new::<f64>(&primitives, 0, f64::INFINITY).whitening;
         let unit = m * primitives.parameters.covariance(0) * m.transpose();
         assert!((unit - DMat3::IDENTITY).to_cols_array().iter().all(|x| x.abs() < 1e-14), "{unit}");
+    }
+
+    #[test]
+    fn among_seven_others_a_shape_is_what_it_is_alone_by_glam() {
+        let mut random = stream(3, Purpose::Phantom, 0, 0);
+        let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+        let m = 61;
+        let parameters = Parameters {
+            mean: (0..m).map(|_| [0; 3].map(|_| draw(-1.0, 1.0))).collect(),
+            scale: (0..m).map(|_| [0; 3].map(|_| draw(0.01, 0.3))).collect(),
+            quaternion: (0..m).map(|_| [0; 4].map(|_| draw(-1.0, 1.0))).collect(),
+            density: (0..m).map(|_| draw(0.1, 2.0)).collect(),
+            nu: (0..m).map(|_| draw(0.5, 100.0)).collect(),
+        };
+        // Without a cutoff, and with one below what f32 can hold, the horizon is the limit.
+        for bits in [f64::INFINITY, student_t::bits(1e-2), 125.0, 300.0] {
+            let primitives = Primitives::new(parameters.clone()).unwrap();
+            let mut shapes = Vec::new();
+            Shape::all_into::<f32>(&mut shapes, &primitives, libm::exp2(-bits));
+            for (i, shape) in shapes.iter().enumerate() {
+                assert_eq!(format!("{shape:?}"), format!("{:?}", Shape::new::<f32>(&primitives, i, bits)));
+                let (rotation, norm) = rotation::unit(parameters.quaternion[i]);
+                let inverse_scale = 1.0 / DVec3::from_array(parameters.scale[i]);
+                let whitening = DMat3::from_diagonal(inverse_scale) * DMat3::from_quat(rotation).transpose();
+                assert_eq!((shape.rotation, shape.norm, shape.whitening), (rotation, norm, whitening));
+                let nu = parameters.nu[i];
+                let reach = student_t::reach(nu, bits) / nu;
+                let limit = reach.min(student_t::horizon::<f32>(nu));
+                assert_eq!((shape.line, shape.reach, shape.limit), (student_t::line_integral(nu), reach, limit));
+            }
+        }
     }
 
     #[test]

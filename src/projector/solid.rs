@@ -44,9 +44,8 @@ pub(super) struct Solid {
 impl Solid {
     /// Whether a sphere around a primitive's support meets the grid: most that do not reach it are told by that.
     pub(super) fn is_near(shape: &Shape, grid: &Grid) -> bool {
-        let radius = (shape.limit * shape.unit).sqrt() / shape.inverse_scale.min_element() * (1.0 + 1e-9);
         let last = grid.min + grid.size();
-        !((shape.mean + radius).cmplt(grid.min).any() || (shape.mean - radius).cmpgt(last).any())
+        !((shape.mean + shape.radius).cmplt(grid.min).any() || (shape.mean - shape.radius).cmpgt(last).any())
     }
 
     /// Primitives anywhere: their slices are none where they do not reach the grid.

@@ -39,8 +39,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         threads::for_each_chunk(&mut footprints, BIN, |chunk, footprints| {
             let shapes = field.shapes[chunk * BIN..].chunks(EIGHT);
             for (footprints, shapes) in footprints.chunks_mut(EIGHT).zip(shapes) {
-                let eight = Footprint::eight(lanes(shapes, |shape| shape), scanner, &view, projection);
-                footprints.iter_mut().zip(eight).for_each(|(footprint, new)| *footprint = new);
+                Footprint::eight(footprints, lanes(shapes, |shape| shape), scanner, &view, projection);
             }
         });
         Self { field, scanner: *scanner, view, projection, footprints }

@@ -13,6 +13,7 @@ use crate::numeric::vectors::{EIGHT, Vectors, all, each, lanes};
 use crate::numeric::{Lanes, Real};
 use crate::scene::Grid;
 use ndarray::{Array3, ArrayView3};
+use std::array::from_fn;
 
 /// Primitives that one task prepares, and among which one gathers gradients.
 const GATHER: usize = 64;
@@ -22,13 +23,14 @@ const SLAB: usize = 8;
 /// The gradients of primitives from the sums over all their slices, in the axes of [`Solid`].
 fn pull_back(sums: &[Sums; EIGHT], shapes: [&Shape; EIGHT]) -> [ShapeGradient; EIGHT] {
     let density = each(|i| shapes[i].density);
-    let [y, z, yy, yz, zz] = [1, 2, 3, 4, 5].map(|j| each(|i| sums[i].distance[j]));
-    let [x, xx, xy, xz] = [0, 1, 2, 3].map(|j| each(|i| sums[i].x[j]));
+    let [y, z, yy, yz, zz] = from_fn(|j| each(|i| sums[i].distance[1 + j]));
+    let [x, xx, xy, xz] = from_fn(|j| each(|i| sums[i].x[j]));
     let [mx, my, mz] = whitening(shapes).columns;
     let q_x = my.cross(mz).unit();
     let q_y = my.unit();
     let q_z = q_x.cross(q_y);
-    let [xx, xy, xz, yy, yz, zz] = [xx, xy, xz, yy, yz, zz].map(|value| value * density);
+    let second = [xx, xy, xz, yy, yz, zz];
+    let [xx, xy, xz, yy, yz, zz] = from_fn(|j| second[j] * density);
     let precision = Symmetric::new(q_x, q_x, xx)
         + Symmetric::new(q_x, q_y, all(2.0) * xy)
         + Symmetric::new(q_x, q_z, all(2.0) * xz)
