@@ -29,7 +29,7 @@ pub(crate) struct Units {
 }
 
 impl Units {
-    /// What [`unit`] says of each lane: quaternions (w,x,y,z) of any length, with that.
+    /// What [`unit()`] says of each lane: quaternions (w,x,y,z) of any length, with that.
     #[inline(always)]
     pub(crate) fn new(q: [Eight; 4]) -> (Self, Eight) {
         let largest = q.iter().fold(all(0.0), |largest, entry| entry.abs().at_least(largest));
