@@ -10,7 +10,7 @@ use wide::u64x8;
 const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
 /// From here on an argument is reduced by multiples of ln 2: the next number after ½ ln 2 in the upper half of the bits.
 const REDUCED: f64 = f64::from_bits(0x3fd6_2e43 << 32);
-/// `r·(e^r+1)/(e^r-1) = 2 - z·P(z)`, z = r².
+/// `r·(e^r+1)/(e^r-1) = 2 + z·P(z)`, z = r².
 const EXP: [f64; 5] = [
     1.666_666_666_666_660_2e-1,
     -2.777_777_777_701_559_3e-3,
@@ -18,7 +18,7 @@ const EXP: [f64; 5] = [
     -1.653_390_220_546_525_2e-6,
     4.138_136_797_057_238_5e-8,
 ];
-/// Half of the same for e^r - 1, z = r²/2.
+/// `6/r·((e^r+1)/(e^r-1) - 2/r) = 1 + z·P(z)`, z = r²/2.
 const EXPM1: [f64; 5] = [
     -3.333_333_333_333_313e-2,
     1.587_301_587_254_814_6e-3,
@@ -79,6 +79,7 @@ pub fn exp(x: Eight) -> Eight {
     let z = r * r;
     let c = r - z * polynomial(z, &EXP);
     let mantissa = all(1.0) + (r * c / (all(2.0) - c) - low + high);
+    // About 2^-28: the rest would only round it otherwise.
     let tiny = all(f64::from_bits(0x3e30_0001 << 32));
     x.abs().simd_lt(tiny).select(all(1.0) + x, mantissa * power_of_two(k))
 }
@@ -106,24 +107,25 @@ pub fn expm1(x: Eight) -> Eight {
     let anywhere = (r - e + (one - power_of_two(-k))) * power;
     let doubled = r.simd_lt(all(-0.25)).select(all(-2.0) * (e - (r + half)), one + all(2.0) * (r - e));
     let halved = half * (r - e) - half;
-    // Few steps only are to be seen below -1: 1 is taken from what has been scaled.
+    // Below k = -1 the 1 is subtracted after the scaling.
     let far_below = (r - e + one) * power - one;
     let is = |whole: f64| k.simd_eq(all(whole));
     let value = k.simd_lt(all(0.0)).select(far_below, anywhere);
     let value = is(-1.0).select(halved, is(0.0).select(here, is(1.0).select(doubled, value)));
+    // Below 2^-54 it is x itself, and -0 stays.
     x.abs().simd_lt(all(f64::from_bits(0x3c90_0000 << 32))).select(x, value)
 }
 
-/// `ln(2^k·(1+f))` for 1+f from √½ to √2, and a `correction` of what f has lost; the sums with that in the order of libm.
+/// `ln(2^k·(1+f))` for 1+f from √½ to √2. `add` puts the lower part of k·ln 2 onto the series, and what else is as small.
 #[inline(always)]
-fn log_of(k: Eight, f: Eight, summand: impl Fn(Eight, Eight) -> Eight) -> Eight {
+fn log_of(k: Eight, f: Eight, add: impl Fn(Eight, Eight) -> Eight) -> Eight {
     let half_square = all(0.5) * f * f;
     let s = f / (all(2.0) + f);
     let z = s * s;
     let w = z * z;
     let even = w * (all(LOG[1]) + w * (all(LOG[3]) + w * all(LOG[5])));
     let odd = z * (all(LOG[0]) + w * (all(LOG[2]) + w * (all(LOG[4]) + w * all(LOG[6]))));
-    summand(s * (half_square + (odd + even)), k * all(LN_2[1])) - half_square + f + k * all(LN_2[0])
+    add(s * (half_square + (odd + even)), k * all(LN_2[1])) - half_square + f + k * all(LN_2[0])
 }
 
 /// The natural logarithm: [`elementary::log`].
@@ -144,6 +146,7 @@ pub fn log(x: Eight) -> Eight {
 #[inline(always)]
 fn log1p_of_fraction(x: Eight) -> Eight {
     let (one, zero) = (all(1.0), all(0.0));
+    // Below √2 - 1, by the upper half of its bits, 1+x is as it has to be.
     let small = x.simd_lt(all(f64::from_bits(0x3fda_827a << 32)));
     let u = one + x;
     let lost = small.select(zero, (x - (u - one)) / u);

@@ -10,7 +10,7 @@
 //!
 //! Not in the paper: its parametrisation is not given; scales and densities follow R²-Gaussian.
 
-use super::{Kernel, Parameters, Primitives};
+use super::{Kernel, Parameters, Primitives, Rows};
 use crate::numeric::elementary::{logit, softplus_inverse};
 use crate::numeric::exponentials::{expm1, sigmoid, softplus};
 use crate::numeric::threads;
@@ -70,15 +70,7 @@ impl Activation {
     pub(crate) fn forward_into(&self, raw: &Parameters, physical: &mut Primitives) {
         physical.kernel = self.kernel;
         physical.parameters.resize(raw.len());
-        let Parameters { mean, scale, quaternion, density, nu } = &mut physical.parameters;
-        let chunks = (
-            threads::chunks(mean, CHUNK),
-            threads::chunks(scale, CHUNK),
-            threads::chunks(quaternion, CHUNK),
-            threads::chunks(density, CHUNK),
-            threads::chunks(nu, CHUNK),
-        );
-        threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+        physical.parameters.for_each_chunk(CHUNK, |chunk, Rows { mean, scale, quaternion, density, nu }| {
             let here = chunk * CHUNK..chunk * CHUNK + nu.len();
             mean.copy_from_slice(&raw.mean[here.clone()]);
             quaternion.copy_from_slice(&raw.quaternion[here.clone()]);

@@ -13,6 +13,7 @@ pub mod student_t;
 pub use activation::Activation;
 
 use crate::error::{Error, Result};
+use crate::numeric::threads;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,15 @@ pub struct Parameters {
     pub density: Vec<f64>,
     /// Degrees of freedom ν, `[M]`.
     pub nu: Vec<f64>,
+}
+
+/// Rows of [`Parameters`] that lie side by side.
+pub(crate) struct Rows<'a> {
+    pub(crate) mean: &'a mut [[f64; 3]],
+    pub(crate) scale: &'a mut [[f64; 3]],
+    pub(crate) quaternion: &'a mut [[f64; 4]],
+    pub(crate) density: &'a mut [f64],
+    pub(crate) nu: &'a mut [f64],
 }
 
 /// Physical parameters with their kernel.
@@ -104,6 +114,21 @@ impl Parameters {
         self.quaternion.resize(m, [0.0; 4]);
         self.density.resize(m, 0.0);
         self.nu.resize(m, 0.0);
+    }
+
+    /// Calls `f(chunk, rows)` for `length` primitives after `length` others (the last may be fewer), in parallel.
+    pub(crate) fn for_each_chunk(&mut self, length: usize, f: impl Fn(usize, Rows<'_>) + Sync + Send) {
+        let Self { mean, scale, quaternion, density, nu } = self;
+        let chunks = (
+            threads::chunks(mean, length),
+            threads::chunks(scale, length),
+            threads::chunks(quaternion, length),
+            threads::chunks(density, length),
+            threads::chunks(nu, length),
+        );
+        threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+            f(chunk, Rows { mean, scale, quaternion, density, nu });
+        });
     }
 
     /// Number of primitives.

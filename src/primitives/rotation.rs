@@ -46,7 +46,7 @@ impl Units {
         std::array::from_fn(|i| DQuat::from_xyzw(v[i].x, v[i].y, v[i].z, w[i]))
     }
 
-    /// The transposed matrix of each rotation, as glam has it: the other way round.
+    /// The matrix of the rotation back, the transposed one, with the bits of glam's.
     #[inline(always)]
     pub(crate) fn transposed(self) -> Matrices {
         let (one, Self { w, v: Vectors { x, y, z } }) = (all(1.0), self);

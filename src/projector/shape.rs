@@ -4,7 +4,7 @@
 use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, each};
 use crate::numeric::{Lanes, Real, threads};
 use crate::primitives::rotation::Units;
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{Kernel, Parameters, Primitives, Rows, gaussian, student_t};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::array::from_fn;
 use std::ops::Add;
@@ -219,15 +219,7 @@ pub(super) fn whitening(shapes: [&Shape; EIGHT]) -> Matrices {
 /// The gradient to all parameters of all primitives, in parallel.
 pub(super) fn finish(shapes: &[Shape], gradients: &[ShapeGradient], all: &mut Parameters) {
     all.resize(shapes.len());
-    let Parameters { mean, scale, quaternion, density, nu } = all;
-    let chunks = (
-        threads::chunks(mean, CHUNK),
-        threads::chunks(scale, CHUNK),
-        threads::chunks(quaternion, CHUNK),
-        threads::chunks(density, CHUNK),
-        threads::chunks(nu, CHUNK),
-    );
-    threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+    all.for_each_chunk(CHUNK, |chunk, Rows { mean, scale, quaternion, density, nu }| {
         for row in 0..mean.len() {
             let i = chunk * CHUNK + row;
             (mean[row], scale[row], quaternion[row]) = shapes[i].finish(&gradients[i]);
