@@ -12,7 +12,7 @@ use ndarray::Array3;
 use rand::RngExt;
 use trgs::classical::{RayModel, VoxelProjector};
 use trgs::numeric::rng::{Purpose, stream};
-use trgs::numeric::{Lanes, NEAR, Real};
+use trgs::numeric::{Lanes, Real};
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Detector, Scanner};
@@ -84,8 +84,7 @@ fn operations<L: Lanes>() -> Vec<Operation<L>> {
         ("log2_1p", |a, _, _| a.log2_1p()),
         ("exp2", |a, _, _| a.exp2()),
         ("log2_1p of positive numbers", |a, _, _| (a * a).log2_1p()),
-        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(NEAR[1]))).log2_1p_near()),
-        ("log2_1p_nearest", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(NEAR[0]))).log2_1p_nearest()),
+        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(L::NEAR))).log2_1p_near()),
         ("rsqrt_1p_near", |a, _, _| a.rsqrt_1p_near()),
         ("rsqrt_1p_nearest", |a, _, _| a.rsqrt_1p_nearest()),
         ("exp2 down to the horizon", |a, _, _| {

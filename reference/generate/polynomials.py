@@ -99,11 +99,23 @@ def show(title, c, error, rust_type):
 # ---------------------------------------------------------------------------- log2 and exp2
 
 def log2_f32():
-    print("==== a) f32: log2(1+f) = f P(f), f in [sqrt(1/2)-1, sqrt(2)-1], relative error")
-    a, b = mp.sqrt(mpf(1) / 2) - 1, mp.sqrt(2) - 1
-    function = lambda f: mp.log1p(f) / mp.ln2 / f
-    for degree in (7, 8, 9):
-        c, error = fit_rounded(function, lambda f: 1 / function(f), a, b, list(range(degree + 1)), np.float32)
+    print("==== a) f32: log2(1+f) = log2(1/c) + log2(1+r), 1+r = (1+f) c, for a c near 8/(8+i), of which log2(1/c) is nearly an f32")
+    inverses, logarithms, worst = [mpf(1)], [mpf(0)], 0.0
+    for i in range(1, 8):
+        near = int(np.float32(8 / (8 + i)).view(np.uint32))
+        candidates = np.arange(near - 2000, near + 2001).astype(np.uint32).view(np.float32)
+        exact = -np.log2(candidates.astype(np.float64))
+        error = np.abs(exact - exact.astype(np.float32))
+        best = error.argmin()
+        worst = max(worst, error[best])
+        inverses.append(mpf(float(candidates[best])))
+        logarithms.append(mpf(float(np.float32(exact[best]))))
+    show("c", inverses, 0, "f32")
+    show("log2(1/c)", logarithms, worst, "f32")
+    print("==== log2(1+r) = r P(r), |r| <= 1/16, relative error")
+    function = lambda r: mp.log1p(r) / mp.ln2 / r
+    for degree in (3, 4, 5):
+        c, error = fit_rounded(function, lambda r: 1 / function(r), -mpf(1) / 16, mpf(1) / 16, list(range(degree + 1)), np.float32)
         show(f"degree of P {degree}, low order first", c, error, "f32")
 
 
@@ -120,13 +132,12 @@ def log2_f64():
         show(f"{terms} terms c0 + z c1 + ..., low order first", c, error, "f64")
 
 
-def exp2(rust_type, degrees):
-    print(f"==== {'c' if rust_type == 'f32' else 'd'}) {rust_type}: 2^t = 1 + t P(t), |t| <= 1/2, relative error of 2^t")
+def exp2(rust_type, top, degrees):
+    print(f"==== {'c' if rust_type == 'f32' else 'd'}) {rust_type}: 2^t = 1 + t P(t), |t| <= {top}, relative error of 2^t")
     round_to = np.float32 if rust_type == "f32" else np.float64
-    half = mpf(1) / 2
     function = lambda t: mp.expm1(t * mp.ln2) / t
     for degree in degrees:
-        c, error = fit_rounded(function, lambda t: abs(t) / mp.power(2, t), -half, half, list(range(degree)), round_to)
+        c, error = fit_rounded(function, lambda t: abs(t) / mp.power(2, t), -top, top, list(range(degree)), round_to)
         show(f"total degree {degree}, P low order first", c, error, rust_type)
 
 
@@ -202,8 +213,12 @@ def gamma_ratio():
 if __name__ == "__main__":
     log2_f32()
     log2_f64()
-    exp2("f32", (5, 6))
-    exp2("f64", (10, 11, 12))
+    exact = [mp.power(2, mpf(i) / 8) for i in range(8)]
+    rounded = [mpf(float(np.float32(float(x)))) for x in exact]
+    show("2^(i/8)", exact, 0, "f32")
+    show("what they lack, relative to themselves", [(x - y) / y for x, y in zip(exact, rounded)], 0, "f32")
+    exp2("f32", mpf(1) / 16, (2, 3, 4))
+    exp2("f64", mpf(1) / 2, (10, 11, 12))
     inverse_root("f32", ((mpf(1) / 16, 4), (mpf(1) / 4, 7)))
     # The first guess at a step of third order: its error ends as 2.5 times its cube.
     inverse_root("f64", ((mpf(1) / 4, 6),))

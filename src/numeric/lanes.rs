@@ -5,8 +5,8 @@
 //! build and [`Lanes::fma`] once on every build, also where the processor has no such instruction.
 
 use super::polynomials::{
-    EXP2_F32, EXP2_F64, log2_of_1_plus_f32, log2_of_1_plus_f64, nearer_to_root, one_plus, root_near_f32, root_near_f64,
-    root_nearest_f32,
+    exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_near_f32,
+    root_near_f64, root_nearest_f32,
 };
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
@@ -63,9 +63,6 @@ pub fn real<R: Real>(value: f64) -> R {
     R::from_f64(value)
 }
 
-/// Below √2 - 1 and √8 - 1: the largest x whose logarithm of 1+x [`Lanes::log2_1p_nearest`] takes, and [`Lanes::log2_1p_near`].
-pub const NEAR: [f64; 2] = [0.4142, 1.8284];
-
 /// The largest |e| whose root of 1+e [`Lanes::rsqrt_1p_nearest`] takes, and [`Lanes::rsqrt_1p_near`].
 pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
 
@@ -88,6 +85,8 @@ pub trait Lanes:
     type Index: Copy;
     /// Number of lanes, even.
     const WIDTH: usize;
+    /// The largest x whose logarithm of 1+x [`Self::log2_1p_near`] takes.
+    const NEAR: f64;
 
     /// The same value in every lane.
     fn splat(value: Self::Scalar) -> Self;
@@ -133,15 +132,8 @@ pub trait Lanes:
     /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0; of several registers, so that each step
     /// of one hides those of the others.
     fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N];
-    /// [`Self::log2_1p_each`] for x from 0 to the second of [`NEAR`]: the same bits in fewer steps, for 1+x is halved once or
-    /// not at all.
-    fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
-        Self::log2_1p_each(x)
-    }
-    /// [`Self::log2_1p_each`] for x from 0 to the first of [`NEAR`]: the same bits in fewer steps, for 1+x is as it has to be.
-    fn log2_1p_nearest_each<const N: usize>(x: [Self; N]) -> [Self; N] {
-        Self::log2_1p_each(x)
-    }
+    /// [`Self::log2_1p_each`] for x from 0 to [`Self::NEAR`]: as accurate in fewer steps, perhaps with other last bits.
+    fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N];
     /// `2^t` for `-HORIZON ≤ t ≤ 0`, of several registers.
     fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N];
     /// [`Self::log2_1p_each`] of one.
@@ -151,10 +143,6 @@ pub trait Lanes:
     /// [`Self::log2_1p_near_each`] of one.
     fn log2_1p_near(self) -> Self {
         Self::log2_1p_near_each([self])[0]
-    }
-    /// [`Self::log2_1p_nearest_each`] of one.
-    fn log2_1p_nearest(self) -> Self {
-        Self::log2_1p_nearest_each([self])[0]
     }
     /// [`Self::exp2_each`] of one.
     fn exp2(self) -> Self {
@@ -196,14 +184,14 @@ fn sum_of_16(lanes: f32x16) -> f64 {
     sum_of_8(low + high)
 }
 
-/// Implements [`Real`] and [`Lanes`] for one precision. `log2_of_1_plus` is the series on [√½-1, √2-1], as two factors;
-/// `rsqrt` the first guess at a square root's inverse, less half of the number's bits, and the steps that it takes.
+/// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of
+/// the number's bits, and the steps that it takes.
 macro_rules! precision {
     (
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
-        rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, rounder $rounder:literal, exp2 $exp2:ident,
+        rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, exp2 $exp2:ident,
         pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
-        log2_of_1_plus $log2_of_1_plus:ident, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, sum $sum:ident
+        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, sum $sum:ident
     ) => {
         impl Real for $scalar {
             type Lanes = $lanes;
@@ -242,6 +230,7 @@ macro_rules! precision {
             type Scalar = $scalar;
             type Index = $bits;
             const WIDTH: usize = $width;
+            const NEAR: f64 = $near;
 
             #[inline(always)]
             fn splat(value: $scalar) -> Self {
@@ -344,56 +333,18 @@ macro_rules! precision {
                 self.simd_le(limit).select(yes, no)
             }
 
-            // 1+x = 2^k·(1+f) with 1+f in [√½, √2): the exponent k is read off the rounded 1+x, then
-            // f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
             #[inline(always)]
             fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N] {
-                const ROOT_HALF: $unsigned = std::$scalar::consts::FRAC_1_SQRT_2.to_bits();
-                // The bits of 2^mantissa: an integer or-ed into them is the number 2^mantissa + integer.
-                const INTEGER: $scalar = ((1 as $unsigned) << $mantissa) as $scalar;
-                const ONE_BITS: $unsigned = (1.0 as $scalar).to_bits();
-                let one = Self::splat(1.0);
-                let exponent: [$bits; N] = x.map(|x| {
-                    let bits: $bits = bytemuck::cast(one + x);
-                    (bits - $bits::splat(ROOT_HALF)).unbounded_shr_scalar($mantissa)
-                });
-                let f: [Self; N] = std::array::from_fn(|i| {
-                    let bits = $bits::splat(ONE_BITS) - exponent[i].unbounded_shl_scalar($mantissa);
-                    let scale: Self = bytemuck::cast(bits);
-                    x[i].fma(scale, scale - one)
-                });
-                let (factor, series) = $log2_of_1_plus(f);
-                std::array::from_fn(|i| {
-                    let k: Self = bytemuck::cast(exponent[i] | $bits::splat(INTEGER.to_bits()));
-                    factor[i].fma(series[i], k - Self::splat(INTEGER))
-                })
+                $log2_1p(x)
             }
             #[inline(always)]
             fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
-                let [zero, half, one] = [0.0, 0.5, 1.0].map(Self::splat);
-                let halved = x.map(|x| (one + x).simd_ge(Self::splat(std::$scalar::consts::SQRT_2)));
-                let f: [Self; N] = std::array::from_fn(|i| halved[i].select(x[i].fma(half, -half), x[i]));
-                let (factor, series) = $log2_of_1_plus(f);
-                std::array::from_fn(|i| factor[i].fma(series[i], halved[i].select(one, zero)))
+                $log2_1p_near(x)
             }
-            #[inline(always)]
-            fn log2_1p_nearest_each<const N: usize>(x: [Self; N]) -> [Self; N] {
-                let (factor, series) = $log2_of_1_plus(x);
-                std::array::from_fn(|i| factor[i] * series[i])
-            }
-
-            // Adding 1.5·2^mantissa rounds t to an integer and leaves it in the low bits, from where it goes into the exponent.
             #[inline(always)]
             fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
-                let shifted = t.map(|t| t + Self::splat($rounder));
-                let fraction: [Self; N] = std::array::from_fn(|i| t[i] - (shifted[i] - Self::splat($rounder)));
-                let mantissa = one_plus(fraction, &$exp2);
-                std::array::from_fn(|i| {
-                    let [mantissa, exponent]: [$bits; 2] = [mantissa[i], shifted[i]].map(|value| bytemuck::cast(value));
-                    bytemuck::cast(mantissa + exponent.unbounded_shl_scalar($mantissa))
-                })
+                $exp2(t)
             }
-
             #[inline(always)]
             fn sum(self) -> f64 {
                 $sum(self)
@@ -403,7 +354,7 @@ macro_rules! precision {
 }
 
 precision!(
-    f32, f32x16, u32x16, u32, width 16, mantissa 23, rsqrt 0x5f37_5a86 in 2, horizon 126.0, far 1e15, rounder 12_582_912.0, exp2 EXP2_F32,
+    f32, f32x16, u32x16, u32, width 16, mantissa 23, rsqrt 0x5f37_5a86 in 2, horizon 126.0, far 1e15, exp2 exp2_f32,
     pick |tables, index| {
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([eight(tables[0]).shuffle(first), eight(tables[1]).shuffle(second)])
@@ -412,10 +363,10 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_of_1_plus log2_of_1_plus_f32, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 0.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16
 );
 precision!(
-    f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, rounder 6_755_399_441_055_744.0, exp2 EXP2_F64,
+    f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, exp2 exp2_f64,
     pick |tables, index| {
         let tables = [&tables[0][..4], &tables[1][..4]];
         let index = index.to_array();
@@ -426,7 +377,7 @@ precision!(
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
     },
-    log2_of_1_plus log2_of_1_plus_f64, root_of_1_plus root_near_f64, nearest root_near_f64, sum sum_of_8
+    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_near_f64, nearest root_near_f64, sum sum_of_8
 );
 
 #[cfg(test)]
@@ -445,8 +396,11 @@ mod tests {
             if truth < 1e-36 {
                 continue;
             }
-            let value = (R::Lanes::splat(x).log2_1p() * R::Lanes::splat(minus_q)).exp2();
-            worst = worst.max((value.sum() / R::Lanes::WIDTH as f64 - truth).abs());
+            let (lanes, near) = (R::Lanes::splat(x), x.to_f64() <= R::Lanes::NEAR);
+            for log in [Some(lanes.log2_1p()), near.then(|| lanes.log2_1p_near())].into_iter().flatten() {
+                let value = (log * R::Lanes::splat(minus_q)).exp2();
+                worst = worst.max((value.sum() / R::Lanes::WIDTH as f64 - truth).abs());
+            }
         }
         worst
     }
@@ -467,35 +421,29 @@ mod tests {
         }
     }
 
-    #[test]
-    fn log2_1p_keeps_the_relative_accuracy_of_tiny_arguments() {
-        for x in [1e-30, 1e-20, 3e-9, 1e-5, 0.3, 0.41, 0.42, 1.0, 7.0, 1e6, 1e20] {
+    fn worst_relative_error_of_a_logarithm<R: Real>(x: impl Iterator<Item = f64>) -> f64 {
+        x.flat_map(|x| {
+            let (lanes, x) = (R::Lanes::splat(R::from_f64(x)), R::from_f64(x).to_f64());
+            let logarithms = [Some(lanes.log2_1p()), (x <= R::Lanes::NEAR).then(|| lanes.log2_1p_near())];
             let truth = libm::log1p(x) / std::f64::consts::LN_2;
-            let double = f64x8::splat(x).log2_1p().to_array()[3];
-            let single = f64::from(f32x16::splat(x as f32).log2_1p().to_array()[11]);
-            let truth_of_single = libm::log1p(f64::from(x as f32)) / std::f64::consts::LN_2;
-            assert!((double / truth - 1.0).abs() <= 7e-16, "{x}: {double} against {truth}");
-            assert!((single / truth_of_single - 1.0).abs() <= 2.5e-7, "{x}: {single} against {truth_of_single}");
-        }
-    }
-
-    /// Compares logarithms at as many numbers from 0 to `most`, and at all within a few of √2 - 1.
-    fn assert_same_logarithms<R: Real>(most: f64, short: fn(R::Lanes) -> R::Lanes) {
-        let near = |step: f64| (-40..=40).map(move |i| std::f64::consts::SQRT_2 - 1.0 + f64::from(i) * step / 4.0);
-        let border = near(f64::EPSILON).chain(near(f32::EPSILON.into()));
-        let all = (0..=100_000).map(|i| most * f64::from(i) / 100_000.0);
-        for x in all.chain(border).filter(|&x| x <= most) {
-            let x = R::Lanes::splat(R::from_f64(x));
-            assert_eq!(short(x).sum(), x.log2_1p().sum());
-        }
+            logarithms.map(|log| log.map_or(0.0, |log| (log.sum() / R::Lanes::WIDTH as f64 / truth - 1.0).abs()))
+        })
+        .fold(0.0, f64::max)
     }
 
     #[test]
-    fn logarithms_near_zero_have_the_bits_of_those_anywhere() {
-        assert_same_logarithms::<f32>(NEAR[0], Lanes::log2_1p_nearest);
-        assert_same_logarithms::<f64>(NEAR[0], Lanes::log2_1p_nearest);
-        assert_same_logarithms::<f32>(NEAR[1], Lanes::log2_1p_near);
-        assert_same_logarithms::<f64>(NEAR[1], Lanes::log2_1p_near);
+    fn logarithms_keep_the_relative_accuracy_of_tiny_arguments() {
+        // And beside the borders of octaves, of their sixteenths, and of what is near.
+        let borders = (0..96).flat_map(|i| {
+            let border = libm::exp2(f64::from(i / 32)) * (1.0 + f64::from(i % 32) / 32.0) - 1.0;
+            [-2.0, -1.0, 0.0, 1.0, 2.0].map(|step| border + step * f64::from(f32::EPSILON) / 2.0)
+        });
+        let near = [f32x16::NEAR, f64x8::NEAR, std::f64::consts::SQRT_2 - 1.0].into_iter();
+        let all = (0..100_000).map(|i| libm::pow(10.0, -30.0 + 50.0 * f64::from(i) / 100_000.0));
+        let some = || all.clone().chain(borders.clone()).chain(near.clone()).filter(|&x| x > 0.0);
+        let (double, single) =
+            (worst_relative_error_of_a_logarithm::<f64>(some()), worst_relative_error_of_a_logarithm::<f32>(some()));
+        assert!(double <= 7e-16 && single <= 1.5e-7, "{double:e} and {single:e}");
     }
 
     #[test]

@@ -1,9 +1,12 @@
-//! The polynomials of [`Lanes`], of several registers at a time. Coefficients are minimax in relative error, from
-//! reference/generate/polynomials.py.
+//! Logarithms, powers of two and inverse roots of [`Lanes`], of several registers at a time. Coefficients are minimax in
+//! relative error, tables and they from reference/generate/polynomials.py.
+//!
+//! In f32, logarithms and powers begin with a table of eight and end with a short polynomial: a processor that permutes the
+//! numbers of a register does so beside its multiply-adds, of which a polynomial alone needs half as many again.
 
 use super::lanes::{Lanes, Real, real};
 use std::array::from_fn;
-use wide::{f32x16, f64x8};
+use wide::{f32x16, f64x8, u32x8, u32x16, u64x8};
 
 /// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, fused: the fewest steps. Each waits for the one before, but not for
 /// those of the other registers.
@@ -17,20 +20,16 @@ pub(super) fn polynomial<L: Lanes, const N: usize, const TERMS: usize>(
     coefficients[..TERMS - 1].iter().rev().fold(last, step)
 }
 
-/// `log2(1+f) = f·P(f)` on [√½-1, √2-1]; 2.9e-8.
+/// For each of eight parts of an octave, around 1 + i/8, a number near the inverse, and -log2 of it: of all such numbers
+/// nearby the one whose logarithm is nearest to an f32, to 2e-11.
+const INVERSE_F32: [f32; 8] =
+    [1.0e+00, 8.889791e-01, 8.000308e-01, 7.27235e-01, 6.666963e-01, 6.152728e-01, 5.7142097e-01, 5.3338605e-01];
+const LOG2_OF_INVERSE_F32: [f32; 8] =
+    [0.0e+00, 1.6977863e-01, 3.218725e-01, 4.5950642e-01, 5.8489835e-01, 7.0070183e-01, 8.073741e-01, 9.06748e-01];
+/// `log2(1+r) = r·P(r)` on [-1/16, 1/16]; 1.6e-8.
 #[allow(clippy::approx_constant, reason = "the first coefficient of a minimax polynomial is near log2 e, not it")]
-const LOG2_F32: [f32; 9] = [
-    1.442695e+00,
-    -7.213474e-01,
-    4.8090905e-01,
-    -3.6070004e-01,
-    2.8795016e-01,
-    -2.3902889e-01,
-    2.1552761e-01,
-    -2.0669751e-01,
-    1.2560181e-01,
-];
-/// `log2(1+f) = s·Q(s²)` with `s = f/(2+f)`, same interval; 1.4e-17.
+const LOG2_F32: [f32; 5] = [1.442695e+00, -7.21347e-01, 4.8091084e-01, -3.616642e-01, 2.8736347e-01];
+/// `log2(1+f) = s·Q(s²)` with `s = f/(2+f)` on [√½-1, √2-1]; 1.4e-17.
 const LOG2_F64: [f64; 8] = [
     2.8853900817779268e+00,
     9.617966939261154e-01,
@@ -41,13 +40,26 @@ const LOG2_F64: [f64; 8] = [
     2.1918244659274513e-01,
     2.305381423985441e-01,
 ];
-/// `2^t = 1 + t·P(t)` on [-½, ½]; 3.0e-9.
+/// 2^(i/8), and what they lack of it, relative to themselves.
+#[allow(clippy::approx_constant, reason = "√2 is one of them")]
+const POWER_F32: [f32; 8] =
+    [1.0e+00, 1.0905077e+00, 1.1892071e+00, 1.2968396e+00, 1.4142135e+00, 1.5422108e+00, 1.6817929e+00, 1.8340081e+00];
+const LACK_F32: [f32; 8] = [
+    0.0e+00,
+    -1.19921575e-08,
+    3.193418e-08,
+    -3.099072e-08,
+    1.7114271e-08,
+    5.233334e-09,
+    -1.4719605e-08,
+    -6.1282597e-09,
+];
+/// `2^t = 1 + t·P(t)` on [-1/16, 1/16]; 2.6e-8.
 #[allow(clippy::approx_constant, reason = "as above, with ln 2")]
-pub(super) const EXP2_F32: [f32; 6] =
-    [6.931472e-01, 2.4022648e-01, 5.5503596e-02, 9.618499e-03, 1.339097e-03, 1.5329279e-04];
+const EXP2_F32: [f32; 3] = [6.9314724e-01, 2.4025756e-01, 5.5487253e-02];
 /// `2^t = 1 + t·P(t)` on [-½, ½]; 4.1e-18.
 #[allow(clippy::approx_constant, reason = "as above, with ln 2")]
-pub(super) const EXP2_F64: [f64; 11] = [
+const EXP2_F64: [f64; 11] = [
     6.931471805599453e-01,
     2.4022650695910108e-01,
     5.550410866482172e-02,
@@ -76,12 +88,49 @@ const ROOT_F64: [f64; 6] = [
     2.5136991558173755e-01,
 ];
 
+/// Added to a number it rounds it to eighths and leaves these in the low bits: 1.5·2^20.
+const EIGHTHS: f32 = 1_572_864.0;
+/// The same with whole numbers: 1.5·2^52.
+const WHOLE: f64 = 6_755_399_441_055_744.0;
+/// An eighth of an octave in the bits of a number: three bits below the exponent.
+const EIGHTH: u32 = 20;
+
+/// The bits of the numbers of a table, and i times as many more as `step`.
+const fn stepped(table: &[f32; 8], step: u32) -> [u32; 8] {
+    let (mut bits, mut i) = ([0; 8], 0);
+    while i < 8 {
+        bits[i] = table[i].to_bits().wrapping_add(step.wrapping_mul(i as u32));
+        i += 1;
+    }
+    bits
+}
+
+/// Of [`LOG2_OF_INVERSE_F32`], what it has more than i/8; exactly.
+const LOG2_REST_F32: [f32; 8] = {
+    let (mut rest, mut i) = ([0.0; 8], 0);
+    while i < 8 {
+        rest[i] = LOG2_OF_INVERSE_F32[i] - i as f32 / 8.0;
+        i += 1;
+    }
+    rest
+};
+
+/// The number of a table at the index's last three bits.
+#[inline(always)]
+fn one_of_eight(table: [u32; 8], index: u32x16) -> f32x16 {
+    if cfg!(target_feature = "avx512f") {
+        // Twice the eight: one permutation of sixteen.
+        let table: u32x16 = bytemuck::cast([table, table]);
+        bytemuck::cast(table.shuffle_wrapping(index))
+    } else {
+        let halves: [u32x8; 2] = bytemuck::cast(index);
+        bytemuck::cast(halves.map(|half| u32x8::new(table).shuffle_wrapping(half)))
+    }
+}
+
 /// `1 + x·(c[0] + c[1] x + …)`.
 #[inline(always)]
-pub(super) fn one_plus<L: Lanes, const N: usize, const TERMS: usize>(
-    x: [L; N],
-    coefficients: &[L::Scalar; TERMS],
-) -> [L; N] {
+fn one_plus<L: Lanes, const N: usize, const TERMS: usize>(x: [L; N], coefficients: &[L::Scalar; TERMS]) -> [L; N] {
     let rest = polynomial(x, coefficients);
     from_fn(|i| x[i].fma(rest[i], L::splat(L::Scalar::ONE)))
 }
@@ -94,16 +143,113 @@ pub(super) fn nearer_to_root<L: Lanes>(root: L, radicand: L) -> L {
     (root * error).fma(error.fma(splat(0.375), splat(0.5)), root)
 }
 
-/// `log2(1+f)` on [√½-1, √2-1], as two factors.
+/// `log2(1+x)` for x from 0 to 15/16: 1+x is a small step from one of eight inverses.
 #[inline(always)]
-pub(super) fn log2_of_1_plus_f32<const N: usize>(f: [f32x16; N]) -> ([f32x16; N], [f32x16; N]) {
-    (f, polynomial(f, &LOG2_F32))
+pub(super) fn log2_1p_near_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
+    const INVERSES: [u32; 8] = stepped(&INVERSE_F32, 0);
+    const LOGARITHMS: [u32; 8] = stepped(&LOG2_OF_INVERSE_F32, 0);
+    let part: [u32x16; N] = x.map(|x| bytemuck::cast(x + f32x16::splat(EIGHTHS)));
+    let step: [f32x16; N] = from_fn(|i| {
+        let inverse = one_of_eight(INVERSES, part[i]);
+        x[i].fma(inverse, inverse - f32x16::splat(1.0))
+    });
+    let series = polynomial(step, &LOG2_F32);
+    from_fn(|i| step[i].fma(series[i], one_of_eight(LOGARITHMS, part[i])))
 }
 
+/// `log2(1+x)`. The bits of the rounded 1+x, from those of 31/32 on, say in which part i of which octave k it is; the step is
+/// taken from x itself, so nothing of a small x is lost.
 #[inline(always)]
-pub(super) fn log2_of_1_plus_f64<const N: usize>(f: [f64x8; N]) -> ([f64x8; N], [f64x8; N]) {
+pub(super) fn log2_1p_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
+    const LEAST: u32 = (31.0_f32 / 32.0).to_bits();
+    // Eighths or-ed into its bits are added to it.
+    const SCALE: f32 = (1 << EIGHTH) as f32;
+    const INVERSES: [u32; 8] = stepped(&INVERSE_F32, 1 << EIGHTH);
+    const LOGARITHMS: [u32; 8] = stepped(&LOG2_REST_F32, 0);
+    let one = f32x16::splat(1.0);
+    let part: [u32x16; N] = x.map(|x| {
+        let bits: u32x16 = bytemuck::cast(one + x);
+        (bits - u32x16::splat(LEAST)).unbounded_shr_scalar(EIGHTH)
+    });
+    let step: [f32x16; N] = from_fn(|i| {
+        let bits: u32x16 = bytemuck::cast(one_of_eight(INVERSES, part[i]));
+        let inverse: f32x16 = bytemuck::cast(bits - part[i].unbounded_shl_scalar(EIGHTH));
+        x[i].fma(inverse, inverse - one)
+    });
+    let series = polynomial(step, &LOG2_F32);
+    from_fn(|i| {
+        let scaled: f32x16 = bytemuck::cast(part[i] | u32x16::splat(SCALE.to_bits()));
+        step[i].fma(series[i], one_of_eight(LOGARITHMS, part[i]) + (scaled - f32x16::splat(SCALE)))
+    })
+}
+
+/// `log2(1+x)` for x from 0 to √2 - 1.
+#[inline(always)]
+pub(super) fn log2_1p_near_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
+    log2_of_1_plus(x, [f64x8::splat(0.0); N])
+}
+
+/// `log2(1+x)`. 1+x = 2^k·(1+f) with 1+f from √½ to √2: the exponent k is read off the rounded 1+x, then
+/// f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
+#[inline(always)]
+pub(super) fn log2_1p_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
+    const LEAST: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
+    // A whole number or-ed into its bits is added to it.
+    const INTEGER: f64 = (1_u64 << 52) as f64;
+    let one = f64x8::splat(1.0);
+    let exponent: [u64x8; N] = x.map(|x| {
+        let bits: u64x8 = bytemuck::cast(one + x);
+        (bits - u64x8::splat(LEAST)).unbounded_shr_scalar(52)
+    });
+    let f: [f64x8; N] = from_fn(|i| {
+        let bits = u64x8::splat(1.0_f64.to_bits()) - exponent[i].unbounded_shl_scalar(52);
+        let scale: f64x8 = bytemuck::cast(bits);
+        x[i].fma(scale, scale - one)
+    });
+    let whole = exponent.map(|exponent| {
+        let k: f64x8 = bytemuck::cast(exponent | u64x8::splat(INTEGER.to_bits()));
+        k - f64x8::splat(INTEGER)
+    });
+    log2_of_1_plus(f, whole)
+}
+
+/// `log2(1+f) + whole` for 1+f from √½ to √2.
+#[inline(always)]
+fn log2_of_1_plus<const N: usize>(f: [f64x8; N], whole: [f64x8; N]) -> [f64x8; N] {
     let s = f.map(|f| f / (f + f64x8::splat(2.0)));
-    (s, polynomial(s.map(|s| s * s), &LOG2_F64))
+    let series = polynomial(s.map(|s| s * s), &LOG2_F64);
+    from_fn(|i| s[i].fma(series[i], whole[i]))
+}
+
+/// `2^t`: eighths go into the exponent and pick from the table, the rest into the polynomial.
+#[inline(always)]
+pub(super) fn exp2_f32<const N: usize>(t: [f32x16; N]) -> [f32x16; N] {
+    // Less the eighths that go into the mantissa when whole ones go into the exponent.
+    const POWERS: [u32; 8] = stepped(&POWER_F32, (1_u32 << EIGHTH).wrapping_neg());
+    const LACKS: [u32; 8] = stepped(&LACK_F32, 0);
+    let rounder = f32x16::splat(EIGHTHS);
+    let shifted = t.map(|t| t + rounder);
+    let rest: [f32x16; N] = from_fn(|i| t[i] - (shifted[i] - rounder));
+    let series = polynomial(rest, &EXP2_F32);
+    from_fn(|i| {
+        let eighths: u32x16 = bytemuck::cast(shifted[i]);
+        let bits: u32x16 = bytemuck::cast(one_of_eight(POWERS, eighths));
+        let power: f32x16 = bytemuck::cast(bits + eighths.unbounded_shl_scalar(EIGHTH));
+        power.fma(rest[i].fma(series[i], one_of_eight(LACKS, eighths)), power)
+    })
+}
+
+/// `2^t`: what is whole goes into the exponent, the rest into the polynomial.
+#[inline(always)]
+pub(super) fn exp2_f64<const N: usize>(t: [f64x8; N]) -> [f64x8; N] {
+    let rounder = f64x8::splat(WHOLE);
+    let shifted = t.map(|t| t + rounder);
+    let rest: [f64x8; N] = from_fn(|i| t[i] - (shifted[i] - rounder));
+    let mantissa = one_plus(rest, &EXP2_F64);
+    from_fn(|i| {
+        let [mantissa, exponent]: [u64x8; 2] = [mantissa[i], shifted[i]].map(bytemuck::cast);
+        bytemuck::cast(mantissa + exponent.unbounded_shl_scalar(52))
+    })
 }
 
 #[inline(always)]

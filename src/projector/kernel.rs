@@ -20,7 +20,7 @@
 use super::canvas::Board;
 use super::column::Column;
 use super::plane::{Plane, all};
-use crate::numeric::{Lanes, NEAR, NEAR_ONE, Real, real};
+use crate::numeric::{Lanes, NEAR_ONE, Real, real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
@@ -70,9 +70,7 @@ pub(super) struct Sums {
 enum Logarithm {
     /// A Gaussian has none.
     None,
-    /// No x within the support is beyond the first of [`NEAR`].
-    Nearest,
-    /// No x is beyond the second.
+    /// No x within the support is beyond [`Lanes::NEAR`].
     Near,
     Any,
 }
@@ -91,11 +89,10 @@ enum Root {
 
 impl Plane {
     #[inline(always)]
-    fn logarithm<const STUDENT: bool>(&self) -> Logarithm {
+    fn logarithm<L: Lanes, const STUDENT: bool>(&self) -> Logarithm {
         match STUDENT {
             false => Logarithm::None,
-            true if self.limit <= NEAR[0] => Logarithm::Nearest,
-            true if self.limit <= NEAR[1] => Logarithm::Near,
+            true if self.limit <= L::NEAR => Logarithm::Near,
             true => Logarithm::Any,
         }
     }
@@ -286,9 +283,8 @@ fn profile<L: Lanes, const STUDENT: bool>(
     log: &mut [L; BATCH],
     power: &mut [L; BATCH],
 ) {
-    match plane.logarithm::<STUDENT>() {
+    match plane.logarithm::<L, STUDENT>() {
         Logarithm::None => return powers(filled, -1.0, x, power),
-        Logarithm::Nearest => logarithms(filled, x, log, Lanes::log2_1p_nearest_each),
         Logarithm::Near => logarithms(filled, x, log, Lanes::log2_1p_near_each),
         Logarithm::Any => logarithms(filled, x, log, Lanes::log2_1p_each),
     }

@@ -10,18 +10,12 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use trgs::numeric::{Lanes, Real};
 
 // Copies, not imports: a change of the polynomials changes bits and has to be made here, too.
+const INVERSE_F32: [f32; 8] =
+    [1.0e+00, 8.889791e-01, 8.000308e-01, 7.27235e-01, 6.666963e-01, 6.152728e-01, 5.7142097e-01, 5.3338605e-01];
+const LOG2_OF_INVERSE_F32: [f32; 8] =
+    [0.0e+00, 1.6977863e-01, 3.218725e-01, 4.5950642e-01, 5.8489835e-01, 7.0070183e-01, 8.073741e-01, 9.06748e-01];
 #[allow(clippy::approx_constant, reason = "a minimax coefficient")]
-const LOG2_F32: [f32; 9] = [
-    1.442695e+00,
-    -7.213474e-01,
-    4.8090905e-01,
-    -3.6070004e-01,
-    2.8795016e-01,
-    -2.3902889e-01,
-    2.1552761e-01,
-    -2.0669751e-01,
-    1.2560181e-01,
-];
+const LOG2_F32: [f32; 5] = [1.442695e+00, -7.21347e-01, 4.8091084e-01, -3.616642e-01, 2.8736347e-01];
 const LOG2_F64: [f64; 8] = [
     2.8853900817779268e+00,
     9.617966939261154e-01,
@@ -32,8 +26,21 @@ const LOG2_F64: [f64; 8] = [
     2.1918244659274513e-01,
     2.305381423985441e-01,
 ];
+#[allow(clippy::approx_constant, reason = "√2 is one of them")]
+const POWER_F32: [f32; 8] =
+    [1.0e+00, 1.0905077e+00, 1.1892071e+00, 1.2968396e+00, 1.4142135e+00, 1.5422108e+00, 1.6817929e+00, 1.8340081e+00];
+const LACK_F32: [f32; 8] = [
+    0.0e+00,
+    -1.19921575e-08,
+    3.193418e-08,
+    -3.099072e-08,
+    1.7114271e-08,
+    5.233334e-09,
+    -1.4719605e-08,
+    -6.1282597e-09,
+];
 #[allow(clippy::approx_constant, reason = "a minimax coefficient")]
-const EXP2_F32: [f32; 6] = [6.931472e-01, 2.4022648e-01, 5.5503596e-02, 9.618499e-03, 1.339097e-03, 1.5329279e-04];
+const EXP2_F32: [f32; 3] = [6.9314724e-01, 2.4025756e-01, 5.5487253e-02];
 #[allow(clippy::approx_constant, reason = "a minimax coefficient")]
 const EXP2_F64: [f64; 11] = [
     6.931471805599453e-01,
@@ -68,14 +75,67 @@ macro_rules! polynomial {
     };
 }
 
-/// `log2(1+f) + k`.
-fn log2_series_f32(f: f32, k: f32) -> f32 {
-    f.mul_add(polynomial!(f, LOG2_F32), k)
+/// Added to a number: its eighths are in the low bits.
+const EIGHTHS: f32 = 1_572_864.0;
+
+/// `log2(1+x)` by a step from one of eight inverses.
+fn log2_1p_near_f32(x: f32) -> f32 {
+    let part = (x + EIGHTHS).to_bits() as usize % 8;
+    let step = x.mul_add(INVERSE_F32[part], INVERSE_F32[part] - 1.0);
+    step.mul_add(polynomial!(step, LOG2_F32), LOG2_OF_INVERSE_F32[part])
 }
 
+/// The same, for whichever octave: from 31/32 to its double it is the first.
+fn log2_1p_f32(x: f32) -> f32 {
+    let eighths = (1.0 + x).to_bits().wrapping_sub((31.0_f32 / 32.0).to_bits()) >> 20;
+    let (part, octave) = (eighths as usize % 8, eighths / 8);
+    let inverse = f32::from_bits(INVERSE_F32[part].to_bits().wrapping_sub(octave << 23));
+    let step = x.mul_add(inverse, inverse - 1.0);
+    // The bits above the number 2^20 count eighths: one out of range cannot reach its sign.
+    let integer: f32 = 1_048_576.0;
+    let count = f32::from_bits(integer.to_bits() | eighths) - integer;
+    let rest = LOG2_OF_INVERSE_F32[part] - part as f32 / 8.0;
+    step.mul_add(polynomial!(step, LOG2_F32), rest + count)
+}
+
+/// `log2(1+f) + k`.
 fn log2_series_f64(f: f64, k: f64) -> f64 {
     let s = f / (f + 2.0);
     s.mul_add(polynomial!(s * s, LOG2_F64), k)
+}
+
+fn log2_1p_near_f64(x: f64) -> f64 {
+    log2_series_f64(x, 0.0)
+}
+
+/// `1+x = 2^k·(1+f)` with `1+f` in [√½, √2), the exponent from the bits of the rounded 1+x and f from x itself.
+fn log2_1p_f64(x: f64) -> f64 {
+    let exponent = (1.0 + x).to_bits().wrapping_sub(std::f64::consts::FRAC_1_SQRT_2.to_bits()) >> 52;
+    let scale = f64::from_bits(1.0_f64.to_bits().wrapping_sub(exponent << 52));
+    // The bits above the number 2^52 count units: an exponent out of range cannot reach its sign.
+    let integer = (1_u64 << 52) as f64;
+    let k = f64::from_bits(integer.to_bits() | exponent) - integer;
+    log2_series_f64(x.mul_add(scale, scale - 1.0), k)
+}
+
+/// Eight powers, each with the whole part in its exponent, and `2^rest` a polynomial.
+fn exp2_f32(t: f32) -> f32 {
+    let shifted = t + EIGHTHS;
+    let rest = t - (shifted - EIGHTHS);
+    let eighths = shifted.to_bits();
+    let part = eighths % 8;
+    let whole = (eighths - part) << 20;
+    let power = f32::from_bits(POWER_F32[part as usize].to_bits().wrapping_add(whole));
+    power.mul_add(rest.mul_add(polynomial!(rest, EXP2_F32), LACK_F32[part as usize]), power)
+}
+
+/// The integer part goes into the exponent, `2^rest` is a polynomial.
+fn exp2_f64(t: f64) -> f64 {
+    let rounder = 1.5 * (1_u64 << 52) as f64;
+    let shifted = t + rounder;
+    let rest = t - (shifted - rounder);
+    let mantissa = rest.mul_add(polynomial!(rest, EXP2_F64), 1.0);
+    f64::from_bits(mantissa.to_bits().wrapping_add(shifted.to_bits() << 52))
 }
 
 /// `1/√(1+e)` near e = 0, and nearest to it.
@@ -95,7 +155,7 @@ fn root_near_f64(e: f64) -> f64 {
 
 macro_rules! plain {
     (
-        $number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $series:ident, $exp2:ident,
+        $number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $log2_1p:ident, $log2_1p_near:ident up to $span:expr, $exp2:ident,
         rsqrt $magic:literal in $steps:literal, near $near:ident, nearest $nearest:ident
     ) => {
         /// A number whose lanes are arrays of `W`.
@@ -107,26 +167,16 @@ macro_rules! plain {
         pub(crate) struct $row<const W: usize>([$number<W>; W]);
 
         impl<const W: usize> $number<W> {
-            /// `1+x = 2^k·(1+f)` with `1+f` in [√½, √2), the exponent from the bits of the rounded 1+x and f from x itself.
             fn log2_1p(self) -> Self {
-                let x = self.0;
-                let root_half = std::$scalar::consts::FRAC_1_SQRT_2.to_bits();
-                let exponent = (1.0 + x).to_bits().wrapping_sub(root_half) >> $mantissa;
-                let one: $scalar = 1.0;
-                let scale = $scalar::from_bits(one.to_bits().wrapping_sub(exponent << $mantissa));
-                // The bits above the number 2^mantissa count units: an exponent out of range cannot reach its sign.
-                let integer = ((1 as $unsigned) << $mantissa) as $scalar;
-                let k = $scalar::from_bits(integer.to_bits() | exponent) - integer;
-                Self($series(x.mul_add(scale, scale - 1.0), k))
+                Self($log2_1p(self.0))
             }
 
-            /// The integer part goes into the exponent, `2^fraction` is a polynomial.
+            fn log2_1p_near(self) -> Self {
+                Self($log2_1p_near(self.0))
+            }
+
             fn exp2(self) -> Self {
-                let rounder = 1.5 * ((1 as $unsigned) << $mantissa) as $scalar;
-                let shifted = self.0 + rounder;
-                let fraction = self.0 - (shifted - rounder);
-                let mantissa = fraction.mul_add(polynomial!(fraction, $exp2), 1.0);
-                Self($scalar::from_bits(mantissa.to_bits().wrapping_add(shifted.to_bits() << $mantissa)))
+                Self($exp2(self.0))
             }
 
             /// A guess from the bits, then steps of third order.
@@ -173,6 +223,7 @@ macro_rules! plain {
             type Scalar = $number<W>;
             type Index = [usize; W];
             const WIDTH: usize = W;
+            const NEAR: f64 = $span;
             fn splat(value: $number<W>) -> Self {
                 Self([value; W])
             }
@@ -238,6 +289,9 @@ macro_rules! plain {
             }
             fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N] {
                 x.map(|x| Self(x.0.map($number::log2_1p)))
+            }
+            fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N] {
+                x.map(|x| Self(x.0.map($number::log2_1p_near)))
             }
             fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
                 t.map(|t| Self(t.0.map($number::exp2)))
@@ -319,5 +373,5 @@ macro_rules! plain {
     };
 }
 
-plain!(Plain32, Row32, f32, u32, mantissa 23, log2_series_f32, EXP2_F32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
-plain!(Plain64, Row64, f64, u64, mantissa 52, log2_series_f64, EXP2_F64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, near root_near_f64, nearest root_near_f64);
+plain!(Plain32, Row32, f32, u32, mantissa 23, log2_1p_f32, log2_1p_near_f32 up to 0.9374, exp2_f32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
+plain!(Plain64, Row64, f64, u64, mantissa 52, log2_1p_f64, log2_1p_near_f64 up to 0.4142, exp2_f64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, near root_near_f64, nearest root_near_f64);
