@@ -102,6 +102,8 @@ pub trait Lanes:
     fn from_fn(value: impl FnMut(usize) -> Self::Scalar) -> Self;
     /// The whole number at or below each lane, and what is left over; for lanes from 0 to 2^22.
     fn split(self) -> (Self::Index, Self);
+    /// The whole number at or above each lane.
+    fn ceil(self) -> Self;
     /// Writes whole numbers from 0 to 2^22 to the first `WIDTH` of contiguous ones.
     fn write_indices(index: Self::Index, indices: &mut [u32]);
     /// Lane i is `table[index[i]]` of its half's table, of which the first `WIDTH/2` values count. Lanes with another index
@@ -180,8 +182,11 @@ fn sum_of_8(lanes: f64x8) -> f64 {
 #[inline(always)]
 fn sum_of_16(lanes: f32x16) -> f64 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
-    let [low, high] = halves.map(|half| f64x8::new(half.map(f64::from)));
-    sum_of_8(low + high)
+    // Not `map`, which may stay a call for each half.
+    let wider = |[a, b, c, d, e, f, g, h]: [f32; 8]| {
+        f64x8::new([a.into(), b.into(), c.into(), d.into(), e.into(), f.into(), g.into(), h.into()])
+    };
+    sum_of_8(wider(halves[0]) + wider(halves[1]))
 }
 
 /// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of
@@ -261,14 +266,17 @@ macro_rules! precision {
             fn from_fn(value: impl FnMut(usize) -> $scalar) -> Self {
                 $lanes::new(std::array::from_fn(value))
             }
-            // Adding 2^mantissa rounds to a whole number, which may be the one above.
+            // A whole number is in the bits of what it is added to.
             #[inline(always)]
             fn split(self) -> (Self::Index, Self) {
                 const INTEGER: $scalar = ((1 as $unsigned) << $mantissa) as $scalar;
-                let nearest = (self + Self::splat(INTEGER)) - Self::splat(INTEGER);
-                let whole = nearest.select_le(self, nearest, nearest - Self::splat(1.0));
+                let whole = self.floor();
                 let bits: $bits = bytemuck::cast(whole + Self::splat(INTEGER));
                 (bits - $bits::splat(INTEGER.to_bits()), self - whole)
+            }
+            #[inline(always)]
+            fn ceil(self) -> Self {
+                self.ceil()
             }
             #[inline(always)]
             fn write_indices(index: Self::Index, indices: &mut [u32]) {
@@ -511,6 +519,9 @@ mod tests {
                     let mut indices = [0; 16];
                     R::Lanes::write_indices(index, &mut indices);
                     assert_eq!(f64::from(indices[lane]), floor);
+                    let mut above = vec![R::ZERO; width];
+                    R::Lanes::from_slice(&given).ceil().write(&mut above);
+                    assert_eq!(above[lane].to_f64(), given[lane].to_f64().ceil());
                     let mut lanes = [vec![R::ZERO; width], vec![R::ZERO; width], vec![R::ZERO; width]];
                     let tables = [&table[..], &table[width..]];
                     fraction.write(&mut lanes[0]);

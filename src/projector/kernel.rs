@@ -113,14 +113,14 @@ impl Plane {
 pub(super) struct Scratch<L> {
     x: [L; BATCH],
     y: [L; BATCH],
-    /// 1/√(1+e) forward, its square backward.
+    /// 1/√(1+e).
     root: [L; BATCH],
-    w: [L; BATCH],
     log: [L; BATCH],
     power: [L; BATCH],
     /// Where a register is on the board.
     place: [usize; BATCH],
     columns: [Ended<L>; BATCH],
+    total: Totals<L>,
 }
 
 /// A column of registers in a batch.
@@ -140,11 +140,11 @@ impl<L: Lanes> Default for Scratch<L> {
             x: empty,
             y: empty,
             root: empty,
-            w: empty,
             log: empty,
             power: empty,
             place: [0; BATCH],
             columns: [Ended::default(); BATCH],
+            total: Totals::default(),
         }
     }
 }
@@ -153,9 +153,8 @@ impl<L: Lanes> Default for Scratch<L> {
 struct Sight<L> {
     y: L,
     x: L,
-    /// Exact projection only: 1/√(1+e) and its square.
+    /// Exact projection only: 1/√(1+e).
     root: L,
-    square: L,
 }
 
 /// What all kernels need of a plane, in every lane.
@@ -219,9 +218,8 @@ impl<L: Lanes> Shared<L> {
         for j in registers {
             let y = (column.ridge[0] - L::splat(self.down[j])).fma(self.minus_b, column.ridge[1]);
             let (delta, root) = root(y, y.fma(y, column.floor));
-            let square = root * root;
-            let x = if matches!(self.root, Root::None) { delta } else { delta * square };
-            visit(j, Sight { y, x, root, square });
+            let x = if matches!(self.root, Root::None) { delta } else { delta * (root * root) };
+            visit(j, Sight { y, x, root });
         }
     }
 }
@@ -255,7 +253,10 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
 }
 
 /// Adds the values of a batch, whose first `filled` registers have their distances, onto the board.
-#[inline(always)]
+///
+/// Not inlined: within the walk's closure there are too few registers left for the constants of its loops, which would be
+/// read from memory again for every one or two registers of pixels.
+#[inline(never)]
 fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
     shared: &Shared<R::Lanes>,
@@ -329,56 +330,58 @@ pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: b
     let plane = target.plane();
     let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
     let step = cotangent.step();
-    let zero = R::Lanes::default();
-    let mut total = Totals::<R::Lanes>::default();
+    let far = all(R::FAR);
+    scratch.total.clear::<EXACT>(T::SOLID);
     let (mut filled, mut ended) = (0, 0);
     target.walk(|column, place, registers| {
         if filled + registers.len() > BATCH {
-            gather::<R, T, STUDENT, EXACT>(plane, filled, ended, scratch, &mut total);
+            gather::<R, T, STUDENT, EXACT>(plane, &shared, filled, ended, scratch, cotangent);
             (filled, ended) = (0, 0);
         }
-        shared.look(&column, registers, |j, Sight { y, x, root, square }| {
-            let w = cotangent.load(place + j * step);
-            let w = if EXACT { w * root } else { w };
-            // Beyond the limit x becomes 0 as well: no power of it may overflow.
-            scratch.x[filled] = x.select_le(shared.limit, x, zero);
-            scratch.w[filled] = x.select_le(shared.limit, w, zero);
+        shared.look(&column, registers, |j, Sight { y, x, root }| {
+            // What is beyond the limit is multiplied by zero: it has to be finite.
+            scratch.x[filled] = x.at_most(far);
             scratch.y[filled] = y;
             if EXACT {
-                scratch.root[filled] = square;
+                scratch.root[filled] = root;
             }
+            scratch.place[filled] = place + j * step;
             filled += 1;
         });
         scratch.columns[ended] = Ended { z: column.z, x: column.x, end: filled };
         ended += 1;
     });
-    gather::<R, T, STUDENT, EXACT>(plane, filled, ended, scratch, &mut total);
+    gather::<R, T, STUDENT, EXACT>(plane, &shared, filled, ended, scratch, cotangent);
     let slopes = if STUDENT { [plane.q, plane.q - 0.5] } else { [LN_2; 2] };
-    total.sums::<EXACT>(plane, slopes, T::SOLID)
+    scratch.total.sums::<EXACT>(plane, slopes, T::SOLID)
 }
 
-/// Adds a batch to the sums: its first `filled` registers, in its first `ended` columns.
-#[inline(always)]
+/// Adds a batch to the sums: its first `filled` registers, in its first `ended` columns. Not inlined, as [`paint`].
+#[inline(never)]
 fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
+    shared: &Shared<R::Lanes>,
     filled: usize,
     ended: usize,
     scratch: &mut Scratch<R::Lanes>,
-    total: &mut Totals<R::Lanes>,
+    cotangent: &T::Board,
 ) {
-    let Scratch { x, y, root, w, log, power, columns, .. } = scratch;
+    let Scratch { x, y, root, log, power, place, columns, total, .. } = scratch;
+    let zero = R::Lanes::default();
     profile::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power);
     let mut begin = 0;
     for column in &columns[..ended] {
         let mut part = ColumnSums::<R::Lanes>::default();
         for j in begin..column.end {
-            let a = w[j] * power[j];
+            let w = cotangent.load(place[j]);
+            let w = if EXACT { w * root[j] } else { w };
+            let a = x[j].select_le(shared.limit, w * power[j], zero);
             let value = if STUDENT { a.fma(x[j], a) } else { a };
             part.value += value;
             if STUDENT {
                 part.log = value.fma(log[j], part.log);
             }
-            let b = if EXACT { a * root[j] } else { a };
+            let b = if EXACT { a * (root[j] * root[j]) } else { a };
             part.b.add(b, y[j]);
             if EXACT {
                 part.bx.add(b * x[j], y[j]);
@@ -426,6 +429,19 @@ struct Totals<L> {
 }
 
 impl<L: Lanes> Totals<L> {
+    /// Zeros again, where something will be added.
+    #[inline(always)]
+    fn clear<const EXACT: bool>(&mut self, solid: bool) {
+        let zero = L::default();
+        (self.b, self.value, self.log) = ([zero; 6], zero, zero);
+        if EXACT {
+            self.bx = [zero; 6];
+        }
+        if solid {
+            self.x = [zero; 4];
+        }
+    }
+
     #[inline(always)]
     fn add<const EXACT: bool>(&mut self, part: &ColumnSums<L>, z: L) {
         let add = |total: &mut [L; 6], Moments([one, y, yy]): &Moments<L>| {
@@ -456,6 +472,7 @@ impl<L: Lanes> Totals<L> {
     }
 
     /// `slopes` are q and q-½.
+    #[inline(always)]
     fn sums<const EXACT: bool>(&self, plane: &Plane, [slope, slope_x]: [f64; 2], solid: bool) -> Sums {
         let sum = |lanes: &[L; 6]| -> [f64; 6] { std::array::from_fn(|i| lanes[i].sum()) };
         let b = sum(&self.b);

@@ -150,9 +150,7 @@ impl Solid {
         let middle = -left - (ax * offset + drift.max(0.0) + lost) / plane.a - SPARE;
         let start = splat(middle) - splat(drift / plane.a) * along - room.sqrt() * splat(1.0 / plane.a);
         let start = start.at_least(splat(0.0)).at_most(splat(MOST));
-        let (_, rest) = start.split();
-        let whole = start - rest + rest.select_le(splat(0.0), splat(0.0), splat(1.0));
-        let across = whole + beside + splat(shift as f64);
+        let across = start.ceil() + beside + splat(shift as f64);
 
         // And where z is nearest to 0.
         let first = plane.a * left + ax * offset + drift.min(0.0) - lost;

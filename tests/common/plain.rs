@@ -248,6 +248,9 @@ macro_rules! plain {
             fn split(self) -> ([usize; W], Self) {
                 (self.0.map(|value| value.0.floor() as usize), Self(self.0.map(|value| $number(value.0 - value.0.floor()))))
             }
+            fn ceil(self) -> Self {
+                Self(self.0.map(|value| $number(value.0.ceil())))
+            }
             fn write_indices(index: [usize; W], indices: &mut [u32]) {
                 indices.iter_mut().zip(index).for_each(|(to, whole)| *to = whole as u32);
             }
