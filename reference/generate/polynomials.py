@@ -101,9 +101,11 @@ def show(title, c, error, rust_type):
 def log2_f32():
     print("==== a) f32: log2(1+f) = log2(1/c) + log2(1+r), 1+r = (1+f) c, for a c near 8/(8+i), of which log2(1/c) is nearly an f32")
     inverses, logarithms, worst = [mpf(1)], [mpf(0)], 0.0
-    for i in range(1, 8):
+    for i in range(1, 16):
         near = int(np.float32(8 / (8 + i)).view(np.uint32))
         candidates = np.arange(near - 2000, near + 2001).astype(np.uint32).view(np.float32)
+        # c - 1 must be an f32.
+        candidates = candidates[(candidates - np.float32(1)).astype(np.float64) == candidates.astype(np.float64) - 1]
         exact = -np.log2(candidates.astype(np.float64))
         error = np.abs(exact - exact.astype(np.float32))
         best = error.argmin()

@@ -371,7 +371,7 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_1p log2_1p_f32, log2_1p_near_f32 up to 0.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16
 );
 precision!(
     f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, exp2 exp2_f64,

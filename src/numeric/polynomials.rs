@@ -1,12 +1,12 @@
 //! Logarithms, powers of two and inverse roots of [`Lanes`], of several registers at a time. Coefficients are minimax in
 //! relative error, tables and they from reference/generate/polynomials.py.
 //!
-//! In f32, logarithms and powers begin with a table of eight and end with a short polynomial: a processor that permutes the
-//! numbers of a register does so beside its multiply-adds, of which a polynomial alone needs half as many again.
+//! In f32, logarithms and powers begin with a table of eight or sixteen and end with a short polynomial: a processor that
+//! permutes the numbers of a register does so beside its multiply-adds, of which a polynomial alone needs half as many again.
 
 use super::lanes::{Lanes, Real, real};
 use std::array::from_fn;
-use wide::{f32x16, f64x8, u32x8, u32x16, u64x8};
+use wide::{f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 
 /// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, fused: the fewest steps. Each waits for the one before, but not for
 /// those of the other registers.
@@ -20,12 +20,44 @@ pub(super) fn polynomial<L: Lanes, const N: usize, const TERMS: usize>(
     coefficients[..TERMS - 1].iter().rev().fold(last, step)
 }
 
-/// For each of eight parts of an octave, around 1 + i/8, a number near the inverse, and -log2 of it: of all such numbers
-/// nearby the one whose logarithm is nearest to an f32, to 2e-11.
-const INVERSE_F32: [f32; 8] =
-    [1.0e+00, 8.889791e-01, 8.000308e-01, 7.27235e-01, 6.666963e-01, 6.152728e-01, 5.7142097e-01, 5.3338605e-01];
-const LOG2_OF_INVERSE_F32: [f32; 8] =
-    [0.0e+00, 1.6977863e-01, 3.218725e-01, 4.5950642e-01, 5.8489835e-01, 7.0070183e-01, 8.073741e-01, 9.06748e-01];
+/// Around 1 + i/8, a number near the inverse, and -log2 of it: of all such numbers nearby the one whose logarithm is nearest
+/// to an f32, to 6e-11. The first eight are those of an octave.
+const INVERSE_F32: [f32; 16] = [
+    1.0e+00,
+    8.889791e-01,
+    8.000308e-01,
+    7.27235e-01,
+    6.666963e-01,
+    6.152728e-01,
+    5.7142097e-01,
+    5.3338605e-01,
+    5.0e-01,
+    4.7058678e-01,
+    4.444422e-01,
+    4.2108637e-01,
+    4.0003836e-01,
+    3.809771e-01,
+    3.6363494e-01,
+    3.477792e-01,
+];
+const LOG2_OF_INVERSE_F32: [f32; 16] = [
+    0.0e+00,
+    1.6977863e-01,
+    3.218725e-01,
+    4.5950642e-01,
+    5.8489835e-01,
+    7.0070183e-01,
+    8.073741e-01,
+    9.06748e-01,
+    1.0e+00,
+    1.0874673e+00,
+    1.1699322e+00,
+    1.2478119e+00,
+    1.3217897e+00,
+    1.3922238e+00,
+    1.4594373e+00,
+    1.5237564e+00,
+];
 /// `log2(1+r) = r·P(r)` on [-1/16, 1/16]; 1.6e-8.
 #[allow(clippy::approx_constant, reason = "the first coefficient of a minimax polynomial is near log2 e, not it")]
 const LOG2_F32: [f32; 5] = [1.442695e+00, -7.21347e-01, 4.8091084e-01, -3.616642e-01, 2.8736347e-01];
@@ -95,10 +127,10 @@ const WHOLE: f64 = 6_755_399_441_055_744.0;
 /// An eighth of an octave in the bits of a number: three bits below the exponent.
 const EIGHTH: u32 = 20;
 
-/// The bits of the numbers of a table, and i times as many more as `step`.
-const fn stepped(table: &[f32; 8], step: u32) -> [u32; 8] {
-    let (mut bits, mut i) = ([0; 8], 0);
-    while i < 8 {
+/// The bits of the first numbers of a table, and i times as many more as `step`.
+const fn stepped<const N: usize>(table: &[f32], step: u32) -> [u32; N] {
+    let (mut bits, mut i) = ([0; N], 0);
+    while i < N {
         bits[i] = table[i].to_bits().wrapping_add(step.wrapping_mul(i as u32));
         i += 1;
     }
@@ -115,13 +147,29 @@ const LOG2_REST_F32: [f32; 8] = {
     rest
 };
 
+/// The number of a table at the index's last four bits.
+#[inline(always)]
+fn one_of_sixteen(table: [u32; 16], index: u32x16) -> f32x16 {
+    if cfg!(target_feature = "avx512f") {
+        bytemuck::cast(u32x16::new(table).shuffle_wrapping(index))
+    } else {
+        let [low, high]: [u32x8; 2] = bytemuck::cast(table);
+        let halves: [u32x8; 2] = bytemuck::cast(index);
+        bytemuck::cast(halves.map(|half| {
+            // The fourth bit becomes the sign, by which one or the other is taken.
+            let above: i32x8 = bytemuck::cast(half.unbounded_shl_scalar(28));
+            let [low, high]: [i32x8; 2] = [low, high].map(|table| bytemuck::cast(table.shuffle_wrapping(half)));
+            above.simd_lt(i32x8::splat(0)).select(high, low)
+        }))
+    }
+}
+
 /// The number of a table at the index's last three bits.
 #[inline(always)]
 fn one_of_eight(table: [u32; 8], index: u32x16) -> f32x16 {
     if cfg!(target_feature = "avx512f") {
         // Twice the eight: one permutation of sixteen.
-        let table: u32x16 = bytemuck::cast([table, table]);
-        bytemuck::cast(table.shuffle_wrapping(index))
+        one_of_sixteen(bytemuck::cast([table, table]), index)
     } else {
         let halves: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast(halves.map(|half| u32x8::new(table).shuffle_wrapping(half)))
@@ -143,18 +191,18 @@ pub(super) fn nearer_to_root<L: Lanes>(root: L, radicand: L) -> L {
     (root * error).fma(error.fma(splat(0.375), splat(0.5)), root)
 }
 
-/// `log2(1+x)` for x from 0 to 15/16: 1+x is a small step from one of eight inverses.
+/// `log2(1+x)` for x from 0 to 31/16: 1+x is a small step from one of sixteen inverses.
 #[inline(always)]
 pub(super) fn log2_1p_near_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
-    const INVERSES: [u32; 8] = stepped(&INVERSE_F32, 0);
-    const LOGARITHMS: [u32; 8] = stepped(&LOG2_OF_INVERSE_F32, 0);
+    const INVERSES: [u32; 16] = stepped(&INVERSE_F32, 0);
+    const LOGARITHMS: [u32; 16] = stepped(&LOG2_OF_INVERSE_F32, 0);
     let part: [u32x16; N] = x.map(|x| bytemuck::cast(x + f32x16::splat(EIGHTHS)));
     let step: [f32x16; N] = from_fn(|i| {
-        let inverse = one_of_eight(INVERSES, part[i]);
+        let inverse = one_of_sixteen(INVERSES, part[i]);
         x[i].fma(inverse, inverse - f32x16::splat(1.0))
     });
     let series = polynomial(step, &LOG2_F32);
-    from_fn(|i| step[i].fma(series[i], one_of_eight(LOGARITHMS, part[i])))
+    from_fn(|i| step[i].fma(series[i], one_of_sixteen(LOGARITHMS, part[i])))
 }
 
 /// `log2(1+x)`. The bits of the rounded 1+x, from those of 31/32 on, say in which part i of which octave k it is; the step is

@@ -10,10 +10,42 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use trgs::numeric::{Lanes, Real};
 
 // Copies, not imports: a change of the polynomials changes bits and has to be made here, too.
-const INVERSE_F32: [f32; 8] =
-    [1.0e+00, 8.889791e-01, 8.000308e-01, 7.27235e-01, 6.666963e-01, 6.152728e-01, 5.7142097e-01, 5.3338605e-01];
-const LOG2_OF_INVERSE_F32: [f32; 8] =
-    [0.0e+00, 1.6977863e-01, 3.218725e-01, 4.5950642e-01, 5.8489835e-01, 7.0070183e-01, 8.073741e-01, 9.06748e-01];
+const INVERSE_F32: [f32; 16] = [
+    1.0e+00,
+    8.889791e-01,
+    8.000308e-01,
+    7.27235e-01,
+    6.666963e-01,
+    6.152728e-01,
+    5.7142097e-01,
+    5.3338605e-01,
+    5.0e-01,
+    4.7058678e-01,
+    4.444422e-01,
+    4.2108637e-01,
+    4.0003836e-01,
+    3.809771e-01,
+    3.6363494e-01,
+    3.477792e-01,
+];
+const LOG2_OF_INVERSE_F32: [f32; 16] = [
+    0.0e+00,
+    1.6977863e-01,
+    3.218725e-01,
+    4.5950642e-01,
+    5.8489835e-01,
+    7.0070183e-01,
+    8.073741e-01,
+    9.06748e-01,
+    1.0e+00,
+    1.0874673e+00,
+    1.1699322e+00,
+    1.2478119e+00,
+    1.3217897e+00,
+    1.3922238e+00,
+    1.4594373e+00,
+    1.5237564e+00,
+];
 #[allow(clippy::approx_constant, reason = "a minimax coefficient")]
 const LOG2_F32: [f32; 5] = [1.442695e+00, -7.21347e-01, 4.8091084e-01, -3.616642e-01, 2.8736347e-01];
 const LOG2_F64: [f64; 8] = [
@@ -78,9 +110,9 @@ macro_rules! polynomial {
 /// Added to a number: its eighths are in the low bits.
 const EIGHTHS: f32 = 1_572_864.0;
 
-/// `log2(1+x)` by a step from one of eight inverses.
+/// `log2(1+x)` by a step from one of sixteen inverses.
 fn log2_1p_near_f32(x: f32) -> f32 {
-    let part = (x + EIGHTHS).to_bits() as usize % 8;
+    let part = (x + EIGHTHS).to_bits() as usize % 16;
     let step = x.mul_add(INVERSE_F32[part], INVERSE_F32[part] - 1.0);
     step.mul_add(polynomial!(step, LOG2_F32), LOG2_OF_INVERSE_F32[part])
 }
@@ -376,5 +408,5 @@ macro_rules! plain {
     };
 }
 
-plain!(Plain32, Row32, f32, u32, mantissa 23, log2_1p_f32, log2_1p_near_f32 up to 0.9374, exp2_f32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
+plain!(Plain32, Row32, f32, u32, mantissa 23, log2_1p_f32, log2_1p_near_f32 up to 1.9374, exp2_f32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
 plain!(Plain64, Row64, f64, u64, mantissa 52, log2_1p_f64, log2_1p_near_f64 up to 0.4142, exp2_f64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, near root_near_f64, nearest root_near_f64);
