@@ -330,7 +330,7 @@ pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: b
     let plane = target.plane();
     let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
     let step = cotangent.step();
-    let far = all(R::FAR);
+    let beyond = all(2.0 * plane.limit + 1.0);
     scratch.total.clear::<EXACT>(T::SOLID);
     let (mut filled, mut ended) = (0, 0);
     target.walk(|column, place, registers| {
@@ -339,8 +339,8 @@ pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: b
             (filled, ended) = (0, 0);
         }
         shared.look(&column, registers, |j, Sight { y, x, root }| {
-            // What is beyond the limit is multiplied by zero: it has to be finite.
-            scratch.x[filled] = x.at_most(far);
+            // What is beyond the limit is multiplied by zero: it, and its logarithm near 0, have to be finite.
+            scratch.x[filled] = x.at_most(beyond);
             scratch.y[filled] = y;
             if EXACT {
                 scratch.root[filled] = root;
