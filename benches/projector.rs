@@ -1,8 +1,9 @@
 //! Cost of the projector in nanoseconds per (pixel, primitive): forward and backward, exact and affine, Student's t
 //! and Gaussian, f32 and f64, on one thread.
 //!
-//! The scene is a lattice of 50,653 rotated primitives whose supports are about 22 × 22 pixels of a 512 × 512
-//! detector. Pairs are the pixels in the bounding boxes of all supports. `cargo bench --bench projector`
+//! Two scenes. A lattice of 50,653 rotated primitives whose supports are about 22 × 22 pixels of a 512 × 512 detector:
+//! what a projection costs. And 10,648 whose supports cover the whole of a detector of 32 × 32: the kernels alone, no lane of
+//! which is in vain. Pairs are the pixels in the bounding boxes of all supports. `cargo bench --bench projector`
 
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -14,9 +15,24 @@ use trgs::primitives::{Kernel, Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
-const SIDE: usize = 37;
 const CUTOFF: f64 = 1e-3;
-const PIXELS: usize = 512;
+
+/// Primitives in a lattice before a square detector.
+struct Scene {
+    name: &'static str,
+    /// Primitives along each axis of the lattice, and half of its width.
+    side: usize,
+    half: f64,
+    /// Scale of Student's t; that of a Gaussian of the same support at this cutoff is 1.24 times as large.
+    scale: f64,
+    /// Rows and columns of the detector.
+    pixels: usize,
+}
+
+const SCENES: [Scene; 2] = [
+    Scene { name: "22² of 512²", side: 37, half: 0.8, scale: 0.0125, pixels: 512 },
+    Scene { name: "32² of 32²", side: 22, half: 0.002, scale: 0.04, pixels: 32 },
+];
 
 /// Wall time whose throughput reads as time per pair instead of pairs per time.
 struct TimePerPair(WallTime);
@@ -63,51 +79,54 @@ impl ValueFormatter for TimePerPair {
     }
 }
 
-fn scanner() -> Scanner {
-    let pitch = 4.0 / PIXELS as f64;
-    Scanner {
-        beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
-        detector: Detector {
-            rows: PIXELS,
-            columns: PIXELS,
-            pitch_v: pitch,
-            pitch_u: pitch,
-            offset_u: 0.0,
-            offset_v: 0.0,
-        },
-        grid: Grid::cube(64),
+impl Scene {
+    fn scanner(&self) -> Scanner {
+        let pitch = 4.0 / 512.0;
+        Scanner {
+            beam: Beam::Cone { dso: 5.0, dsd: 7.0 },
+            detector: Detector {
+                rows: self.pixels,
+                columns: self.pixels,
+                pitch_v: pitch,
+                pitch_u: pitch,
+                offset_u: 0.0,
+                offset_v: 0.0,
+            },
+            grid: Grid::cube(64),
+        }
+    }
+
+    fn primitives(&self, kernel: Kernel) -> Primitives {
+        let side = self.side;
+        let m = side * side * side;
+        let at = |k: usize| ((k as f64 + 0.5) / side as f64 * 2.0 - 1.0) * self.half;
+        let scale = match kernel {
+            Kernel::StudentT => self.scale,
+            Kernel::Gaussian => 1.24 * self.scale,
+        };
+        Primitives::new(Parameters {
+            mean: (0..m).map(|i| [at(i / (side * side)), at(i / side % side), at(i % side)]).collect(),
+            scale: (0..m).map(|i| [scale, scale * 1.1, scale * (0.9 + 0.02 * (i % 7) as f64)]).collect(),
+            quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
+            density: vec![0.5; m],
+            nu: vec![if kernel == Kernel::Gaussian { f64::INFINITY } else { 10.0 }; m],
+        })
+        .expect("a valid lattice")
     }
 }
 
-fn primitives(kernel: Kernel) -> Primitives {
-    let m = SIDE * SIDE * SIDE;
-    let at = |k: usize| (k as f64 + 0.5) / SIDE as f64 * 1.6 - 0.8;
-    // Scales at which the support at this cutoff is about 22 pixels wide.
-    let scale = match kernel {
-        Kernel::StudentT => 0.0125,
-        Kernel::Gaussian => 0.0155,
-    };
-    Primitives::new(Parameters {
-        mean: (0..m).map(|i| [at(i / (SIDE * SIDE)), at(i / SIDE % SIDE), at(i % SIDE)]).collect(),
-        scale: (0..m).map(|i| [scale, scale * 1.1, scale * (0.9 + 0.02 * (i % 7) as f64)]).collect(),
-        quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
-        density: vec![0.5; m],
-        nu: vec![if kernel == Kernel::Gaussian { f64::INFINITY } else { 10.0 }; m],
-    })
-    .expect("a valid lattice")
-}
-
-fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, precision: &str) {
+fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &str) {
     let pool = Pool::new(1).expect("one thread");
+    let scanner = scene.scanner();
     for kernel in [Kernel::StudentT, Kernel::Gaussian] {
-        let field = Field::<R>::new(&primitives(kernel), CUTOFF);
+        let field = Field::<R>::new(&scene.primitives(kernel), CUTOFF);
         for projection in [Projection::Affine, Projection::Exact] {
-            let scanner = scanner();
             let view = field.view(&scanner, 0.4, projection);
-            let cotangent =
-                Array2::from_shape_fn((PIXELS, PIXELS), |(v, u)| R::from_f64((v * 7 + u * 3) as f64 % 11.0 - 5.0));
+            let cotangent = Array2::from_shape_fn((scene.pixels, scene.pixels), |(v, u)| {
+                R::from_f64((v * 7 + u * 3) as f64 % 11.0 - 5.0)
+            });
             let mut gradient = field.zero_gradient();
-            let mut group = c.benchmark_group(format!("{kernel:?}, {projection:?}, {precision}"));
+            let mut group = c.benchmark_group(format!("{}, {kernel:?}, {projection:?}, {precision}", scene.name));
             group.throughput(Throughput::Elements(view.support_pixels() as u64));
             group.warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(2)).sample_size(20);
             group
@@ -122,8 +141,10 @@ fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, precision: &str) {
 }
 
 fn all(c: &mut Criterion<TimePerPair>) {
-    bench::<f32>(c, "f32");
-    bench::<f64>(c, "f64");
+    for scene in &SCENES {
+        bench::<f32>(c, scene, "f32");
+        bench::<f64>(c, scene, "f64");
+    }
 }
 
 criterion_group!(name = benches; config = Criterion::default().with_measurement(TimePerPair(WallTime)); targets = all);
