@@ -1,9 +1,10 @@
 //! The passes beside the projector, each against what the machine can do at most.
 //!
-//! First the machine is measured, all threads at once: multiply-adds of whole f32 registers per second, and bytes per
-//! second of a copy between arrays that no cache holds. A pass cannot take less than its arithmetic (operations on whole
-//! registers, counted in the source, one a multiply-add at most) nor less than its traffic (what has to come from memory
-//! and go there, if the data are too large for the caches): the longer one is its bound, and the share is bound / time.
+//! On one thread. First the machine is measured: multiply-adds of whole f32 registers per second, their divisions and
+//! square roots, those of f64, and bytes per second of a copy between arrays that no cache holds. A pass cannot take less than
+//! its arithmetic (operations on whole registers, counted in the source, one a multiply-add at most), nor less than its
+//! divisions and roots, for which a core has one unit, nor less than its traffic (what has to come from memory and go there,
+//! if the data are too large for the caches): the longest one is its bound, and the share is bound / time.
 //! `cargo bench --bench passes`
 
 use criterion::Criterion;
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
 use trgs::numeric::threads::Pool;
-use trgs::numeric::{Lanes, Real, threads};
+use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::Field;
@@ -27,59 +28,81 @@ type F64s = <f64 as Real>::Lanes;
 const VIEWS: usize = 18;
 const SIDE: usize = 32;
 
-/// What all threads together can do in a second.
+/// What a thread can do in a second.
 struct Machine {
     /// Operations on whole registers of f32.
     operations: f64,
+    /// Divisions of registers of f32 and of f64, and square roots.
+    divisions: [f64; 2],
+    roots: [f64; 2],
     /// Bytes read and bytes written by a copy.
     bytes: f64,
 }
 
+/// Seconds of the fastest of some runs.
+fn fastest(work: &dyn Fn()) -> f64 {
+    let time = |_| {
+        let began = Instant::now();
+        work();
+        began.elapsed().as_secs_f64()
+    };
+    (0..7).map(time).fold(f64::INFINITY, f64::min)
+}
+
+/// How often a step on a register can be taken in a second, as often as one does not wait for another.
+fn rate<L: Lanes>(step: impl Fn(L, L) -> L) -> f64 {
+    const CHAINS: usize = 12;
+    const STEPS: usize = 1_000_000;
+    let chains = || {
+        let [mut chains, factor] = [1e-3, 0.999].map(|x| [L::splat(real(black_box(x))); CHAINS]);
+        for _ in 0..STEPS {
+            chains.iter_mut().zip(factor).for_each(|(chain, factor)| *chain = step(*chain, factor));
+        }
+        black_box(chains.map(|chain| chain.sum()));
+    };
+    (CHAINS * STEPS) as f64 / fastest(&chains)
+}
+
 impl Machine {
     fn measure() -> Self {
-        let workers = threads::count();
-        let fastest = |work: &dyn Fn()| {
-            let time = |_| {
-                let began = Instant::now();
-                work();
-                began.elapsed().as_secs_f64()
-            };
-            (0..7).map(time).fold(f64::INFINITY, f64::min)
-        };
-        const CHAINS: usize = 12;
-        const STEPS: usize = 4_000_000;
-        let chains = || {
-            black_box(threads::map(workers, |worker| {
-                let [mut sums, factor] = [1e-3, 0.999].map(|x| [F32s::splat(x + worker as f32 * 1e-6); CHAINS]);
-                for _ in 0..STEPS {
-                    for (sum, factor) in sums.iter_mut().zip(factor) {
-                        *sum = sum.fma(factor, factor);
-                    }
-                }
-                sums.map(|sum| sum.sum())
-            }));
-        };
         let length = 1 << 25;
         let (from, to) = (vec![1.0_f32; length], RefCell::new(vec![0.0_f32; length]));
         let copy = || {
-            let part = length / workers / 4;
-            threads::for_each_chunk(&mut to.borrow_mut(), part, |i, to| {
-                to.copy_from_slice(&from[i * part..][..to.len()]);
-            });
+            to.borrow_mut().copy_from_slice(&from);
+            black_box(&to);
         };
         Self {
-            operations: (workers * CHAINS * STEPS) as f64 / fastest(&chains),
+            operations: rate::<F32s>(|x, factor| x.fma(factor, factor)),
+            divisions: [rate::<F32s>(|x, factor| factor / x), rate::<F64s>(|x, factor| factor / x)],
+            roots: [rate::<F32s>(|x, _| x.sqrt()), rate::<F64s>(|x, _| x.sqrt())],
             bytes: 8.0 * length as f64 / fastest(&copy),
         }
     }
 }
 
 /// What a pass has to do at least.
+#[derive(Default)]
 struct Work {
     /// Operations on whole registers.
     operations: f64,
+    /// Divisions of registers of f32 and of f64, and square roots.
+    divisions: [f64; 2],
+    roots: [f64; 2],
     /// Bytes from and to memory.
     bytes: f64,
+}
+
+impl Work {
+    /// The least time for it, seconds, and what takes it.
+    fn bound(&self, machine: &Machine) -> (f64, &'static str) {
+        let of_unit = |i: usize| self.divisions[i] / machine.divisions[i] + self.roots[i] / machine.roots[i];
+        let bounds = [
+            (self.operations / machine.operations, "arithmetic"),
+            (of_unit(0) + of_unit(1), "divisions and roots"),
+            (self.bytes / machine.bytes, "memory"),
+        ];
+        bounds.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("three bounds")
+    }
 }
 
 /// `m` turned primitives all over the volume, by a sequence of low discrepancy.
@@ -98,10 +121,14 @@ fn primitives(m: usize, scale: f64) -> Primitives {
 fn all(c: &mut Criterion) {
     let machine = Machine::measure();
     println!(
-        "this machine, {} threads: {:.2}e9 operations on registers of {} f32 and {:.1}e9 bytes copied a second\n",
-        threads::count(),
+        "this machine, a thread: {:.2}e9 operations on registers of {} f32, {:.2}e9 divisions and {:.2}e9 roots \
+         ({:.2}e9 and {:.2}e9 of f64), {:.1}e9 bytes copied a second\n",
         machine.operations / 1e9,
         F32s::WIDTH,
+        machine.divisions[0] / 1e9,
+        machine.roots[0] / 1e9,
+        machine.divisions[1] / 1e9,
+        machine.roots[1] / 1e9,
         machine.bytes / 1e9
     );
     let mut group = c.benchmark_group("passes");
@@ -126,17 +153,24 @@ fn all(c: &mut Criterion) {
     let voxels = (SIDE * SIDE * SIDE) as f64;
 
     // 12 blurs along a row or a column, 16 operations each; the index and its slopes 36; L1 and sums 15.
+    // Both images, the target's mean and variance and the gradient, of a number each, are more than the nearer caches hold.
     let (ssim, pixels) = (Ssim::<f32>::default(), 512 * 512);
     let picture = |k: usize| Array2::from_shape_fn((512, 512), |(v, u)| ((v * k + u * 3) % 11) as f32 / 11.0);
     let (image, target) = (picture(5), SsimTarget::new(&ssim, picture(7).view()));
-    let work = Work { operations: 243.0 * pixels as f64 / f32s, bytes: 0.0 };
+    let registers = pixels as f64 / f32s;
+    let work = Work {
+        operations: 243.0 * registers,
+        divisions: [registers, 0.0],
+        bytes: 20.0 * pixels as f64,
+        ..Work::default()
+    };
     pass("L1 and SSIM with gradient, 512²", work, &|| {
         black_box(image_loss(&ssim, 0.25, image.view(), &target));
     });
 
     // Three differences, their sums in f64 (two registers for one of f32), six signs that are added.
     let block = Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 13.0);
-    let work = Work { operations: 54.0 * voxels / f32s, bytes: 0.0 };
+    let work = Work { operations: 54.0 * voxels / f32s, ..Work::default() };
     pass("total variation with gradient, 32³", work, &|| {
         black_box(tv(block.view()));
     });
@@ -149,12 +183,12 @@ fn all(c: &mut Criterion) {
     let registers = field.on(&grid).pairs().evaluated as f64 / f32s;
     pass(
         "voxels of a 32³ block of 64³, 5,000 primitives",
-        Work { operations: 36.0 * registers, bytes: 0.0 },
+        Work { operations: 36.0 * registers, ..Work::default() },
         &|| {
             black_box(field.on(&grid).voxels());
         },
     );
-    pass("and back", Work { operations: 44.0 * registers, bytes: 0.0 }, &|| {
+    pass("and back", Work { operations: 44.0 * registers, ..Work::default() }, &|| {
         field.on(&grid).pull_back(block.view(), &mut gradient.borrow_mut());
     });
 
@@ -162,7 +196,13 @@ fn all(c: &mut Criterion) {
     let n = 650_000;
     let (adam, values) = (RefCell::new(Adam::new(n, [0.9, 0.999], 1e-15)), RefCell::new(vec![0.5; n]));
     let slopes: Vec<f64> = (0..n).map(|i| (i % 17) as f64 - 8.0).collect();
-    let work = Work { operations: 14.0 * n as f64 / f64s, bytes: 56.0 * n as f64 };
+    let registers = n as f64 / f64s;
+    let work = Work {
+        operations: 14.0 * registers,
+        divisions: [0.0, 3.0 * registers],
+        roots: [0.0, registers],
+        bytes: 56.0 * n as f64,
+    };
     pass("Adam, 50,000 primitives of 13 numbers", work, &|| {
         adam.borrow_mut().step(&mut values.borrow_mut(), &slopes, 1e-4);
     });
@@ -174,31 +214,36 @@ fn all(c: &mut Criterion) {
     let (settings, angles) = (Settings::default(), Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU));
     let coverage = Coverage::new(settings);
     let points = (physical.len() * VIEWS * settings.sphere_points) as f64;
-    pass("confidence, 5,000 primitives, 18 views", Work { operations: 8.0 * points / f64s, bytes: 0.0 }, &|| {
-        black_box(coverage.confidence(&physical, &scanner, &angles));
-    });
+    pass(
+        "confidence, 5,000 primitives, 18 views",
+        Work { operations: 8.0 * points / f64s, ..Work::default() },
+        &|| {
+            black_box(coverage.confidence(&physical, &scanner, &angles));
+        },
+    );
 
-    // Six bands of 25: the band alone 2, differences 3, their strength 7, flux 4, transposes 6, coefficients 1, sum 2. The
-    // transform and its inverse 8 each, weights and sums 13.
+    // Six bands of 45: the band alone 1, differences 6, their strength 7, flux 4, transposes 11, coefficients 2, two sums in f64
+    // (two registers for one of f32) 14. The transform and its inverse 8 each, weights 4.
     let routing =
         Routing { high: Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x + 3 * y + 5 * z) % 9) as u16), neighbours: 8 };
-    let operations = (6.0 * 25.0 + 29.0) * voxels / f32s;
-    pass("wavelet loss with gradient, 32³", Work { operations, bytes: 0.0 }, &|| {
+    let registers = voxels / f32s;
+    let (operations, of_bands) = ((6.0 * 45.0 + 20.0) * registers, [6.0 * registers, 0.0]);
+    let work = Work { operations, divisions: of_bands, roots: of_bands, ..Work::default() };
+    pass("wavelet loss with gradient, 32³", work, &|| {
         black_box(wavelet_loss(block.view(), &routing, &trgs::wavelet::Settings::default()));
     });
     group.finish();
 
     println!("\n| pass | ms | bound, ms | by | share |\n|---|---|---|---|---|");
     for (name, work, seconds) in rows {
-        let [arithmetic, traffic] = [work.operations / machine.operations, work.bytes / machine.bytes];
-        let (bound, by) = if arithmetic > traffic { (arithmetic, "arithmetic") } else { (traffic, "memory") };
+        let (bound, by) = work.bound(&machine);
         println!("| {name} | {:.3} | {:.3} | {by} | {:.0} % |", seconds * 1e3, bound * 1e3, 100.0 * bound / seconds);
     }
 }
 
-/// Among the workers, as a run: work that others hand to them waits for one to wake up.
+/// On one thread: what a second one gains is measured by `iteration` and `scaling`, where others wait with work of theirs.
 fn main() {
-    Pool::new(0).expect("threads").run(|| {
+    Pool::new(1).expect("a thread").run(|| {
         let mut criterion = Criterion::default().configure_from_args();
         all(&mut criterion);
         criterion.final_summary();

@@ -24,7 +24,11 @@ pub fn l1<R: Real>(prediction: ArrayView2<R>, target: ArrayView2<R>) -> (f64, Ar
 /// Mean distance of pixels.
 pub(super) fn value<R: Real>(prediction: &[R], target: &[R]) -> f64 {
     let n = prediction.len();
-    reduce::sum_of(0..n, &|i| (prediction[i] - target[i]).abs().to_f64()) / n.max(1) as f64
+    let sum = reduce::sum_made(n, &|range, distances: &mut [R]| {
+        let pairs = prediction[range.clone()].iter().zip(&target[range]);
+        distances.iter_mut().zip(pairs).for_each(|(d, (&p, &t))| *d = (p - t).abs());
+    });
+    sum / n.max(1) as f64
 }
 
 /// How fast L1 of `n` pixels rises with the distance of one.

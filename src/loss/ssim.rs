@@ -20,7 +20,7 @@ use crate::numeric::threads::{self, Spares};
 use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array2, ArrayView2};
 use std::array::from_fn;
-use std::ops::{Add, Mul, Range};
+use std::ops::{Add, Div, Mul, Neg, Range, Sub};
 
 /// The window reaches this many pixels to each side.
 const RADIUS: usize = 5;
@@ -326,32 +326,64 @@ fn weigh<T: Copy + Add<Output = T> + Mul<Output = T>>(weights: &[T; RADIUS + 1],
 
 /// In one row, turns the blurs of `a`, `a²` and `ab` into `share` times the derivatives of S by them, the
 /// second one doubled because `∂a²/∂a = 2a`, and writes S.
-fn differentiate<R: Real>(
-    mean: &[R],
-    variance: &[R],
-    share: R,
-    [of_a, of_aa, of_ab]: [&mut [R]; LINES],
-    similarity: &mut [R],
-) {
+fn differentiate<R: Real>(mean: &[R], variance: &[R], share: R, blurs: [&mut [R]; LINES], similarity: &mut [R]) {
+    let of_lanes = Index::new(share).map(R::Lanes::splat);
     let n = similarity.len();
-    let (mean, variance, of_a, of_aa, of_ab) =
-        (&mean[..n], &variance[..n], &mut of_a[..n], &mut of_aa[..n], &mut of_ab[..n]);
-    let (two, c1, c2) = (R::from_f64(2.0), R::from_f64(C1), R::from_f64(C2));
-    for j in 0..n {
-        let (mean_a, mean_b) = (of_a[j], mean[j]);
+    let whole = n - n % R::Lanes::WIDTH;
+    let [of_a, of_aa, of_ab] = blurs.map(|blur| &mut blur[..n]);
+    for j in (0..whole).step_by(R::Lanes::WIDTH) {
+        let at = |values: &[R]| R::Lanes::from_slice(&values[j..]);
+        let [s, by_a, by_aa, by_ab] = of_lanes.slopes([at(mean), at(variance), at(of_a), at(of_aa), at(of_ab)]);
+        s.write(&mut similarity[j..]);
+        by_a.write(&mut of_a[j..]);
+        by_aa.write(&mut of_aa[j..]);
+        by_ab.write(&mut of_ab[j..]);
+    }
+    for j in whole..n {
+        let given = [mean[j], variance[j], of_a[j], of_aa[j], of_ab[j]];
+        [similarity[j], of_a[j], of_aa[j], of_ab[j]] = Index::new(share).slopes(given);
+    }
+}
+
+/// What the index is made with: constants, and what its derivatives are multiplied by.
+#[derive(Clone, Copy)]
+struct Index<T> {
+    one: T,
+    two: T,
+    c1: T,
+    c2: T,
+    share: T,
+}
+
+impl<R: Real> Index<R> {
+    fn new(share: R) -> Self {
+        Self { one: R::ONE, two: R::from_f64(2.0), c1: R::from_f64(C1), c2: R::from_f64(C2), share }
+    }
+
+    fn map<T>(self, f: impl Fn(R) -> T) -> Index<T> {
+        Index { one: f(self.one), two: f(self.two), c1: f(self.c1), c2: f(self.c2), share: f(self.share) }
+    }
+}
+
+impl<T> Index<T>
+where
+    T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T> + Div<Output = T> + Neg<Output = T>,
+{
+    /// S and `share` times its derivatives from μb, σb² and the blurs of `a`, `a²` and `ab`.
+    #[inline(always)]
+    fn slopes(self, [mean_b, variance_b, mean_a, of_aa, of_ab]: [T; 5]) -> [T; 4] {
+        let Self { one, two, c1, c2, share } = self;
         let product = mean_a * mean_b;
         let square = mean_a * mean_a;
         let luminance = two * product + c1;
-        let structure = two * (of_ab[j] - product) + c2;
+        let structure = two * (of_ab - product) + c2;
         let luminance_norm = square + mean_b * mean_b + c1;
-        let structure_norm = of_aa[j] - square + variance[j] + c2;
-        let inverse = R::ONE / (luminance_norm * structure_norm);
+        let structure_norm = of_aa - square + variance_b + c2;
+        let inverse = one / (luminance_norm * structure_norm);
         let s = luminance * structure * inverse;
         let factor = two * inverse * share;
-        similarity[j] = s;
-        of_a[j] = factor * (mean_b * (structure - luminance) + mean_a * s * (luminance_norm - structure_norm));
-        of_aa[j] = -factor * s * luminance_norm;
-        of_ab[j] = factor * luminance;
+        let by_a = factor * (mean_b * (structure - luminance) + mean_a * s * (luminance_norm - structure_norm));
+        [s, by_a, -factor * s * luminance_norm, factor * luminance]
     }
 }
 

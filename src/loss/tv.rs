@@ -8,15 +8,6 @@ use ndarray::{Array3, ArrayView3};
 /// Slices along x that one task works on: a constant, so the cut does not depend on the threads.
 const SLAB: usize = 8;
 
-/// What [`tv_into`] works in.
-#[derive(Default)]
-pub(crate) struct Space<R> {
-    /// |Δ f| along each axis.
-    distances: [Vec<R>; 3],
-    /// What the differences within a slice push voxels by.
-    pushes: Spares<Vec<R>>,
-}
-
 /// Value and gradient of the anisotropic total variation per difference,
 /// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
 ///
@@ -25,11 +16,11 @@ pub(crate) struct Space<R> {
 /// The sub-gradient at equal neighbours is 0. Not in the paper: the third part of R²-Gaussian's data loss.
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let mut gradient = Array3::default(block.raw_dim());
-    (tv_into(block, &mut Default::default(), &mut gradient), gradient)
+    (tv_into(block, &Spares::default(), &mut gradient), gradient)
 }
 
-/// [`tv`] with the gradient in the place of another array.
-pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, space: &mut Space<R>, gradient: &mut Array3<R>) -> f64 {
+/// [`tv`] with the gradient in the place of another array. `pushes` is for what the differences within a slice push voxels by.
+pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, pushes: &Spares<Vec<R>>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
         *gradient = Array3::default(block.raw_dim());
@@ -42,11 +33,7 @@ pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, space: &mut Space<R>, gradi
     }
     let values = block.as_slice().expect("standard layout");
     let slices = gradient.as_slice_mut().expect("standard layout");
-    let Space { distances: [x, y, z], pushes } = space;
-    let along = |axis: usize, distances: &mut Vec<R>| {
-        measure(values, shape, axis, distances);
-        reduce::sum(distances)
-    };
+    let along = |axis: usize| distance(values, shape, axis);
     let push = || {
         let (slope, [_, ny, nz]) = (R::from_f64(1.0 / number as f64), shape);
         threads::for_each_chunk_in(slices, SLAB * ny * nz, pushes, |slab, slices, pushes| {
@@ -56,7 +43,7 @@ pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, space: &mut Space<R>, gradi
         });
     };
     let ((x, y), (z, ())) =
-        threads::both(|| threads::both(|| along(0, x), || along(1, y)), || threads::both(|| along(2, z), push));
+        threads::both(|| threads::both(|| along(0), || along(1)), || threads::both(|| along(2), push));
     [x, y, z].into_iter().sum::<f64>() / number as f64
 }
 
@@ -66,18 +53,21 @@ fn differences(shape: [usize; 3], axis: usize) -> usize {
     voxels - voxels / shape[axis].max(1)
 }
 
-/// |Δ f| along an axis, in the order of the voxels before.
-fn measure<R: Real>(values: &[R], shape: [usize; 3], axis: usize, distances: &mut Vec<R>) {
-    let [_, ny, nz] = shape;
-    let offset = [ny * nz, nz, 1][axis];
-    let (rows, length) = (ny - usize::from(axis == 1), nz - usize::from(axis == 2));
-    distances.resize(differences(shape, axis), R::ZERO);
-    for (row, distances) in distances.chunks_exact_mut(length.max(1)).enumerate() {
-        let first = (row / rows * ny + row % rows) * nz;
-        let (before, after) = (&values[first..][..length], &values[first + offset..][..length]);
-        let pairs = before.iter().zip(after);
-        distances.iter_mut().zip(pairs).for_each(|(d, (&before, &after))| *d = (after - before).abs());
-    }
+/// Σ|Δ f| along an axis, in the order of the voxels before.
+fn distance<R: Real>(values: &[R], [nx, ny, nz]: [usize; 3], axis: usize) -> f64 {
+    // Voxels that have one after them come in runs.
+    let (offset, stride) = ([ny * nz, nz, 1][axis], [nx * ny * nz, ny * nz, nz][axis]);
+    let run = stride - offset;
+    reduce::sum_made(differences([nx, ny, nz], axis), &|range, mut distances: &mut [R]| {
+        let mut from = range.start;
+        while !distances.is_empty() {
+            let (first, length) = (from / run * stride + from % run, distances.len().min(run - from % run));
+            let (part, rest) = distances.split_at_mut(length);
+            let pairs = values[first..].iter().zip(&values[first + offset..]);
+            part.iter_mut().zip(pairs).for_each(|(d, (&before, &after))| *d = (after - before).abs());
+            (from, distances) = (from + length, rest);
+        }
+    })
 }
 
 /// The gradient of slice `x`: each voxel is pushed by the differences before it and after it, axis by axis.
@@ -131,10 +121,10 @@ mod tests {
 
     #[test]
     fn a_block_after_others_has_the_bits_of_the_first_one() {
-        let (mut space, mut gradient) = (Space::default(), Array3::default((0, 0, 0)));
+        let (spares, mut gradient) = (Spares::default(), Array3::default((0, 0, 0)));
         for shape in [(9, 5, 7), (4, 3, 5), (1, 1, 1), (9, 5, 7), (1, 6, 1)] {
             let block = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 3.0);
-            let value = tv_into(block.view(), &mut space, &mut gradient);
+            let value = tv_into(block.view(), &spares, &mut gradient);
             let expected = tv(block.view());
             assert_eq!((value, &gradient), (expected.0, &expected.1), "{shape:?}");
         }

@@ -56,6 +56,10 @@ pub trait Real:
     fn abs(self) -> Self;
     /// Not NaN or infinite.
     fn is_finite(self) -> bool;
+    /// Columns of eight rows of eight values, in f64.
+    fn columns(rows: [&[Self]; 8]) -> [f64x8; 8] {
+        std::array::from_fn(|i| f64x8::new(rows.map(|row| row[i].to_f64())))
+    }
 }
 
 /// Rounds to nearest: [`Real::from_f64`] where another trait has a function of that name.
@@ -179,14 +183,25 @@ fn sum_of_8(lanes: f64x8) -> f64 {
     low + high
 }
 
+// Not `map`, which may stay a call.
+#[inline(always)]
+fn wider([a, b, c, d, e, f, g, h]: [f32; 8]) -> f64x8 {
+    f64x8::new([a.into(), b.into(), c.into(), d.into(), e.into(), f.into(), g.into(), h.into()])
+}
+
 #[inline(always)]
 fn sum_of_16(lanes: f32x16) -> f64 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
-    // Not `map`, which may stay a call for each half.
-    let wider = |[a, b, c, d, e, f, g, h]: [f32; 8]| {
-        f64x8::new([a.into(), b.into(), c.into(), d.into(), e.into(), f.into(), g.into(), h.into()])
-    };
     sum_of_8(wider(halves[0]) + wider(halves[1]))
+}
+
+/// [`Real::columns`], in registers.
+#[inline(always)]
+fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
+    let row = |i: usize| f32x8::new(rows[i][..8].try_into().expect("a slice of this length"));
+    let [a, b, c, d, e, f, g, h] =
+        f32x8::transpose([row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]).map(f32x8::to_array);
+    [wider(a), wider(b), wider(c), wider(d), wider(e), wider(f), wider(g), wider(h)]
 }
 
 /// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of
@@ -197,6 +212,7 @@ macro_rules! precision {
         rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, exp2 $exp2:ident,
         pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
         log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, sum $sum:ident
+        $(, columns $columns:ident)?
     ) => {
         impl Real for $scalar {
             type Lanes = $lanes;
@@ -229,6 +245,12 @@ macro_rules! precision {
             fn is_finite(self) -> bool {
                 self.is_finite()
             }
+            $(
+                #[inline(always)]
+                fn columns(rows: [&[Self]; 8]) -> [f64x8; 8] {
+                    $columns(rows)
+                }
+            )?
         }
 
         impl Lanes for $lanes {
@@ -371,7 +393,8 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16,
+    columns columns_of_f32
 );
 precision!(
     f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, exp2 exp2_f64,

@@ -154,13 +154,15 @@ fn one_of_sixteen(table: [u32; 16], index: u32x16) -> f32x16 {
         bytemuck::cast(u32x16::new(table).shuffle_wrapping(index))
     } else {
         let [low, high]: [u32x8; 2] = bytemuck::cast(table);
-        let halves: [u32x8; 2] = bytemuck::cast(index);
-        bytemuck::cast(halves.map(|half| {
+        let pick = |half: u32x8| {
             // The fourth bit becomes the sign, by which one or the other is taken.
             let above: i32x8 = bytemuck::cast(half.unbounded_shl_scalar(28));
-            let [low, high]: [i32x8; 2] = [low, high].map(|table| bytemuck::cast(table.shuffle_wrapping(half)));
-            above.simd_lt(i32x8::splat(0)).select(high, low)
-        }))
+            let from = |table: u32x8| -> i32x8 { bytemuck::cast(table.shuffle_wrapping(half)) };
+            above.simd_lt(i32x8::splat(0)).select(from(high), from(low))
+        };
+        // Not `map`, which may stay a call.
+        let [first, second]: [u32x8; 2] = bytemuck::cast(index);
+        bytemuck::cast([pick(first), pick(second)])
     }
 }
 
@@ -171,8 +173,8 @@ fn one_of_eight(table: [u32; 8], index: u32x16) -> f32x16 {
         // Twice the eight: one permutation of sixteen.
         one_of_sixteen(bytemuck::cast([table, table]), index)
     } else {
-        let halves: [u32x8; 2] = bytemuck::cast(index);
-        bytemuck::cast(halves.map(|half| u32x8::new(table).shuffle_wrapping(half)))
+        let ([first, second], table): ([u32x8; 2], _) = (bytemuck::cast(index), u32x8::new(table));
+        bytemuck::cast([table.shuffle_wrapping(first), table.shuffle_wrapping(second)])
     }
 }
 

@@ -2,11 +2,14 @@
 
 use super::{Real, threads};
 use std::ops::Range;
+use wide::f64x8;
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
 /// Leaves gone through side by side: a sum waits for the one before in its own leaf alone.
 const ABREAST: usize = 8;
+/// Values of these leaves.
+const GROUP: usize = ABREAST * LEAF;
 /// Values that one worker adds up, so that handing them over costs little beside.
 const SHARE: usize = 1 << 13;
 
@@ -15,9 +18,52 @@ fn middle(n: usize) -> usize {
     n.div_ceil(2 * LEAF) * LEAF
 }
 
-/// Pairwise sum: leaves of 32 values in order, halves joined left to right.
+/// Pairwise sum: leaves of 32 values in order, halves joined left to right; several workers add up many.
 pub fn sum<R: Real>(values: &[R]) -> f64 {
-    sum_of(0..values.len(), &|i| values[i].to_f64())
+    match values.len() {
+        0..=LEAF => values.iter().fold(0.0, |total, value| total + value.to_f64()),
+        GROUP => join(leaves(values)),
+        n => {
+            let (left, right) = values.split_at(middle(n));
+            if n <= SHARE {
+                return sum(left) + sum(right);
+            }
+            let (left, right) = threads::both(|| sum(left), || sum(right));
+            left + right
+        }
+    }
+}
+
+/// [`sum`] of `n` values that are made as they are asked for: `make(range, values)` writes those of a range.
+pub fn sum_made<R: Real>(n: usize, make: &(impl Fn(Range<usize>, &mut [R]) + Sync)) -> f64 {
+    made(0..n, make)
+}
+
+fn made<R: Real>(indices: Range<usize>, make: &(impl Fn(Range<usize>, &mut [R]) + Sync)) -> f64 {
+    let n = indices.len();
+    if n <= GROUP {
+        let values = &mut [R::ZERO; GROUP][..n];
+        make(indices, values);
+        return sum(values);
+    }
+    let between = indices.start + middle(n);
+    let (left, right) = (|| made(indices.start..between, make), || made(between..indices.end, make));
+    let (left, right) = if n <= SHARE { (left(), right()) } else { threads::both(left, right) };
+    left + right
+}
+
+/// The sums of the leaves of a group, a lane each.
+fn leaves<R: Real>(values: &[R]) -> [f64; ABREAST] {
+    let mut totals = f64x8::default();
+    for i in (0..LEAF).step_by(ABREAST) {
+        let column = R::columns(std::array::from_fn(|leaf| &values[leaf * LEAF + i..][..ABREAST]));
+        totals = column.into_iter().fold(totals, |totals, column| totals + column);
+    }
+    totals.to_array()
+}
+
+fn join([a, b, c, d, e, f, g, h]: [f64; ABREAST]) -> f64 {
+    ((a + b) + (c + d)) + ((e + f) + (g + h))
 }
 
 /// Pairwise sum of the terms of some indices, with the same tree as [`sum`]; several workers add up many.
@@ -38,15 +84,14 @@ pub fn sum_by(n: usize, term: &impl Fn(usize) -> f64) -> f64 {
 fn tree(indices: Range<usize>, term: &impl Fn(usize) -> f64) -> f64 {
     if indices.len() <= LEAF {
         indices.fold(0.0, |total, i| total + term(i))
-    } else if indices.len() == ABREAST * LEAF {
+    } else if indices.len() == GROUP {
         let mut leaves = [0.0; ABREAST];
         for i in indices.start..indices.start + LEAF {
             for (leaf, total) in leaves.iter_mut().enumerate() {
                 *total += term(i + leaf * LEAF);
             }
         }
-        let [a, b, c, d, e, f, g, h] = leaves;
-        ((a + b) + (c + d)) + ((e + f) + (g + h))
+        join(leaves)
     } else {
         let between = indices.start + middle(indices.len());
         tree(indices.start..between, term) + tree(between..indices.end, term)
@@ -70,6 +115,9 @@ mod tests {
             let values: Vec<f64> = (0..n).map(|i| 1.0 / (i as f64 + 1.7)).collect();
             assert_eq!(sum(&values), sum_by(n, &|i| values[i]));
             assert_eq!(sum_of(5..n, &|i| values[i]), sum(&values[5..]));
+            let single: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+            assert_eq!(sum(&single), sum_by(n, &|i| f64::from(single[i])));
+            assert_eq!(sum_made(n, &|range, made: &mut [f32]| made.copy_from_slice(&single[range])), sum(&single));
         }
     }
 

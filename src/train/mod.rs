@@ -137,7 +137,7 @@ struct Trainer<'a, R> {
 struct Spaces<R> {
     images: Spares<Array2<R>>,
     volumes: Spares<Array3<R>>,
-    tv: Spares<tv::Space<R>>,
+    tv: Spares<Vec<R>>,
     pulls: Spares<Vec<f64>>,
 }
 
@@ -323,7 +323,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let there = field.on(&block);
         let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
         there.voxels_into(&mut voxels);
-        let value = tv::tv_into(voxels.view(), &mut spaces.tv.lend(), &mut cotangent);
+        let value = tv::tv_into(voxels.view(), &spaces.tv, &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
         let mut gradient = field.lend_gradient();
         there.pull_back(cotangent.view(), &mut gradient);

@@ -5,16 +5,16 @@
 
 use crate::numeric::{Real, real};
 
-/// The differences of slice `x` of a block `f` along its three axes, whose sides are at least 2.
-pub(super) fn forward<R: Real>(f: &[R], shape: [usize; 3], x: usize, [dx, dy, dz]: [&mut [R]; 3]) {
-    let [nx, ny, nz] = shape;
-    let slice = |x: usize| &f[x * ny * nz..][..ny * nz];
-    let (above, below) = ((x + 1).min(nx - 1), x.saturating_sub(1));
-    let difference = if above - below == 2 { within } else { at_face };
-    difference(slice(above), slice(below), dx);
-    along(slice(x), nz, dy);
+/// The differences along the three axes of a slice `f` of a block whose sides are at least 2, from the slices below and above,
+/// of which there is but one at the faces. Rows are `nz` long.
+pub(super) fn forward<R: Real>(f: &[R], around: [Option<&[R]>; 2], nz: usize, [dx, dy, dz]: [&mut [R]; 3]) {
+    match around {
+        [Some(below), Some(above)] => within(above, below, dx),
+        [below, above] => at_face(above.unwrap_or(f), below.unwrap_or(f), dx),
+    }
+    along(f, nz, dy);
     // All rows as one, then the faces, where one row meets the next.
-    let (f, inner) = (slice(x), 1..ny * nz - 1);
+    let inner = 1..f.len() - 1;
     within(&f[2..], f, &mut dz[inner]);
     for (f, d) in f.chunks_exact(nz).zip(dz.chunks_exact_mut(nz)) {
         (d[0], d[nz - 1]) = (f[1] - f[0], f[nz - 1] - f[nz - 2]);
@@ -38,23 +38,39 @@ fn within<R: Real>(above: &[R], below: &[R], d: &mut [R]) {
     d.iter_mut().zip(above.iter().zip(below)).for_each(|(d, (above, below))| *d = half * (*above - *below));
 }
 
-/// Adds slice `x` of the transpose of [`forward`] to `out`: of the fluxes along x in the slices before, at and after it, as
-/// far as there are such, and of those along y and z in itself. Those along z lose their faces.
-pub(super) fn add_transpose<R: Real>(
-    [before, here, after]: [&[R]; 3],
+/// The two slabs of n along an axis by whose fluxes slab `i` is pushed, and how much.
+fn pushes<R: Real>(i: usize, n: usize) -> [(R, usize); 2] {
+    let (one, half) = (R::ONE, real::<R>(0.5));
+    let faces = [(i == 1, one, 0), (i == 0, -one, 0), (i == n - 1, one, n - 1), (i == n - 2, -one, n - 1)];
+    let inner = [(i > 1, half, i.wrapping_sub(1)), (i + 2 < n, -half, i + 1)];
+    let mut both = faces.into_iter().chain(inner).filter(|(counts, ..)| *counts).map(|(_, factor, at)| (factor, at));
+    [(); 2].map(|()| both.next().expect("one on each side, or a face"))
+}
+
+/// Slice `x` of the transpose of [`forward`]: of the fluxes along x by slice, of those along y and z in itself. Those along z
+/// lose their faces.
+pub(super) fn transpose<'a, R: Real>(
+    along_x: impl Fn(usize) -> &'a [R],
     along_y: &[R],
     along_z: &mut [R],
-    [nx, _, nz]: [usize; 3],
+    [nx, ny, nz]: [usize; 3],
     x: usize,
     out: &mut [R],
 ) {
-    let (one, half) = (R::ONE, real::<R>(0.5));
-    let faces = [(x == 1, one, before), (x == 0, -one, here), (x == nx - 1, one, here), (x == nx - 2, -one, after)];
-    let inner = [(x > 1, half, before), (x + 2 < nx, -half, after)];
-    for (_, factor, flux) in faces.into_iter().chain(inner).filter(|(counts, ..)| *counts) {
-        add(factor, flux, out);
+    let [(a, first), (b, second)] = pushes::<R>(x, nx).map(|(factor, x)| (factor, along_x(x)));
+    let mut y = 0;
+    while y < ny {
+        // All rows but two at each face are pushed alike.
+        let rows = if y == 2 { (ny - 2).max(3) - 2 } else { 1 };
+        let (from, length) = (y * nz, rows * nz);
+        let [(c, third), (d, fourth)] = pushes::<R>(y, ny).map(|(factor, y)| (factor, &along_y[y * nz..][..length]));
+        let out = &mut out[from..][..length];
+        let (first, second) = (&first[from..][..length], &second[from..][..length]);
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = a * first[i] + b * second[i] + c * third[i] + d * fourth[i];
+        }
+        y += rows;
     }
-    add_transpose_along(along_y, nz, out);
     for (flux, out) in along_z.chunks_exact_mut(nz).zip(out.chunks_exact_mut(nz)) {
         for (at, above, below) in [(0, 1, 0), (nz - 1, nz - 1, nz - 2)] {
             out[above] += flux[at];
@@ -63,25 +79,12 @@ pub(super) fn add_transpose<R: Real>(
         }
     }
     // All rows as one: from a face nothing goes beyond.
-    add(half, along_z, &mut out[1..]);
-    add(-half, &along_z[1..], out);
-}
-
-/// The same along a run of slabs.
-fn add_transpose_along<R: Real>(flux: &[R], slab: usize, out: &mut [R]) {
-    let (one, half, last) = (R::ONE, real::<R>(0.5), flux.len() - slab);
-    for (at, above, below) in [(0, slab, 0), (last, last, last - slab)] {
-        let flux = &flux[at..][..slab];
-        add(one, flux, &mut out[above..]);
-        add(-one, flux, &mut out[below..]);
+    let (half, last) = (real::<R>(0.5), out.len() - 1);
+    out[0] -= half * along_z[1];
+    for (out, (before, after)) in out[1..last].iter_mut().zip(along_z.iter().zip(&along_z[2..])) {
+        *out = *out + half * *before - half * *after;
     }
-    let flux = &flux[slab..last];
-    add(half, flux, &mut out[2 * slab..]);
-    add(-half, flux, out);
-}
-
-fn add<R: Real>(factor: R, flux: &[R], out: &mut [R]) {
-    out.iter_mut().zip(flux).for_each(|(out, flux)| *out += factor * *flux);
+    out[last] += half * along_z[last - 1];
 }
 
 #[cfg(test)]
@@ -95,19 +98,19 @@ mod tests {
         let size = shape[1] * shape[2];
         for x in 0..shape[0] {
             let slices = differences.each_mut().map(|d| &mut d[x * size..][..size]);
-            forward(f, shape, x, slices);
+            let slice = |x: usize| f.chunks_exact(size).nth(x);
+            forward(slice(x).unwrap(), [x.checked_sub(1).and_then(slice), slice(x + 1)], shape[2], slices);
         }
         differences
     }
 
     /// The transpose for all slices.
-    fn transpose(flux: [&[f64]; 3], shape: [usize; 3]) -> Vec<f64> {
+    fn transposed(flux: [&[f64]; 3], shape: [usize; 3]) -> Vec<f64> {
         let size = shape[1] * shape[2];
         let mut out = vec![0.0; flux[0].len()];
         for (x, out) in out.chunks_exact_mut(size).enumerate() {
-            let slice = |axis: usize, x: usize| flux[axis].get(x * size..).and_then(|f| f.get(..size)).unwrap_or(&[]);
-            let along_x = [slice(0, x.wrapping_sub(1).min(shape[0])), slice(0, x), slice(0, x + 1)];
-            add_transpose(along_x, slice(1, x), &mut slice(2, x).to_vec(), shape, x, out);
+            let slice = |axis: usize, x: usize| &flux[axis][x * size..][..size];
+            transpose(|x| slice(0, x), slice(1, x), &mut slice(2, x).to_vec(), shape, x, out);
         }
         out
     }
@@ -127,14 +130,14 @@ mod tests {
 
     #[test]
     fn the_transpose_is_the_transpose_entry_by_entry() {
-        for shape in [[2, 4, 6], [6, 2, 4], [4, 6, 2]] {
+        for shape in [[2, 4, 6], [6, 2, 4], [4, 6, 2], [3, 5, 4]] {
             let n: usize = shape.iter().product();
             let unit = |i: usize| (0..n).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
             let (columns, zeros): (Vec<_>, _) = ((0..n).map(|i| all(&unit(i), shape)).collect(), vec![0.0; n]);
             for (axis, i) in (0..3).flat_map(|axis| (0..n).map(move |i| (axis, i))) {
                 let (mut flux, unit) = ([&zeros[..]; 3], unit(i));
                 flux[axis] = &unit;
-                let row = transpose(flux, shape);
+                let row = transposed(flux, shape);
                 let is_column = row.iter().zip(&columns).all(|(x, column)| *x == column[axis][i]);
                 assert!(is_column, "{shape:?}, axis {axis}, row {i}");
             }

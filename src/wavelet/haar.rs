@@ -45,12 +45,6 @@ impl<R: Real> Subbands<R> {
         all.chunks_exact(all.len() / BANDS).nth(band).expect("a band below 8")
     }
 
-    pub(super) fn band_mut(&mut self, level: usize, band: usize) -> &mut [R] {
-        let all = self.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
-        let size = all.len() / BANDS;
-        all.chunks_exact_mut(size).nth(band).expect("a band below 8")
-    }
-
     /// The shape of the block.
     fn shape(&self) -> [usize; 3] {
         let finest = self.levels[0].shape();
@@ -125,6 +119,28 @@ pub(super) fn coefficients<R: Real>(block: &[R], shape: [usize; 3], level: usize
     low.into_owned()
 }
 
+/// Coefficients of level 1, and their band, that make the same block as those of a band of any level: itself, or all that is
+/// low along all axes.
+pub(super) fn at_finest<R: Real>(
+    coefficients: &[R],
+    shape: [usize; 3],
+    level: usize,
+    band: usize,
+) -> (Cow<'_, [R]>, usize) {
+    if level == 1 {
+        return (Cow::Borrowed(coefficients), band);
+    }
+    (Cow::Owned(alone(coefficients, shape.map(|side| side / 2), level - 1, band)), 0)
+}
+
+/// The transpose of [`at_finest`].
+pub(super) fn from_finest<R: Real>(finest: Vec<R>, shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
+    if level == 1 {
+        return finest;
+    }
+    coefficients(&finest, shape.map(|side| side / 2), level - 1, band)
+}
+
 /// What the odd voxels along x, y and z count in a band: -1 where it is high, 1 where it is low.
 fn signs<R: Real>(band: usize) -> [R; 3] {
     [4, 2, 1].map(|axis| if band & axis == 0 { R::ONE } else { -R::ONE })
@@ -137,7 +153,7 @@ fn scale<R: Real>() -> R {
 
 /// Coefficients of one band from a block of `shape`, one level. Pairs are added before pairs of pairs: where a block does
 /// not change along an axis, its high bands are exactly 0.
-fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
+pub(super) fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
     let [_, ny, nz] = shape;
     let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
     for (i, cells) in coefficients.chunks_exact_mut(nz / 2).enumerate() {
@@ -152,19 +168,42 @@ fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &
 }
 
 /// Adds what one band's coefficients stand for to a block of `shape`, one level. The transpose of [`analyse`].
-fn add_synthesis<R: Real>(coefficients: &[R], shape: [usize; 3], band: usize, block: &mut [R]) {
-    let [_, ny, nz] = shape;
-    let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
+fn add_synthesis<R: Real>(coefficients: &[R], [_, ny, nz]: [usize; 3], band: usize, block: &mut [R]) {
     for (i, row) in block.chunks_exact_mut(nz).enumerate() {
-        let (x, y) = (i / ny, i % ny);
-        let sign = |sign: R, index: usize| if index.is_multiple_of(2) { R::ONE } else { sign };
-        let even = scale * sign(along_x, x) * sign(along_y, y);
-        let odd = even * along_z;
-        let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
-        for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
-            pair[0] += even * *cell;
-            pair[1] += odd * *cell;
-        }
+        synthesise_row(coefficients, [ny, nz], band, [i / ny, i % ny], row, |sum, part| sum + part);
+    }
+}
+
+/// Slice `x` of what one band's coefficients of level 1 stand for alone.
+pub(super) fn slice_alone<R: Real>(
+    coefficients: &[R],
+    [_, ny, nz]: [usize; 3],
+    band: usize,
+    x: usize,
+    slice: &mut [R],
+) {
+    for (y, row) in slice.chunks_exact_mut(nz).enumerate() {
+        synthesise_row(coefficients, [ny, nz], band, [x, y], row, |_, part| part);
+    }
+}
+
+/// Makes of the voxels of the row at `[x, y]` what `of` makes of them and of what one band's coefficients stand for there.
+#[inline(always)]
+fn synthesise_row<R: Real>(
+    coefficients: &[R],
+    [ny, nz]: [usize; 2],
+    band: usize,
+    [x, y]: [usize; 2],
+    row: &mut [R],
+    of: impl Fn(R, R) -> R,
+) {
+    let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
+    let sign = |sign: R, index: usize| if index.is_multiple_of(2) { R::ONE } else { sign };
+    let even = scale * sign(along_x, x) * sign(along_y, y);
+    let odd = even * along_z;
+    let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
+    for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
+        (pair[0], pair[1]) = (of(pair[0], even * *cell), of(pair[1], odd * *cell));
     }
 }
 

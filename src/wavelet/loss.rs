@@ -1,6 +1,6 @@
 //! Strength of the detail, the loss and its gradient.
 
-use super::haar::{self, Subbands};
+use super::haar::{self, BANDS, Subbands};
 use super::routing::Routing;
 use super::{FLAT, Settings, differences};
 use crate::numeric::{Real, real, reduce, threads};
@@ -9,8 +9,12 @@ use ndarray::{Array3, ArrayView3};
 /// The bands that count in each level: not the low one, not the one that is high along all axes `[Eq. 11]`.
 const MIDDLE: std::ops::RangeInclusive<usize> = 1..=6;
 
-/// Voxels that one task adds up: a constant, so the cut does not depend on the threads.
-const CHUNK: usize = 4096;
+/// Slices that a band is gone through with, and numbers between them: a slice of 32² is a page, and a processor takes
+/// what was written at a place of one page for what is read at the same place of another.
+const SLICES: usize = 11;
+const GAP: usize = 256;
+/// Sums that are added to by turns.
+const LANES: usize = 16;
 
 /// What a block has to answer for `[Eq. 15]`.
 #[derive(Clone, Debug)]
@@ -25,12 +29,6 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
-/// One band: its part of the strength at each voxel, and the loss' gradient to its coefficients.
-struct Band<R> {
-    strength: Vec<R>,
-    gradient: Vec<R>,
-}
-
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
 ///
 /// The routing is constant to the gradient, which goes from a band alone through the transpose of the differences and
@@ -40,49 +38,39 @@ struct Band<R> {
 /// Tests: against [`super::naive::wavelet_loss`] to 1e-13 in f64 and 1e-5 in f32, and central differences.
 ///
 /// # Panics
-/// When block and routing differ in shape, or a side cannot be halved `settings.levels` times.
+/// When block and routing differ in shape, a voxel has more confident neighbours than neighbours, or a side cannot be halved
+/// `settings.levels` times.
 pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: &Settings) -> WaveletLoss<R> {
     assert_eq!(block.shape(), routing.high.shape(), "shapes of block and routing");
     let (x, y, z) = block.dim();
     let shape = [x, y, z];
     let subbands = haar::forward(block, settings.levels);
-    let places: Vec<(usize, usize)> =
-        (1..=settings.levels).flat_map(|level| MIDDLE.map(move |band| (level, band))).collect();
-
     let high = routing.high.as_standard_layout();
     let high = high.as_slice().expect("standard layout");
     let k = routing.neighbours as f64;
-    let low = |high: u16| k - f64::from(high);
     // What a voxel's count is divided by: neighbours, voxels and bands.
-    let share = k * high.len() as f64 * places.len() as f64;
-    let mut push = vec![R::ZERO; high.len()];
-    threads::for_each_chunk(&mut push, CHUNK, |chunk, push| {
-        for (push, &h) in push.iter_mut().zip(&high[chunk * CHUNK..]) {
-            let enhance = settings.enhance * settings.enhancement * f64::from(h);
-            *push = R::from_f64((settings.suppress * low(h) - enhance) / share);
-        }
-    });
-    let bands = threads::map(places.len(), |i| {
-        let (level, band) = places[i];
-        detail(subbands.band(level, band), shape, level, band, &push)
-    });
-
+    let share = k * high.len() as f64 * (settings.levels * MIDDLE.count()) as f64;
+    let slope = |high: usize| {
+        let (high, low) = (high as f64, k - high as f64);
+        R::from_f64((settings.suppress * low - settings.enhance * settings.enhancement * high) / share)
+    };
+    let slopes: Vec<R> = (0..=routing.neighbours).map(slope).collect();
+    let push: Vec<R> = high.iter().map(|&high| slopes[usize::from(high)]).collect();
     let mut gradient = Subbands::zeros(shape, settings.levels);
-    for (&(level, band), part) in places.iter().zip(&bands) {
-        gradient.band_mut(level, band).copy_from_slice(&part.gradient);
+    let mut sums = [0.0; 2];
+    for level in 1..=settings.levels {
+        let slopes = gradient.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
+        let mut of_bands = [[0.0; 2]; BANDS];
+        let bands = (threads::chunks(slopes, high.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
+        threads::for_each_of(bands, |band, (slopes, sums)| {
+            if MIDDLE.contains(&band) {
+                let detail = Detail { shape, level, band, push: &push, high, neighbours: k };
+                sums[0] = detail.strength(subbands.band(level, band), slopes);
+            }
+        });
+        sums = std::array::from_fn(|i| sums[i] + reduce::sum_by(BANDS, &|band| of_bands[band][i]));
     }
-    let mut strength = vec![0.0; high.len()];
-    threads::for_each_chunk(&mut strength, CHUNK, |chunk, strength| {
-        for part in &bands {
-            let parts = &part.strength[chunk * CHUNK..];
-            strength.iter_mut().zip(parts).for_each(|(sum, &part)| *sum += part.to_f64());
-        }
-    });
-    let all = 0..high.len();
-    let (enhancement, suppression) = threads::both(
-        || reduce::sum_of(all.clone(), &|i| f64::from(high[i]) * strength[i]),
-        || reduce::sum_of(all.clone(), &|i| low(high[i]) * strength[i]),
-    );
+    let [enhancement, suppression] = sums;
     let (enhancement, suppression) = (settings.enhancement * enhancement / share, suppression / share);
     WaveletLoss {
         value: settings.suppress * suppression - settings.enhance * enhancement,
@@ -92,35 +80,82 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
     }
 }
 
-/// Strength of one band, and its coefficients' gradient for the gradient `push` to the strength. Goes through the
-/// block slice by slice, so that all but the block itself stays in the nearest cache.
-fn detail<R: Real>(coefficients: &[R], shape: [usize; 3], level: usize, band: usize, push: &[R]) -> Band<R> {
-    let [nx, ny, nz] = shape;
-    let (size, flat) = (ny * nz, real::<R>(FLAT));
-    let mut block = haar::alone(coefficients, shape, level, band);
-    let mut strength = vec![R::ZERO; block.len()];
-    // The fluxes of three slices, or of two, by turns. Behind them the gradient takes the block's place.
-    let slice = || vec![R::ZERO; size];
-    let (mut along_x, mut along_y, mut along_z) = ([(); 3].map(|()| slice()), [slice(), slice()], [slice(), slice()]);
-    for x in 0..=nx {
-        if x < nx {
-            let [dx, dy, dz] = [&mut along_x[x % 3], &mut along_y[x % 2], &mut along_z[x % 2]];
-            differences::forward(&block, shape, x, [dx, dy, dz]);
-            let slopes = dx.iter_mut().zip(dy).zip(dz).zip(&mut strength[x * size..]);
-            for ((((dx, dy), dz), strength), &push) in slopes.zip(&push[x * size..]) {
-                *strength = (*dx * *dx + *dy * *dy + *dz * *dz + flat).sqrt();
-                let flux = push / *strength;
-                (*dx, *dy, *dz) = (flux * *dx, flux * *dy, flux * *dz);
+/// One band, alone.
+struct Detail<'a, R> {
+    shape: [usize; 3],
+    level: usize,
+    band: usize,
+    /// The gradient to the strength.
+    push: &'a [R],
+    /// Confident neighbours of each voxel, and neighbours.
+    high: &'a [u16],
+    neighbours: f64,
+}
+
+impl<R: Real> Detail<'_, R> {
+    /// The strength times confident neighbours and times others, added up; writes the gradient to the coefficients. Goes
+    /// through the block slice by slice, so that what is made of coefficients stays in the nearest cache.
+    fn strength(&self, coefficients: &[R], slopes: &mut [R]) -> [f64; 2] {
+        let Self { shape, level, band, .. } = *self;
+        let ([nx, ny, nz], flat) = (shape, real::<R>(FLAT));
+        let size = ny * nz;
+        let (coefficients, finest) = haar::at_finest(coefficients, shape, level, band);
+        let mut gradient = vec![R::ZERO; coefficients.len()];
+        let mut space = vec![R::ZERO; SLICES * (size + GAP)];
+        let mut slices = space.chunks_exact_mut(size + GAP).map(|slice| &mut slice[..size]);
+        let mut slice = || slices.next().expect("as many as there is room for");
+        // Three slices, or two, by turns.
+        let (alone, along_x) = ([slice(), slice(), slice()], [slice(), slice(), slice()]);
+        let (along_y, along_z, strength) = ([slice(), slice()], [slice(), slice()], slice());
+        let (mut pair, mut sums) = (vec![R::ZERO; 2 * size], vec![[0.0; 2]; nx]);
+        haar::slice_alone(&coefficients, shape, finest, 0, alone[0]);
+        for x in 0..=nx {
+            if x + 1 < nx {
+                haar::slice_alone(&coefficients, shape, finest, x + 1, alone[(x + 1) % 3]);
+            }
+            if x < nx {
+                let around = [x.checked_sub(1), Some(x + 1).filter(|above| *above < nx)];
+                let around = around.map(|x| x.map(|x| &*alone[x % 3]));
+                let [dx, dy, dz] = [&mut *along_x[x % 3], &mut *along_y[x % 2], &mut *along_z[x % 2]];
+                differences::forward(alone[x % 3], around, nz, [&mut *dx, &mut *dy, &mut *dz]);
+                let slopes = dx.iter_mut().zip(&mut *dy).zip(&mut *dz).zip(&mut *strength);
+                for ((((dx, dy), dz), strength), &push) in slopes.zip(&self.push[x * size..]) {
+                    *strength = (*dx * *dx + *dy * *dy + *dz * *dz + flat).sqrt();
+                    let flux = push / *strength;
+                    (*dx, *dy, *dz) = (flux * *dx, flux * *dy, flux * *dz);
+                }
+                sums[x] = self.weigh(strength, &self.high[x * size..][..size]);
+            }
+            if let Some(x) = x.checked_sub(1) {
+                let gradient_of_slice = &mut pair[x % 2 * size..][..size];
+                let of_slice = |x: usize| &*along_x[x % 3];
+                differences::transpose(of_slice, along_y[x % 2], along_z[x % 2], shape, x, gradient_of_slice);
+                if x % 2 == 1 {
+                    let cells = &mut gradient[x / 2 * size / 4..][..size / 4];
+                    haar::analyse(&pair, [2, ny, nz], finest, cells);
+                }
             }
         }
-        if let Some(x) = x.checked_sub(1) {
-            let gradient = &mut block[x * size..][..size];
-            gradient.fill(R::ZERO);
-            let around = [x + 2, x, x + 1].map(|x| &along_x[x % 3][..]);
-            differences::add_transpose(around, &along_y[x % 2], &mut along_z[x % 2], shape, x, gradient);
-        }
+        slopes.copy_from_slice(&haar::from_finest(gradient, shape, level, band));
+        [0, 1].map(|i| reduce::sum_by(nx, &|x| sums[x][i]))
     }
-    Band { strength, gradient: haar::coefficients(&block, shape, level, band) }
+
+    /// Sums of a slice: lane by lane, then over the lanes.
+    fn weigh(&self, strength: &[R], high: &[u16]) -> [f64; 2] {
+        let mut sums = [[0.0; LANES]; 2];
+        let mut add = |strength: &[R], high: &[u16]| {
+            let [confident, others] = &mut sums;
+            for i in 0..strength.len() {
+                let (strength, high) = (strength[i].to_f64(), f64::from(high[i]));
+                confident[i] += high * strength;
+                others[i] += (self.neighbours - high) * strength;
+            }
+        };
+        let ((strength, strength_left), (high, high_left)) = (strength.as_chunks::<LANES>(), high.as_chunks::<LANES>());
+        strength.iter().zip(high).for_each(|(strength, high)| add(strength, high));
+        add(strength_left, high_left);
+        sums.map(|lanes| reduce::sum(&lanes))
+    }
 }
 
 #[cfg(test)]
