@@ -67,6 +67,9 @@ pub fn real<R: Real>(value: f64) -> R {
     R::from_f64(value)
 }
 
+/// The most lanes that there are.
+pub const WIDEST: usize = 16;
+
 /// The largest |e| whose root of 1+e [`Lanes::rsqrt_1p_nearest`] takes, and [`Lanes::rsqrt_1p_near`].
 pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
 
@@ -98,6 +101,25 @@ pub trait Lanes:
     fn from_slice(values: &[Self::Scalar]) -> Self;
     /// Writes the lanes to the first `WIDTH` of contiguous values.
     fn write(self, values: &mut [Self::Scalar]);
+    /// Lanes from the first values, zeros where there are fewer than `WIDTH`.
+    #[inline(always)]
+    fn from_first(values: &[Self::Scalar]) -> Self {
+        if values.len() < Self::WIDTH {
+            return Self::from_fn(|i| values.get(i).copied().unwrap_or_default());
+        }
+        Self::from_slice(values)
+    }
+    /// Writes as many lanes as there are values.
+    #[inline(always)]
+    fn write_first(self, values: &mut [Self::Scalar]) {
+        if values.len() < Self::WIDTH {
+            let mut lanes = [Self::Scalar::ZERO; WIDEST];
+            self.write(&mut lanes);
+            values.copy_from_slice(&lanes[..values.len()]);
+        } else {
+            self.write(values);
+        }
+    }
     /// Lanes from two rows of `WIDTH/2` contiguous values.
     fn from_rows(top: &[Self::Scalar], bottom: &[Self::Scalar]) -> Self;
     /// Adds the lanes onto two rows of `WIDTH/2` contiguous values.

@@ -9,4 +9,4 @@ pub mod rng;
 pub mod threads;
 pub mod vectors;
 
-pub use lanes::{Lanes, NEAR_ONE, Real, real};
+pub use lanes::{Lanes, NEAR_ONE, Real, WIDEST, real};

@@ -7,7 +7,7 @@ use super::kernel::{Reach, STRIP};
 use super::plane::{Bounds, Plane, Planes};
 use super::shape::{Shape, whitening};
 use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
-use crate::numeric::{Lanes, Real, real};
+use crate::numeric::{Lanes, Real, WIDEST, real};
 use crate::scene::Grid;
 use std::ops::Range;
 
@@ -19,8 +19,6 @@ const SPARE_CANCELLED: f64 = 1e-6;
 const ACROSS: usize = 4;
 /// More columns than a grid has.
 const MOST: f64 = 1e6;
-/// Lanes of the widest register.
-const WIDEST: usize = 16;
 
 /// A primitive on a grid. With (X, Y, Z) the distance of a voxel from its centre, M = Q·U for the orthogonal Q and
 /// the triangular U of `y = b·Y + ab·Z + bx·X`, `z = a·Z + ax·X`, `x = xx·X`, and δ = x² + y² + z².

@@ -32,7 +32,7 @@ use crate::primitives::{Activation, Kernel, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
 use crate::scene::Volume;
 use crate::scene::dataset::Dataset;
-use crate::wavelet::{route, wavelet_loss};
+use crate::wavelet::{self, route, wavelet_loss_into};
 use glam::DVec3;
 use ndarray::{Array2, Array3};
 use optimiser::Step;
@@ -137,7 +137,8 @@ struct Trainer<'a, R> {
 struct Spaces<R> {
     images: Spares<Array2<R>>,
     volumes: Spares<Array3<R>>,
-    tv: Spares<Vec<R>>,
+    tv: tv::Spaces<R>,
+    wavelets: wavelet::Spaces<R>,
     pulls: Spares<Vec<f64>>,
 }
 
@@ -347,12 +348,12 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let settings = wavelet.settings();
         let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
         let there = field.on(&block);
-        let mut voxels = spaces.volumes.lend();
+        let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
         there.voxels_into(&mut voxels);
-        let loss = wavelet_loss(voxels.view(), &routing, &settings);
+        let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &spaces.wavelets, &mut cotangent);
         let mut gradient = field.lend_gradient();
-        there.pull_back(loss.gradient.view(), &mut gradient);
-        Ok(Some((loss.value, gradient)))
+        there.pull_back(cotangent.view(), &mut gradient);
+        Ok(Some((value, gradient)))
     }
 
     /// Adds the gradients of blocks to that of the view; they may leave the centres alone.

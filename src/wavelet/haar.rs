@@ -17,9 +17,11 @@ use std::f64::consts::FRAC_1_SQRT_2;
 pub const BANDS: usize = 8;
 /// Slices along x that one task puts together, an even number: a constant, so the cut does not depend on the threads.
 const SLAB: usize = 8;
+/// Cells of a row that are transformed together.
+const CHUNK: usize = 16;
 
 /// What a block is made of `[Eq. 11]`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Subbands<R> {
     /// Level by level, finest first; level l = 1, 2, … is `[band, X/2^l, Y/2^l, Z/2^l]`. Band 0 of a level is what the next
     /// one transforms: it belongs to the coefficients in the coarsest level only.
@@ -37,6 +39,13 @@ impl<R: Real> Subbands<R> {
         assert!(shape.iter().all(even), "sides {shape:?} of a block, to be halved {levels} times");
         let level = |l: usize| Array4::default((BANDS, shape[0] >> l, shape[1] >> l, shape[2] >> l));
         Self { levels: (1..=levels).map(level).collect() }
+    }
+
+    /// Those of a block of `shape`: themselves, or zeros.
+    pub(super) fn fit(&mut self, shape: [usize; 3], levels: usize) {
+        if levels == 0 || self.levels.len() != levels || self.shape() != shape {
+            *self = Self::zeros(shape, levels);
+        }
     }
 
     /// The coefficients of one band, `[x, y, z]` in order; levels count from 1.
@@ -57,41 +66,151 @@ impl<R: Real> Subbands<R> {
 /// # Panics
 /// When a side is not divisible by 2 once for each level, or `levels` is 0.
 pub fn forward<R: Real>(block: ArrayView3<R>, levels: usize) -> Subbands<R> {
+    let mut subbands = Subbands::default();
+    forward_into(block, levels, &mut subbands);
+    subbands
+}
+
+/// [`forward`] in the place of another transform.
+pub(super) fn forward_into<R: Real>(block: ArrayView3<R>, levels: usize, subbands: &mut Subbands<R>) {
     let (x, y, z) = block.dim();
     let mut shape = [x, y, z];
-    let mut subbands = Subbands::zeros(shape, levels);
+    subbands.fit(shape, levels);
     let block = block.as_standard_layout();
-    let mut low = Cow::Borrowed(block.as_slice().expect("standard layout"));
-    for level in 1..=levels {
-        let all = subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
+    let mut low = block.as_slice().expect("standard layout");
+    for level in &mut subbands.levels {
+        let all = level.as_slice_mut().expect("coefficients are contiguous");
         let size = all.len() / BANDS;
-        threads::for_each_chunk(all, size, |band, coefficients| analyse(&low, shape, band, coefficients));
-        if level < levels {
-            low = Cow::Owned(subbands.band(level, 0).to_vec());
-        }
+        let [nx, ny, nz] = shape;
+        let [a, b, c, d, e, f, g, h] = eight(all.chunks_exact_mut(size)).map(|band| {
+            let of_slab = SLAB * ny * nz / BANDS;
+            threads::chunks(band, of_slab)
+        });
+        threads::for_each_of((a, b, c, d, e, f, g, h), |slab, (a, b, c, d, e, f, g, h)| {
+            let first = slab * SLAB;
+            let slab = &low[first * ny * nz..nx.min(first + SLAB) * ny * nz];
+            analyse_all(slab, [ny, nz], [a, b, c, d, e, f, g, h]);
+        });
+        low = &all[..size];
         shape = shape.map(|side| side / 2);
     }
-    subbands
 }
 
 /// The block `[x, y, z]` of a transform, whose bands 0 only count in the coarsest level `[Eq. 11]`.
 pub fn inverse<R: Real>(subbands: &Subbands<R>) -> Array3<R> {
+    let mut block = Array3::default((0, 0, 0));
+    inverse_into(subbands, &mut block);
+    block
+}
+
+/// [`inverse`] in the place of another block.
+pub(super) fn inverse_into<R: Real>(subbands: &Subbands<R>, block: &mut Array3<R>) {
     let shape = subbands.shape();
-    let coarsest = subbands.levels.len();
-    let mut low = subbands.band(coarsest, 0).to_vec();
-    for level in (1..=coarsest).rev() {
-        let [nx, ny, nz] = shape.map(|side| side >> (level - 1));
-        let mut block = vec![R::ZERO; nx * ny * nz];
-        threads::for_each_chunk(&mut block, SLAB * ny * nz, |slab, block| {
-            for band in 0..BANDS {
-                let coefficients = if band == 0 { &low } else { subbands.band(level, band) };
-                let first = slab * SLAB * ny * nz / BANDS;
-                add_synthesis(&coefficients[first..], [block.len() / (ny * nz), ny, nz], band, block);
-            }
-        });
-        low = block;
+    if block.shape() != shape {
+        *block = Array3::default(shape);
     }
-    Array3::from_shape_vec(shape, low).expect("coefficients of a block make up a block")
+    let coarsest = subbands.levels.len();
+    let mut low = Cow::Borrowed(subbands.band(coarsest, 0));
+    for level in (2..=coarsest).rev() {
+        let mut finer = vec![R::ZERO; shape.iter().product::<usize>() >> (3 * (level - 1))];
+        synthesise_all(&low, subbands, level, &mut finer);
+        low = Cow::Owned(finer);
+    }
+    synthesise_all(&low, subbands, 1, block.as_slice_mut().expect("standard layout"));
+}
+
+/// The block of a level's coefficients, of which `low` are those of band 0.
+fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, block: &mut [R]) {
+    let [_, ny, nz] = subbands.shape().map(|side| side >> (level - 1));
+    let bands: [_; BANDS] = std::array::from_fn(|band| if band == 0 { low } else { subbands.band(level, band) });
+    threads::for_each_chunk(block, SLAB * ny * nz, |slab, block| {
+        let first = slab * SLAB * ny * nz / BANDS;
+        let (of_cells, width) = (2 * ny * nz, nz / 2);
+        for (i, row) in (first / width..).zip(0..block.len() / (4 * nz)) {
+            let (x, y) = (row / (ny / 2), row % (ny / 2));
+            for z in (0..width).step_by(CHUNK) {
+                let n = CHUNK.min(width - z);
+                // Not `map`, which may stay a call.
+                let mut cells = [[R::ZERO; CHUNK]; BANDS];
+                cells.iter_mut().zip(bands).for_each(|(cells, band)| *cells = padded(&band[i * width + z..][..n]));
+                for (j, voxels) in join(&cells).iter().enumerate() {
+                    let place = x * of_cells + ((j / 2) * ny + 2 * y + j % 2) * nz + 2 * z;
+                    block[place..][..2 * n].copy_from_slice(&voxels[..2 * n]);
+                }
+            }
+        }
+    });
+}
+
+/// The coefficients of all bands of a few slices: rows of `ny`·`nz` voxels, an even number of them.
+fn analyse_all<R: Real>(slices: &[R], [ny, nz]: [usize; 2], mut bands: [&mut [R]; BANDS]) {
+    let width = nz / 2;
+    for row in 0..bands[0].len() / width {
+        let (x, y) = (row / (ny / 2), row % (ny / 2));
+        for z in (0..width).step_by(CHUNK) {
+            let n = CHUNK.min(width - z);
+            let mut voxels = [[R::ZERO; 2 * CHUNK]; 4];
+            for (j, voxels) in voxels.iter_mut().enumerate() {
+                *voxels = padded(&slices[((2 * x + j / 2) * ny + 2 * y + j % 2) * nz + 2 * z..][..2 * n]);
+            }
+            for (band, cells) in bands.iter_mut().zip(split(&voxels)) {
+                band[row * width + z..][..n].copy_from_slice(&cells[..n]);
+            }
+        }
+    }
+}
+
+/// A few values and as many zeros as are missing.
+#[inline(always)]
+fn padded<R: Real, const N: usize>(values: &[R]) -> [R; N] {
+    match values.try_into() {
+        Ok(all) => all,
+        Err(_) => {
+            let mut padded = [R::ZERO; N];
+            padded[..values.len()].copy_from_slice(values);
+            padded
+        }
+    }
+}
+
+/// All bands of a row of cells, from its four rows of voxels.
+#[inline(always)]
+fn split<R: Real>(voxels: &[[R; 2 * CHUNK]; 4]) -> [[R; CHUNK]; BANDS] {
+    let mut bands = [[R::ZERO; CHUNK]; BANDS];
+    let scale = scale::<R>();
+    for i in 0..CHUNK {
+        let mut c = [R::ZERO; BANDS];
+        for (j, row) in voxels.iter().enumerate() {
+            (c[2 * j], c[2 * j + 1]) = (row[2 * i] + row[2 * i + 1], row[2 * i] - row[2 * i + 1]);
+        }
+        for (j, k) in [(0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)] {
+            (c[j], c[k]) = (c[j] + c[k], c[j] - c[k]);
+        }
+        bands.iter_mut().zip(c).for_each(|(band, c)| band[i] = scale * c);
+    }
+    bands
+}
+
+/// The four rows of voxels of a row of cells: the transpose of [`split`], and its inverse.
+#[inline(always)]
+fn join<R: Real>(bands: &[[R; CHUNK]; BANDS]) -> [[R; 2 * CHUNK]; 4] {
+    let mut voxels = [[R::ZERO; 2 * CHUNK]; 4];
+    let scale = scale::<R>();
+    for i in 0..CHUNK {
+        let mut c = [R::ZERO; BANDS];
+        c.iter_mut().zip(bands).for_each(|(c, band)| *c = scale * band[i]);
+        for (j, k) in [(0, 4), (1, 5), (2, 6), (3, 7), (0, 2), (1, 3), (4, 6), (5, 7)] {
+            (c[j], c[k]) = (c[j] + c[k], c[j] - c[k]);
+        }
+        for (j, row) in voxels.iter_mut().enumerate() {
+            (row[2 * i], row[2 * i + 1]) = (c[2 * j] + c[2 * j + 1], c[2 * j] - c[2 * j + 1]);
+        }
+    }
+    voxels
+}
+
+fn eight<T>(mut some: impl Iterator<Item = T>) -> [T; BANDS] {
+    std::array::from_fn(|_| some.next().expect("eight bands"))
 }
 
 /// One band alone at full size: `shape` voxels in the order `[x, y, z]` from the band's coefficients of a level.
@@ -119,41 +238,24 @@ pub(super) fn coefficients<R: Real>(block: &[R], shape: [usize; 3], level: usize
     low.into_owned()
 }
 
-/// Coefficients of level 1, and their band, that make the same block as those of a band of any level: itself, or all that is
-/// low along all axes.
-pub(super) fn at_finest<R: Real>(
-    coefficients: &[R],
-    shape: [usize; 3],
-    level: usize,
-    band: usize,
-) -> (Cow<'_, [R]>, usize) {
-    if level == 1 {
-        return (Cow::Borrowed(coefficients), band);
-    }
-    (Cow::Owned(alone(coefficients, shape.map(|side| side / 2), level - 1, band)), 0)
-}
-
-/// The transpose of [`at_finest`].
-pub(super) fn from_finest<R: Real>(finest: Vec<R>, shape: [usize; 3], level: usize, band: usize) -> Vec<R> {
-    if level == 1 {
-        return finest;
-    }
-    coefficients(&finest, shape.map(|side| side / 2), level - 1, band)
+/// Whether a band is high along x, y and z.
+pub(super) fn is_high(band: usize) -> [bool; 3] {
+    [4, 2, 1].map(|axis| band & axis != 0)
 }
 
 /// What the odd voxels along x, y and z count in a band: -1 where it is high, 1 where it is low.
 fn signs<R: Real>(band: usize) -> [R; 3] {
-    [4, 2, 1].map(|axis| if band & axis == 0 { R::ONE } else { -R::ONE })
+    is_high(band).map(|high| if high { -R::ONE } else { R::ONE })
 }
 
 /// 1/√8
-fn scale<R: Real>() -> R {
+pub(super) fn scale<R: Real>() -> R {
     R::from_f64(0.5 * FRAC_1_SQRT_2)
 }
 
 /// Coefficients of one band from a block of `shape`, one level. Pairs are added before pairs of pairs: where a block does
 /// not change along an axis, its high bands are exactly 0.
-pub(super) fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
+fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
     let [_, ny, nz] = shape;
     let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
     for (i, cells) in coefficients.chunks_exact_mut(nz / 2).enumerate() {
@@ -169,41 +271,16 @@ pub(super) fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coef
 
 /// Adds what one band's coefficients stand for to a block of `shape`, one level. The transpose of [`analyse`].
 fn add_synthesis<R: Real>(coefficients: &[R], [_, ny, nz]: [usize; 3], band: usize, block: &mut [R]) {
-    for (i, row) in block.chunks_exact_mut(nz).enumerate() {
-        synthesise_row(coefficients, [ny, nz], band, [i / ny, i % ny], row, |sum, part| sum + part);
-    }
-}
-
-/// Slice `x` of what one band's coefficients of level 1 stand for alone.
-pub(super) fn slice_alone<R: Real>(
-    coefficients: &[R],
-    [_, ny, nz]: [usize; 3],
-    band: usize,
-    x: usize,
-    slice: &mut [R],
-) {
-    for (y, row) in slice.chunks_exact_mut(nz).enumerate() {
-        synthesise_row(coefficients, [ny, nz], band, [x, y], row, |_, part| part);
-    }
-}
-
-/// Makes of the voxels of the row at `[x, y]` what `of` makes of them and of what one band's coefficients stand for there.
-#[inline(always)]
-fn synthesise_row<R: Real>(
-    coefficients: &[R],
-    [ny, nz]: [usize; 2],
-    band: usize,
-    [x, y]: [usize; 2],
-    row: &mut [R],
-    of: impl Fn(R, R) -> R,
-) {
     let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
     let sign = |sign: R, index: usize| if index.is_multiple_of(2) { R::ONE } else { sign };
-    let even = scale * sign(along_x, x) * sign(along_y, y);
-    let odd = even * along_z;
-    let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
-    for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
-        (pair[0], pair[1]) = (of(pair[0], even * *cell), of(pair[1], odd * *cell));
+    for (i, row) in block.chunks_exact_mut(nz).enumerate() {
+        let (x, y) = (i / ny, i % ny);
+        let even = scale * sign(along_x, x) * sign(along_y, y);
+        let odd = even * along_z;
+        let cells = &coefficients[(x / 2 * (ny / 2) + y / 2) * (nz / 2)..][..nz / 2];
+        for (cell, pair) in cells.iter().zip(row.chunks_exact_mut(2)) {
+            (pair[0], pair[1]) = (pair[0] + even * *cell, pair[1] + odd * *cell);
+        }
     }
 }
 

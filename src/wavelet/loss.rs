@@ -1,20 +1,15 @@
-//! Strength of the detail, the loss and its gradient.
+//! The loss and its gradient.
 
+use super::Settings;
+use super::detail::{Space, Weights, strength};
 use super::haar::{self, BANDS, Subbands};
 use super::routing::Routing;
-use super::{FLAT, Settings, differences};
-use crate::numeric::{Real, real, reduce, threads};
+use crate::numeric::threads::{self, Spares};
+use crate::numeric::{Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
 /// The bands that count in each level: not the low one, not the one that is high along all axes `[Eq. 11]`.
 const MIDDLE: std::ops::RangeInclusive<usize> = 1..=6;
-
-/// Slices that a band is gone through with, and numbers between them: a slice of 32² is a page, and a processor takes
-/// what was written at a place of one page for what is read at the same place of another.
-const SLICES: usize = 11;
-const GAP: usize = 256;
-/// Sums that are added to by turns.
-const LANES: usize = 16;
 
 /// What a block has to answer for `[Eq. 15]`.
 #[derive(Clone, Debug)]
@@ -29,11 +24,20 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
+/// What the loss works in.
+#[derive(Debug, Default)]
+pub(crate) struct Spaces<R> {
+    weights: Spares<Weights<R>>,
+    bands: Spares<Space<R>>,
+    subbands: Spares<Subbands<R>>,
+    slopes: Spares<Subbands<R>>,
+}
+
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
 ///
 /// The routing is constant to the gradient, which goes from a band alone through the transpose of the differences and
 /// back through the transform. Where a band is flat (`|∇| ≪ 1e-6`) the gradient to it fades to 0.
-/// Bands are computed in parallel and added up in order, voxels in a tree in f64.
+/// Bands are computed in parallel and added up in order, voxels of a cell in the block's precision, cells in f64.
 ///
 /// Tests: against [`super::naive::wavelet_loss`] to 1e-13 in f64 and 1e-5 in f32, and central differences.
 ///
@@ -41,121 +45,59 @@ pub struct WaveletLoss<R> {
 /// When block and routing differ in shape, a voxel has more confident neighbours than neighbours, or a side cannot be halved
 /// `settings.levels` times.
 pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: &Settings) -> WaveletLoss<R> {
+    let mut gradient = Array3::default((0, 0, 0));
+    let [value, enhancement, suppression] =
+        wavelet_loss_into(block, routing, settings, &Spaces::default(), &mut gradient);
+    WaveletLoss { value, enhancement, suppression, gradient }
+}
+
+/// L, E and S of [`wavelet_loss`], with the gradient in the place of another array.
+pub(crate) fn wavelet_loss_into<R: Real>(
+    block: ArrayView3<R>,
+    routing: &Routing,
+    settings: &Settings,
+    spaces: &Spaces<R>,
+    gradient: &mut Array3<R>,
+) -> [f64; 3] {
     assert_eq!(block.shape(), routing.high.shape(), "shapes of block and routing");
     let (x, y, z) = block.dim();
     let shape = [x, y, z];
-    let subbands = haar::forward(block, settings.levels);
-    let high = routing.high.as_standard_layout();
-    let high = high.as_slice().expect("standard layout");
-    let k = routing.neighbours as f64;
+    let (mut subbands, mut of_subbands) = (spaces.subbands.lend(), spaces.slopes.lend());
+    haar::forward_into(block, settings.levels, &mut subbands);
+    of_subbands.fit(shape, settings.levels);
+    let (k, most) = (routing.neighbours, routing.high.iter().fold(0, |most, &high| high.max(most)));
+    assert!(usize::from(most) <= k, "{most} confident neighbours of {k}");
     // What a voxel's count is divided by: neighbours, voxels and bands.
-    let share = k * high.len() as f64 * (settings.levels * MIDDLE.count()) as f64;
-    let slope = |high: usize| {
-        let (high, low) = (high as f64, k - high as f64);
-        R::from_f64((settings.suppress * low - settings.enhance * settings.enhancement * high) / share)
-    };
-    let slopes: Vec<R> = (0..=routing.neighbours).map(slope).collect();
-    let push: Vec<R> = high.iter().map(|&high| slopes[usize::from(high)]).collect();
-    let mut gradient = Subbands::zeros(shape, settings.levels);
+    let share = (k * block.len() * settings.levels * MIDDLE.count()) as f64;
+    let mut weights = spaces.weights.lend();
+    weights.fit(routing, settings, share);
     let mut sums = [0.0; 2];
     for level in 1..=settings.levels {
-        let slopes = gradient.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
+        let slopes = of_subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
         let mut of_bands = [[0.0; 2]; BANDS];
-        let bands = (threads::chunks(slopes, high.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
+        let bands = (threads::chunks(slopes, block.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
         threads::for_each_of(bands, |band, (slopes, sums)| {
             if MIDDLE.contains(&band) {
-                let detail = Detail { shape, level, band, push: &push, high, neighbours: k };
-                sums[0] = detail.strength(subbands.band(level, band), slopes);
+                let mut space = spaces.bands.lend();
+                let coefficients = subbands.band(level, band);
+                if level == 1 {
+                    sums[0] = strength(coefficients, band, &weights, &mut space, slopes);
+                } else {
+                    // It makes the same block as coefficients of level 1 that are low along all axes.
+                    let half = shape.map(|side| side / 2);
+                    let alone = haar::alone(coefficients, half, level - 1, band);
+                    let mut of_alone = vec![R::ZERO; alone.len()];
+                    sums[0] = strength(&alone, 0, &weights, &mut space, &mut of_alone);
+                    slopes.copy_from_slice(&haar::coefficients(&of_alone, half, level - 1, band));
+                }
             }
         });
         sums = std::array::from_fn(|i| sums[i] + reduce::sum_by(BANDS, &|band| of_bands[band][i]));
     }
     let [enhancement, suppression] = sums;
     let (enhancement, suppression) = (settings.enhancement * enhancement / share, suppression / share);
-    WaveletLoss {
-        value: settings.suppress * suppression - settings.enhance * enhancement,
-        enhancement,
-        suppression,
-        gradient: haar::inverse(&gradient),
-    }
-}
-
-/// One band, alone.
-struct Detail<'a, R> {
-    shape: [usize; 3],
-    level: usize,
-    band: usize,
-    /// The gradient to the strength.
-    push: &'a [R],
-    /// Confident neighbours of each voxel, and neighbours.
-    high: &'a [u16],
-    neighbours: f64,
-}
-
-impl<R: Real> Detail<'_, R> {
-    /// The strength times confident neighbours and times others, added up; writes the gradient to the coefficients. Goes
-    /// through the block slice by slice, so that what is made of coefficients stays in the nearest cache.
-    fn strength(&self, coefficients: &[R], slopes: &mut [R]) -> [f64; 2] {
-        let Self { shape, level, band, .. } = *self;
-        let ([nx, ny, nz], flat) = (shape, real::<R>(FLAT));
-        let size = ny * nz;
-        let (coefficients, finest) = haar::at_finest(coefficients, shape, level, band);
-        let mut gradient = vec![R::ZERO; coefficients.len()];
-        let mut space = vec![R::ZERO; SLICES * (size + GAP)];
-        let mut slices = space.chunks_exact_mut(size + GAP).map(|slice| &mut slice[..size]);
-        let mut slice = || slices.next().expect("as many as there is room for");
-        // Three slices, or two, by turns.
-        let (alone, along_x) = ([slice(), slice(), slice()], [slice(), slice(), slice()]);
-        let (along_y, along_z, strength) = ([slice(), slice()], [slice(), slice()], slice());
-        let (mut pair, mut sums) = (vec![R::ZERO; 2 * size], vec![[0.0; 2]; nx]);
-        haar::slice_alone(&coefficients, shape, finest, 0, alone[0]);
-        for x in 0..=nx {
-            if x + 1 < nx {
-                haar::slice_alone(&coefficients, shape, finest, x + 1, alone[(x + 1) % 3]);
-            }
-            if x < nx {
-                let around = [x.checked_sub(1), Some(x + 1).filter(|above| *above < nx)];
-                let around = around.map(|x| x.map(|x| &*alone[x % 3]));
-                let [dx, dy, dz] = [&mut *along_x[x % 3], &mut *along_y[x % 2], &mut *along_z[x % 2]];
-                differences::forward(alone[x % 3], around, nz, [&mut *dx, &mut *dy, &mut *dz]);
-                let slopes = dx.iter_mut().zip(&mut *dy).zip(&mut *dz).zip(&mut *strength);
-                for ((((dx, dy), dz), strength), &push) in slopes.zip(&self.push[x * size..]) {
-                    *strength = (*dx * *dx + *dy * *dy + *dz * *dz + flat).sqrt();
-                    let flux = push / *strength;
-                    (*dx, *dy, *dz) = (flux * *dx, flux * *dy, flux * *dz);
-                }
-                sums[x] = self.weigh(strength, &self.high[x * size..][..size]);
-            }
-            if let Some(x) = x.checked_sub(1) {
-                let gradient_of_slice = &mut pair[x % 2 * size..][..size];
-                let of_slice = |x: usize| &*along_x[x % 3];
-                differences::transpose(of_slice, along_y[x % 2], along_z[x % 2], shape, x, gradient_of_slice);
-                if x % 2 == 1 {
-                    let cells = &mut gradient[x / 2 * size / 4..][..size / 4];
-                    haar::analyse(&pair, [2, ny, nz], finest, cells);
-                }
-            }
-        }
-        slopes.copy_from_slice(&haar::from_finest(gradient, shape, level, band));
-        [0, 1].map(|i| reduce::sum_by(nx, &|x| sums[x][i]))
-    }
-
-    /// Sums of a slice: lane by lane, then over the lanes.
-    fn weigh(&self, strength: &[R], high: &[u16]) -> [f64; 2] {
-        let mut sums = [[0.0; LANES]; 2];
-        let mut add = |strength: &[R], high: &[u16]| {
-            let [confident, others] = &mut sums;
-            for i in 0..strength.len() {
-                let (strength, high) = (strength[i].to_f64(), f64::from(high[i]));
-                confident[i] += high * strength;
-                others[i] += (self.neighbours - high) * strength;
-            }
-        };
-        let ((strength, strength_left), (high, high_left)) = (strength.as_chunks::<LANES>(), high.as_chunks::<LANES>());
-        strength.iter().zip(high).for_each(|(strength, high)| add(strength, high));
-        add(strength_left, high_left);
-        sums.map(|lanes| reduce::sum(&lanes))
-    }
+    haar::inverse_into(&of_subbands, gradient);
+    [settings.suppress * suppression - settings.enhance * enhancement, enhancement, suppression]
 }
 
 #[cfg(test)]

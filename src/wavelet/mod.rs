@@ -18,12 +18,13 @@
 //! ∇ are differences of neighbouring voxels, in units of voxels. The paper leaves the wavelet, the gradient's differences,
 //! the mean over the bands and where η stands open.
 
-mod differences;
+mod detail;
 pub mod haar;
 mod loss;
 pub mod naive;
 mod routing;
 
+pub(crate) use loss::{Spaces, wavelet_loss_into};
 pub use loss::{WaveletLoss, wavelet_loss};
 pub use routing::{Routing, route};
 
