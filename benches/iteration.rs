@@ -21,7 +21,7 @@ use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, Kernel, Parameters, Primitives};
 use trgs::projector::Field;
 use trgs::scene::{Beam, Detector, Grid, Scanner};
-use trgs::wavelet::{route, wavelet_loss};
+use trgs::wavelet::{Router, Routing, wavelet_loss};
 
 const VIEWS: usize = 18;
 
@@ -163,11 +163,13 @@ fn bench(c: &mut Criterion, name: &str, side: usize, voxels: usize, pixels: usiz
     part("pull on ν", 1, &|| {
         black_box(nu_loss(&physical.parameters.nu, &targets, &confidence, 1e-3));
     });
+    let routes = RefCell::new((Router::default(), Routing::default()));
     part("wavelets", config.wavelet.every, &|| {
         let settings = config.wavelet.settings();
-        let routing = route(&block, &physical.parameters.mean, &confidence, &settings).expect("finite means");
+        let (router, routing) = &mut *routes.borrow_mut();
+        router.route_into(&block, &physical.parameters.mean, &confidence, &settings, routing).expect("finite means");
         let there = field.on(&block);
-        let loss = wavelet_loss(there.voxels().view(), &routing, &settings);
+        let loss = wavelet_loss(there.voxels().view(), routing, &settings);
         there.pull_back(loss.gradient.view(), &mut gradient.borrow_mut());
     });
     part("confidence of all", config.confidence.every, &|| {

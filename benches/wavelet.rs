@@ -10,7 +10,7 @@ use trgs::numeric::Real;
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::threads::Pool;
 use trgs::scene::Grid;
-use trgs::wavelet::{Routing, Settings, route, wavelet_loss};
+use trgs::wavelet::{Router, Routing, Settings, route, wavelet_loss};
 
 const SIDE: usize = 32;
 
@@ -34,6 +34,9 @@ fn routing(c: &mut Criterion) {
             group.bench_function(name, |b| {
                 b.iter(|| pool.run(|| black_box(route(&grid, &means, &confidence, &Settings::default()).unwrap())));
             });
+            let (mut router, mut routing, settings) = (Router::default(), Routing::default(), Settings::default());
+            let mut again = || router.route_into(&grid, &means, &confidence, &settings, &mut routing).unwrap();
+            group.bench_function(format!("{name}, with an earlier tree"), |b| b.iter(|| pool.run(&mut again)));
         }
         group.finish();
     }

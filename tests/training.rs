@@ -191,6 +191,20 @@ fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u6
     blocks
 }
 
+/// The kd-tree of their neighbours is made anew only where primitives have gone far or others are there.
+#[test]
+fn an_iteration_with_wavelets_asks_for_no_memory() {
+    let dataset = scan();
+    for mut config in pairs().filter(|config| config.wavelet.enabled) {
+        (config.density_control.every, config.confidence.every, config.wavelet.every) = (1000, 1000, 5);
+        (config.report_every, config.model.points) = (1000, 700);
+        let [few, many] = [20, 70].map(|iterations| blocks_of_memory(&dataset, &config, iterations));
+        assert_eq!(many, few, "{:?}", config.optimiser.position);
+        config.wavelet.enabled = false;
+        assert!(blocks_of_memory(&dataset, &config, 20) < few, "the first tree is counted");
+    }
+}
+
 #[test]
 fn an_iteration_in_which_nothing_else_is_due_asks_for_no_memory() {
     let dataset = scan();

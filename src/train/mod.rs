@@ -32,7 +32,7 @@ use crate::primitives::{Activation, Kernel, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
 use crate::scene::Volume;
 use crate::scene::dataset::Dataset;
-use crate::wavelet::{self, route, wavelet_loss_into};
+use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
 use glam::DVec3;
 use ndarray::{Array2, Array3};
 use optimiser::Step;
@@ -138,6 +138,8 @@ struct Spaces<R> {
     images: Spares<Array2<R>>,
     volumes: Spares<Array3<R>>,
     tv: tv::Spaces<R>,
+    routers: Spares<Router>,
+    routings: Spares<Routing>,
     wavelets: wavelet::Spaces<R>,
     pulls: Spares<Vec<f64>>,
 }
@@ -346,7 +348,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let multiple = 1 << wavelet.levels;
         let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
         let settings = wavelet.settings();
-        let routing = route(&block, &physical.parameters.mean, &self.state.confidence, &settings)?;
+        let (mut router, mut routing) = (spaces.routers.lend(), spaces.routings.lend());
+        let (means, confidence) = (&physical.parameters.mean, &self.state.confidence);
+        router.route_into(&block, means, confidence, &settings, &mut routing)?;
         let there = field.on(&block);
         let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
         there.voxels_into(&mut voxels);

@@ -26,7 +26,7 @@ mod routing;
 
 pub(crate) use loss::{Spaces, wavelet_loss_into};
 pub use loss::{WaveletLoss, wavelet_loss};
-pub use routing::{Routing, route};
+pub use routing::{Router, Routing, route};
 
 use crate::error::{Error, Result};
 

@@ -3,12 +3,12 @@
 use super::Settings;
 use crate::error::{Error, Result};
 use crate::numeric::elementary::length;
-use crate::numeric::{Lanes, Real, threads};
+use crate::numeric::threads::{self, Spares};
+use crate::numeric::{Lanes, Real};
 use crate::scene::Grid;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use ndarray::Array3;
-use std::num::NonZero;
 
 /// Voxels along each side of a cell, whose neighbours are looked for together.
 const CELL: usize = 4;
@@ -23,11 +23,15 @@ type Row = <f64 as Real>::Lanes;
 const CROWDED: f64 = 1.5;
 /// The most neighbours for which a cell pays: they are kept in order by insertion.
 const FEW: usize = 64;
-/// Squared distances that the tree reports closer together than this, relatively, may be equal: it rounds in an order of its own.
+/// Squared distances that are closer together than this, relatively, may be equal: the tree rounds in an order of its own.
 const TIE: f64 = 1e-12;
+/// How much farther than around the last place the K-th primitive is expected to be.
+const FARTHER: f64 = 1.25;
+/// Diagonals of a voxel that primitives may move until the tree is made again: as many more are looked at.
+const STALE: f64 = 0.5;
 
 /// The shares of confident and other neighbours of each voxel of a block.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Routing {
     /// `|N_high|` `[x, y, z]`; the others of the neighbours are `|N_low|`.
     pub high: Array3<u16>,
@@ -41,7 +45,7 @@ pub struct Routing {
 /// Distances are Euclidean, in f64, `(x² + y²) + z²`; of primitives at the same distance the one with the lower index is nearer.
 /// With fewer than K primitives all are neighbours, and [`Routing::neighbours`] says how many.
 ///
-/// Tests: against [`super::naive::route`] on lattices, repeated points and clouds.
+/// Tests: against [`super::naive::route`] on lattices, repeated points, clouds and clouds that move.
 ///
 /// # Errors
 /// Without primitives, for a mean or a confidence that is not finite, for settings out of their range, and for sides of the
@@ -50,44 +54,92 @@ pub struct Routing {
 /// # Panics
 /// When there are not as many confidences as means.
 pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Settings) -> Result<Routing> {
-    assert_eq!(means.len(), confidence.len(), "means and their confidences");
-    settings.check(grid.shape)?;
-    if means.is_empty() {
-        return Err(Error::invalid("primitives", 0, "at least one to be a neighbour", "start from more points"));
+    let mut routing = Routing::default();
+    Router::default().route_into(grid, means, confidence, settings, &mut routing)?;
+    Ok(routing)
+}
+
+/// Routes one block after another. Primitives move little from one to the next, so the kd-tree of an earlier block serves
+/// as long as none has gone far: what it finds a little farther away than needed is looked at where it is now.
+#[derive(Default)]
+pub struct Router {
+    tree: Option<ImmutableKdTree<f64, 3>>,
+    /// Where the tree has the primitives.
+    places: Vec<[f64; 3]>,
+    confident: Vec<bool>,
+    rooms: Spares<Room>,
+}
+
+impl Router {
+    /// [`route`] in the place of another routing.
+    ///
+    /// # Errors
+    /// As [`route`].
+    ///
+    /// # Panics
+    /// As [`route`].
+    pub fn route_into(
+        &mut self,
+        grid: &Grid,
+        means: &[[f64; 3]],
+        confidence: &[f64],
+        settings: &Settings,
+        routing: &mut Routing,
+    ) -> Result<()> {
+        assert_eq!(means.len(), confidence.len(), "means and their confidences");
+        settings.check(grid.shape)?;
+        if means.is_empty() {
+            return Err(Error::invalid("primitives", 0, "at least one to be a neighbour", "start from more points"));
+        }
+        check_finite("means of the primitives", means.as_flattened(), 3)?;
+        check_finite("confidence", confidence, 1)?;
+        self.confident.clear();
+        self.confident.extend(confidence.iter().map(|&c| c >= settings.threshold));
+        let neighbours = settings.neighbours.min(means.len());
+        let Routing { high, neighbours: of_routing } = routing;
+        *of_routing = neighbours;
+        if high.shape() != grid.shape {
+            *high = Array3::default(grid.shape);
+        }
+        // Where all are neighbours or all are alike, no voxel differs from another.
+        let alike = self.confident.iter().all(|&first| first == self.confident[0]);
+        if neighbours == means.len() || alike {
+            high.fill(self.confident[..neighbours].iter().filter(|&&confident| confident).count() as u16);
+            return Ok(());
+        }
+        let step = length(grid.spacing);
+        let moved = self.follow(means, STALE * step)?;
+        let Self { tree, confident, rooms, .. } = self;
+        let tree = tree.as_ref().expect("made for these means or some near them");
+        let nearest = Nearest { means, confident, tree, moved, step, neighbours };
+        let [_, ny, nz] = grid.shape;
+        let voxels = high.as_slice_mut().expect("standard layout");
+        threads::for_each_chunk_in(voxels, CELL * ny * nz, rooms, |slab, high, room| {
+            nearest.route_slab(grid, slab * CELL, high, room);
+        });
+        Ok(())
     }
-    check_finite("means of the primitives", means.as_flattened(), 3)?;
-    check_finite("confidence", confidence, 1)?;
-    let confident: Vec<bool> = confidence.iter().map(|&c| c >= settings.threshold).collect();
-    let count = |is_near: &mut dyn Iterator<Item = usize>| is_near.filter(|&i| confident[i]).count() as u16;
-    let neighbours = settings.neighbours.min(means.len());
-    // Where all are neighbours or all are alike, no voxel differs from another.
-    let alike = confident.iter().all(|&first| first == confident[0]);
-    if neighbours == means.len() || alike {
-        let high = Array3::from_elem(grid.shape, count(&mut (0..neighbours)));
-        return Ok(Routing { high, neighbours });
-    }
-    let nearest = Nearest::new(means, neighbours)?;
-    let mut high = Array3::default(grid.shape);
-    let [_, ny, nz] = grid.shape;
-    threads::for_each_chunk(high.as_slice_mut().expect("a new array"), CELL * ny * nz, |slab, high| {
-        let (mut near, mut room) = (Vec::new(), Room::default());
-        let deep = high.len() / (ny * nz);
-        for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
-            let first = [slab * CELL, y, z];
-            let middle = grid.min + (DVec3::from(first.map(|i| i as f64)) + 0.5 * CELL as f64) * grid.spacing;
-            let found = nearest.cell(middle, 0.5 * (CELL - 1) as f64 * length(grid.spacing), &confident, &mut near);
-            for [i, j, k] in bundles([deep, ny - y, nz - z]) {
-                let voxels: [[usize; 3]; LANES] =
-                    std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
-                let centres = voxels.map(|[i, j, k]| grid.centre([first[0] + i, j, k]));
-                let counts = if found { room.count(&near, neighbours, centres) } else { [None; LANES] };
-                for (([i, j, k], centre), count) in voxels.into_iter().zip(centres).zip(counts) {
-                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| nearest.count(centre, &confident));
-                }
+
+    /// The most that a primitive is away from where the tree has it; makes it again if this is more than `limit`.
+    fn follow(&mut self, means: &[[f64; 3]], limit: f64) -> Result<f64> {
+        if self.tree.is_some() && self.places.len() == means.len() {
+            let squares = self.places.iter().zip(means).map(|(&place, &mean)| {
+                let step = DVec3::from(mean) - DVec3::from(place);
+                step.length_squared()
+            });
+            let most = squares.fold(0.0, |most: f64, square| if square > most { square } else { most }).sqrt();
+            if most <= limit {
+                return Ok(most);
             }
         }
-    });
-    Ok(Routing { high, neighbours })
+        let tree = ImmutableKdTree::new_from_slice(means).map_err(|error| {
+            Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", "use fewer")
+        })?;
+        self.tree = Some(tree);
+        self.places.clear();
+        self.places.extend_from_slice(means);
+        Ok(0.0)
+    }
 }
 
 /// The first voxels of a cell's bundles, where the block ends so many voxels beyond the cell's first one.
@@ -106,19 +158,38 @@ fn check_finite(stage: &'static str, values: &[f64], width: usize) -> Result<()>
     }
 }
 
-/// Finds the nearest of more than `neighbours` points.
+/// Finds the nearest of more than `neighbours` primitives.
 struct Nearest<'a> {
-    points: &'a [[f64; 3]],
-    tree: ImmutableKdTree<f64, 3>,
+    means: &'a [[f64; 3]],
+    confident: &'a [bool],
+    tree: &'a ImmutableKdTree<f64, 3>,
+    /// The most that a mean is away from where the tree has it.
+    moved: f64,
+    /// The diagonal of a voxel.
+    step: f64,
     neighbours: usize,
 }
 
-impl<'a> Nearest<'a> {
-    fn new(points: &'a [[f64; 3]], neighbours: usize) -> Result<Self> {
-        let tree = ImmutableKdTree::new_from_slice(points).map_err(|error| {
-            Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", "use fewer")
-        })?;
-        Ok(Self { points, tree, neighbours })
+impl Nearest<'_> {
+    /// Counts the confident neighbours of the voxels of a slab of cells, whose first slice is `first`.
+    fn route_slab(&self, grid: &Grid, first: usize, high: &mut [u16], room: &mut Room) {
+        let [_, ny, nz] = grid.shape;
+        let deep = high.len() / (ny * nz);
+        room.guess = self.step;
+        for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
+            let corner = DVec3::from([first, y, z].map(|i| i as f64));
+            let middle = grid.min + (corner + 0.5 * CELL as f64) * grid.spacing;
+            let found = self.cell(middle, 0.5 * (CELL - 1) as f64 * self.step, room);
+            for [i, j, k] in bundles([deep, ny - y, nz - z]) {
+                let voxels: [[usize; 3]; LANES] =
+                    std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
+                let centres = voxels.map(|[i, j, k]| grid.centre([first + i, j, k]));
+                let counts = if found { room.count(self.neighbours, centres) } else { [None; LANES] };
+                for (([i, j, k], centre), count) in voxels.into_iter().zip(centres).zip(counts) {
+                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| self.count(centre, room));
+                }
+            }
+        }
     }
 
     /// Finds all that can be a neighbour of a centre within `radius` of the middle, the nearest to the middle first. Not if the
@@ -126,47 +197,62 @@ impl<'a> Nearest<'a> {
     ///
     /// K primitives within d of the middle are within d + radius of the centre, so are all of its neighbours, and these within
     /// d + 2·radius of the middle.
-    fn cell(&self, middle: DVec3, radius: f64, confident: &[bool], near: &mut Vec<Near>) -> bool {
-        let Some(k) = NonZero::new(self.neighbours).filter(|k| k.get() <= FEW) else { return false };
-        let query = middle.to_array();
-        let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(k).execute();
-        let distance = found[k.get() - 1].distance.sqrt();
+    fn cell(&self, middle: DVec3, radius: f64, room: &mut Room) -> bool {
+        if self.neighbours > FEW {
+            return false;
+        }
+        let distance = self.around(middle, 2.0 * radius, room);
         if radius > CROWDED * distance {
             return false;
         }
         let reach = distance + 2.0 * radius;
-        let limit = reach * reach * (1.0 + TIE) + f64::MIN_POSITIVE;
-        let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).execute();
-        let one = |i: u32| Near { point: self.point(i), confident: f64::from(confident[i as usize]) };
+        let limit = reach * reach * (1.0 + TIE);
+        let Room { found, near, .. } = room;
+        found.retain(|(square, _)| *square <= limit);
+        found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let one = |i: u32| Near { point: self.point(i), confident: f64::from(self.confident[i as usize]) };
         near.clear();
-        near.extend(within.iter().map(|near| one(near.item)));
+        near.extend(found.iter().map(|(_, i)| one(*i)));
         true
     }
 
     /// The number of confident ones among the neighbours of a centre.
-    fn count(&self, centre: DVec3, confident: &[bool]) -> u16 {
-        let (k, query) = (self.neighbours, centre.to_array());
-        let one_more = NonZero::new(k + 1).expect("a sum with 1");
-        let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(one_more).execute();
-        let (last, next) = (found[k - 1].distance, found[k].distance);
-        let limit = last * (1.0 + TIE) + f64::MIN_POSITIVE;
-        if next > limit {
-            return found[..k].iter().filter(|near| confident[near.item as usize]).count() as u16;
-        }
-        // The set is not determined: all that are as near as the last, in our own arithmetic and order.
-        let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).execute();
-        let mut order: Vec<(f64, u32)> =
-            within.iter().map(|near| (self.distance(near.item, centre), near.item)).collect();
-        order.select_nth_unstable_by(k - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        order[..k].iter().filter(|(_, i)| confident[*i as usize]).count() as u16
+    fn count(&self, centre: DVec3, room: &mut Room) -> u16 {
+        self.around(centre, 0.0, room);
+        let nearest = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        room.found.select_nth_unstable_by(self.neighbours - 1, nearest);
+        room.found[..self.neighbours].iter().filter(|(_, i)| self.confident[*i as usize]).count() as u16
     }
 
-    fn distance(&self, i: u32, centre: DVec3) -> f64 {
-        (self.point(i) - centre).length_squared()
+    /// A distance d within which K primitives are; finds all within d + `beyond` and perhaps some more.
+    fn around(&self, place: DVec3, beyond: f64, room: &mut Room) -> f64 {
+        let Room { found, guess, .. } = room;
+        self.gather(place, *guess + beyond, found);
+        while found.len() < self.neighbours {
+            *guess = 2.0 * *guess + self.step;
+            self.gather(place, *guess + beyond, found);
+        }
+        let (_, (square, _), _) = found.select_nth_unstable_by(self.neighbours - 1, |a, b| a.0.total_cmp(&b.0));
+        let distance = square.sqrt();
+        if distance > *guess {
+            self.gather(place, distance + beyond, found);
+        }
+        *guess = FARTHER * distance;
+        distance
+    }
+
+    /// Finds all primitives within `radius` and perhaps some more, with their squared distances.
+    fn gather(&self, place: DVec3, radius: f64, found: &mut Vec<(f64, u32)>) {
+        let reach = radius + self.moved;
+        let limit = reach * reach * (1.0 + TIE) + f64::MIN_POSITIVE;
+        found.clear();
+        let query = place.to_array();
+        let within = self.tree.query(&query).within::<SquaredEuclidean<f64>>(limit).unsorted();
+        within.visit(|near| found.push(((self.point(near.item) - place).length_squared(), near.item)));
     }
 
     fn point(&self, i: u32) -> DVec3 {
-        self.points[i as usize].into()
+        self.means[i as usize].into()
     }
 }
 
@@ -177,9 +263,15 @@ struct Near {
     confident: f64,
 }
 
-/// Room to work, kept from bundle to bundle.
+/// Room to work, kept from place to place.
 #[derive(Default)]
 struct Room {
+    /// How far the K-th primitive is expected to be.
+    guess: f64,
+    /// Squared distances and indices around a place.
+    found: Vec<(f64, u32)>,
+    /// What can be a neighbour of a cell's voxels.
+    near: Vec<Near>,
     /// Squared distances of all that are near.
     distances: Vec<Row>,
     /// The smallest of them, in order.
@@ -189,14 +281,14 @@ struct Room {
 impl Room {
     /// For each centre the number of confident ones among its neighbours, all of which are `near`. `None` where several are as
     /// near as the last of them.
-    fn count(&mut self, near: &[Near], neighbours: usize, centres: [DVec3; LANES]) -> [Option<u16>; LANES] {
-        let Self { distances, order } = self;
+    fn count(&mut self, neighbours: usize, centres: [DVec3; LANES]) -> [Option<u16>; LANES] {
+        let Self { near, distances, order, .. } = self;
         let [x, y, z] = [0, 1, 2].map(|axis| Row::from_fn(|lane| centres[lane][axis]));
         let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
         distances.clear();
         order.clear();
         order.resize(neighbours, Row::splat(f64::INFINITY));
-        for Near { point, .. } in near {
+        for Near { point, .. } in &*near {
             let [x, y, z] = [Row::splat(point.x) - x, Row::splat(point.y) - y, Row::splat(point.z) - z];
             let mut distance = x * x + y * y + z * z;
             distances.push(distance);
@@ -208,7 +300,7 @@ impl Room {
         }
         let last = order[neighbours - 1];
         let (mut within, mut confident) = (zero, zero);
-        for (distance, near) in distances.iter().zip(near) {
+        for (distance, near) in distances.iter().zip(&*near) {
             let inside = distance.select_le(last, one, zero);
             within += inside;
             confident += inside * Row::splat(near.confident);
@@ -270,6 +362,25 @@ mod tests {
             let settings = Settings { neighbours: k, ..SETTINGS };
             assert_matches_brute_force(&format!("{m} points, K = {k}"), &grid([6, 8, 10]), &cloud(seed, m), &settings);
         }
+    }
+
+    /// Nothing, a little, more than the tree may be off by, fewer, and the first ones again.
+    #[test]
+    fn primitives_that_move_are_found_where_they_are() {
+        let (grid, confidence, mut router) = (grid([6, 8, 10]), uniform(77, 900), Router::default());
+        let (mut routing, still, noise) = (Routing::default(), cloud(4, 900), cloud(12, 900));
+        let mut made = Vec::new();
+        for (by, m) in [(0.0, 900), (0.03, 900), (0.06, 900), (1.5, 900), (0.0, 700), (0.0, 900)] {
+            let means: Vec<[f64; 3]> = still[..m]
+                .iter()
+                .zip(&noise)
+                .map(|(p, step)| std::array::from_fn(|axis| p[axis] + by * step[axis]))
+                .collect();
+            router.route_into(&grid, &means, &confidence[..m], &SETTINGS, &mut routing).unwrap();
+            assert_eq!(routing, naive::route(&grid, &means, &confidence[..m], &SETTINGS), "{by}, {m}");
+            made.push(router.places == means);
+        }
+        assert_eq!(made, [true, false, false, true, true, true], "whether the tree was made again");
     }
 
     /// Voxel centres at multiples of 1/8 and a lattice of 1/4 between them: up to eight primitives at the same distance.
