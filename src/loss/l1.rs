@@ -1,8 +1,10 @@
 //! Mean absolute difference.
 
-use super::fill;
-use crate::numeric::{Real, reduce};
+use crate::numeric::{Real, reduce, threads};
 use ndarray::{Array2, ArrayView2};
+
+/// Pixels that one task compares: a constant, so the cut does not depend on the threads.
+const CHUNK: usize = 4096;
 
 /// Value and gradient of `L1 = (1/N) Σ |p - t|` over the N pixels of an image.
 ///
@@ -16,24 +18,17 @@ pub fn l1<R: Real>(prediction: ArrayView2<R>, target: ArrayView2<R>) -> (f64, Ar
     let mut gradient = Array2::default(prediction.raw_dim());
     let (p, t) = (prediction.as_standard_layout(), target.as_standard_layout());
     let [p, t] = [&p, &t].map(|image| image.as_slice().expect("standard layout"));
-    let slope = slope::<R>(p.len());
-    fill(&mut gradient, |i, _| slope * sign(p[i] - t[i]));
-    (value(p, t), gradient)
-}
-
-/// Mean distance of pixels.
-pub(super) fn value<R: Real>(prediction: &[R], target: &[R]) -> f64 {
-    let n = prediction.len();
+    let n = p.len();
+    let slope = R::from_f64(1.0 / n.max(1) as f64);
+    threads::for_each_chunk(gradient.as_slice_mut().expect("standard layout"), CHUNK, |chunk, gradient| {
+        let pairs = p[chunk * CHUNK..].iter().zip(&t[chunk * CHUNK..]);
+        gradient.iter_mut().zip(pairs).for_each(|(g, (&p, &t))| *g = slope * sign(p - t));
+    });
     let sum = reduce::sum_made(n, &|range, distances: &mut [R]| {
-        let pairs = prediction[range.clone()].iter().zip(&target[range]);
+        let pairs = p[range.clone()].iter().zip(&t[range]);
         distances.iter_mut().zip(pairs).for_each(|(d, (&p, &t))| *d = (p - t).abs());
     });
-    sum / n.max(1) as f64
-}
-
-/// How fast L1 of `n` pixels rises with the distance of one.
-pub(super) fn slope<R: Real>(n: usize) -> R {
-    R::from_f64(1.0 / n.max(1) as f64)
+    (sum / n.max(1) as f64, gradient)
 }
 
 /// -1, 0 or 1; 0 also for -0 and NaN.

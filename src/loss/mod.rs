@@ -9,11 +9,8 @@ pub mod tv;
 
 pub use ssim::{Ssim, SsimTarget};
 
-use crate::numeric::{Real, threads};
+use crate::numeric::Real;
 use ndarray::{Array2, ArrayView2};
-
-/// Pixels that one task compares: a constant, so the cut does not depend on the threads.
-const CHUNK: usize = 4096;
 
 /// What a projection has to answer for: the parts of the data loss and its gradient.
 #[derive(Clone, Debug)]
@@ -54,21 +51,9 @@ pub(crate) fn image_loss_into<R: Real>(
     target: &SsimTarget<R>,
     cotangent: &mut Array2<R>,
 ) -> [f64; 3] {
-    let (p, t) = (prediction.as_standard_layout(), target.image());
-    let similarity = ssim.value_and_gradient_into(p.view(), target, cotangent);
-    let [p, t] = [p.view(), t].map(|image| image.to_slice().expect("standard layout"));
-    let (slope, minus_weight) = (l1::slope::<R>(p.len()), R::from_f64(-weight));
-    fill(cotangent, |i, g| slope * l1::sign(p[i] - t[i]) + minus_weight * g);
-    let (l1, d_ssim) = (l1::value(p, t), 1.0 - similarity);
+    let [similarity, l1] = ssim.compare(prediction, target, [-weight, 1.0], Some(cotangent));
+    let d_ssim = 1.0 - similarity;
     [l1 + weight * d_ssim, l1, d_ssim]
-}
-
-/// Makes of the value of pixel `i` what `of(i, value)` is.
-fn fill<R: Real>(image: &mut Array2<R>, of: impl Fn(usize, R) -> R + Sync + Send) {
-    let values = image.as_slice_mut().expect("standard layout");
-    threads::for_each_chunk(values, CHUNK, |chunk, values| {
-        (chunk * CHUNK..).zip(values).for_each(|(i, value)| *value = of(i, *value));
-    });
 }
 
 #[cfg(test)]
@@ -112,6 +97,17 @@ mod tests {
         testing::assert_matches_central_differences(&prediction, &loss.cotangent, 1, 1e-9, |p| {
             image_loss(&ssim, 0.25, p.view(), &target).total
         });
+    }
+
+    #[test]
+    fn l1_of_the_image_loss_is_l1_and_its_gradient_to_the_bit() {
+        let ssim = Ssim::<f32>::default();
+        let target = Array2::from_shape_fn((70, 45), |(r, c)| ((r * 5 + c * 3) % 7) as f32 / 5.0);
+        let prediction = Array2::from_shape_fn((70, 45), |(r, c)| ((r * 3 + c * 4) % 7) as f32 / 5.0);
+        let loss = image_loss(&ssim, 0.0, prediction.view(), &SsimTarget::new(&ssim, target.view()));
+        let (value, gradient) = l1::l1(prediction.view(), target.view());
+        assert!((loss.l1 - value).abs() <= 1e-7 * value, "{} against {value}", loss.l1);
+        assert_eq!(loss.cotangent, gradient);
     }
 
     #[test]

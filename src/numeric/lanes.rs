@@ -8,6 +8,7 @@ use super::polynomials::{
     exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_near_f32,
     root_near_f64, root_nearest_f32,
 };
+use super::rearrange::Rearrange;
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -76,6 +77,7 @@ pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
 /// `WIDTH` scalars that are computed together.
 pub trait Lanes:
     Copy
+    + Debug
     + Default
     + Send
     + Sync
@@ -85,6 +87,7 @@ pub trait Lanes:
     + Mul<Output = Self>
     + Div<Output = Self>
     + Neg<Output = Self>
+    + Rearrange<<Self as Lanes>::Scalar>
 {
     /// One lane.
     type Scalar: Real<Lanes = Self>;

@@ -4,6 +4,7 @@ pub mod elementary;
 pub mod exponentials;
 pub mod lanes;
 mod polynomials;
+pub mod rearrange;
 pub mod reduce;
 pub mod rng;
 pub mod threads;

@@ -117,7 +117,7 @@ fn kernel(config: &Config) -> Kernel {
 }
 
 /// The state of a run, and what follows from dataset and configuration.
-struct Trainer<'a, R> {
+struct Trainer<'a, R: Kernels> {
     dataset: &'a Dataset,
     config: &'a Config,
     activation: Activation,

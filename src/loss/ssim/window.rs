@@ -1,0 +1,163 @@
+//! The blur: how rows lie in registers for it, and its window.
+//!
+//! A row is cut into as many pieces as a register has lanes, and register i holds pixel i of every piece (the
+//! dimension-lifted layout of Henretty et al. 2011). So the pixels beside those of a register are in the registers beside
+//! it, and a blur along a row reads whole registers, as one down the columns does: nothing is loaded askew.
+
+use crate::numeric::elementary::exp;
+use crate::numeric::rearrange::{DEALT, Rearrange};
+use crate::numeric::{Lanes, Real, real};
+use std::array::from_fn;
+
+/// The window reaches this many pixels to each side.
+pub(super) const RADIUS: usize = 5;
+const TAPS: usize = 2 * RADIUS + 1;
+/// Rows blurred together: as many as the window reaches, so it reaches the whole block before and the one after.
+pub(super) const BLOCK: usize = RADIUS;
+/// The rows of three blocks.
+const REACHED: usize = 3 * BLOCK;
+/// Standard deviation of the window, pixels.
+const SIGMA: f64 = 1.5;
+
+/// A register of each row of a block.
+pub(super) type Column<R> = [<R as Real>::Lanes; BLOCK];
+
+/// Rows cut into pieces.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fold {
+    columns: usize,
+    /// Pixels of a piece: no fewer than are dealt together, so the window reaches no further than the next piece.
+    pub(super) length: usize,
+}
+
+impl Fold {
+    pub(super) fn new<R: Real>(columns: usize) -> Self {
+        Self { columns, length: columns.div_ceil(R::Lanes::WIDTH).max(DEALT) }
+    }
+
+    /// Values of a row whose pieces are all whole.
+    pub(super) fn padded<R: Real>(self) -> usize {
+        R::Lanes::WIDTH * self.length
+    }
+
+    /// Values of a row with all pieces whole: themselves or, if some are missing, copied to a row with zeros behind.
+    fn whole<'a, R: Real>(self, values: &'a [R], row: &'a mut [R]) -> &'a [R] {
+        if values.len() == row.len() {
+            return values;
+        }
+        row[..values.len()].copy_from_slice(values);
+        row
+    }
+
+    /// Where columns that are dealt together begin; the last ones overlap others.
+    fn starts(self) -> impl Iterator<Item = usize> {
+        (0..self.length).step_by(DEALT).map(move |start| start.min(self.length - DEALT))
+    }
+
+    /// Folds some rows, one after another in `values`, into the first ones of a block; the others are 0. `row` is padded
+    /// with zeros.
+    pub(super) fn deal<R: Real>(self, values: &[R], row: &mut [R], block: &mut [Column<R>]) {
+        let rows = values.len() / self.columns;
+        if rows < BLOCK {
+            block.fill([R::Lanes::default(); BLOCK]);
+        }
+        for (r, values) in values.chunks_exact(self.columns).enumerate() {
+            let row = self.whole(values, row);
+            for start in self.starts() {
+                let columns = block[start..].first_chunk_mut().expect("as many as are dealt together");
+                R::Lanes::deal(&row[start..], self.length, columns, r);
+            }
+        }
+    }
+
+    /// Writes the first rows of a block to `values`, as many as there are. `row` is padded.
+    pub(super) fn collect<R: Real>(self, block: &[Column<R>], row: &mut [R], values: &mut [R]) {
+        for (r, values) in values.chunks_exact_mut(self.columns).enumerate() {
+            let whole = values.len() == row.len();
+            let to = if whole { &mut *values } else { &mut *row };
+            for start in self.starts() {
+                let columns = block[start..].first_chunk().expect("as many as are dealt together");
+                R::Lanes::collect(columns, r, &mut to[start..], self.length);
+            }
+            if !whole {
+                values.copy_from_slice(&row[..self.columns]);
+            }
+        }
+    }
+
+    /// 1 in the lanes of each register that have a pixel, else 0.
+    pub(super) fn pixels<R: Real>(self) -> impl Iterator<Item = R::Lanes> {
+        (0..self.length).map(move |i| {
+            R::Lanes::from_fn(|lane| if lane * self.length + i < self.columns { R::ONE } else { R::ZERO })
+        })
+    }
+}
+
+/// A Gaussian, which is symmetric and the same for rows and columns: the weights at distance 1, 2, … from the centre, whose
+/// own one is 1. So a blur is not a mean but a sum, and the centre costs nothing.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Window<T>([T; RADIUS]);
+
+/// Weight at some distance from the centre.
+fn gauss(distance: usize) -> f64 {
+    exp(-((distance * distance) as f64) / (2.0 * SIGMA * SIGMA))
+}
+
+/// The sum of the weights in rows and columns.
+pub(super) fn total() -> f64 {
+    let of_row = 1.0 + 2.0 * (1..=RADIUS).map(gauss).sum::<f64>();
+    of_row * of_row
+}
+
+impl<L: Lanes> Window<L> {
+    pub(super) fn new() -> Self {
+        Self(from_fn(|i| L::splat(real(gauss(1 + i)))))
+    }
+
+    /// `Σ_t w_t x(t)` over the eleven taps, from the centre outwards.
+    #[inline(always)]
+    fn weigh(&self, x: impl Fn(usize) -> L) -> L {
+        let Self(weights) = self;
+        let outer = (1..).zip(weights);
+        outer.fold(x(RADIUS), |sum, (d, &weight)| (x(RADIUS - d) + x(RADIUS + d)).fma(weight, sum))
+    }
+
+    /// Down a column: from the rows that the window reaches to those of a block.
+    #[inline(always)]
+    pub(super) fn down(&self, x: [L; REACHED]) -> [L; BLOCK] {
+        from_fn(|r| self.weigh(|t| x[r + t]))
+    }
+
+    /// Along the rows of a block: from a line with margins. Two columns at a time, for which most of what is loaded is the
+    /// same.
+    pub(super) fn along(&self, line: &[[L; BLOCK]], out: &mut [[L; BLOCK]]) {
+        let last = out.len() - 2;
+        for j in (0..out.len()).step_by(2) {
+            let j = j.min(last);
+            let columns: &[_; TAPS + 1] = line[j..].first_chunk().expect("margins");
+            let [first, second] = out[j..].first_chunk_mut().expect("two columns");
+            for row in 0..BLOCK {
+                let x: [L; TAPS + 1] = from_fn(|t| columns[t][row]);
+                first[row] = self.weigh(|t| x[t]);
+                second[row] = self.weigh(|t| x[1 + t]);
+            }
+        }
+    }
+}
+
+/// Column j of a block and its neighbours.
+#[inline(always)]
+pub(super) fn around<L: Copy>(blocks: [&[[L; BLOCK]]; 3], j: usize) -> [L; REACHED] {
+    let columns = [&blocks[0][j], &blocks[1][j], &blocks[2][j]];
+    from_fn(|t| columns[t / BLOCK][t % BLOCK])
+}
+
+/// Columns before and after a line that has room for the window's reach on both sides: those of the pieces before and
+/// after, 0 outside of the image.
+pub(super) fn margins<L: Lanes>(line: &mut [[L; BLOCK]]) {
+    let length = line.len() - 2 * RADIUS;
+    for i in 0..RADIUS {
+        line[i] = from_fn(|row| line[length + i][row].up());
+        line[RADIUS + length + i] = from_fn(|row| line[RADIUS + i][row].down());
+    }
+}
