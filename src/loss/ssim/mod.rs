@@ -118,8 +118,8 @@ impl<R: Real> SsimTarget<R> {
             let [down, down_square, _] = &mut space.down;
             for j in 0..n {
                 let b = around(near, j);
-                down[RADIUS + j] = window.down(b);
-                down_square[RADIUS + j] = window.down(from_fn(|t| b[t] * b[t]));
+                down[RADIUS + j] = window.down(&b);
+                down_square[RADIUS + j] = window.down(|t| b(t) * b(t));
             }
             margins(down);
             margins(down_square);
@@ -288,11 +288,11 @@ impl<R: Real> Comparison<'_, R> {
         }
         for (j, out) in of_aa {
             let a = around(a, j);
-            *out = window.down(from_fn(|t| a[t] * a[t]));
+            *out = window.down(|t| a(t) * a(t));
         }
         for (j, out) in of_ab {
             let (a, b) = (around(a, j), around(b, j));
-            *out = window.down(from_fn(|t| a[t] * b[t]));
+            *out = window.down(|t| a(t) * b(t));
         }
     }
 
@@ -333,11 +333,11 @@ impl<R: Real> Comparison<'_, R> {
         for (j, out) in folded.iter_mut().enumerate() {
             let down = |kind: usize| self.window.down(around(lines[kind], j));
             let [by_a, by_aa, by_ab] = [down(0), down(1), down(2)];
-            *out = from_fn(|row| {
+            for (row, out) in out.iter_mut().enumerate() {
                 let (a, b) = (a[j][row], b[j][row]);
                 let of_index = b.fma(by_ab[row], (-a).fma(by_aa[row], by_a[row]));
-                self.slope_of_distance(a - b) + of_index
-            });
+                *out = self.slope_of_distance(a - b) + of_index;
+            }
         }
         self.fold.collect(folded, row, gradient);
     }

@@ -122,10 +122,14 @@ impl<L: Lanes> Window<L> {
         outer.fold(x(RADIUS), |sum, (d, &weight)| (x(RADIUS - d) + x(RADIUS + d)).fma(weight, sum))
     }
 
-    /// Down a column: from the rows that the window reaches to those of a block.
+    /// Down a column: from the rows of a block and its neighbours to those of the block.
+    // Not `from_fn`, which stays a call where a register of lanes is two.
     #[inline(always)]
-    pub(super) fn down(&self, x: [L; REACHED]) -> [L; BLOCK] {
-        from_fn(|r| self.weigh(|t| x[r + t]))
+    pub(super) fn down(&self, x: impl Fn(usize) -> L) -> [L; BLOCK] {
+        let x: [L; REACHED] =
+            [x(0), x(1), x(2), x(3), x(4), x(5), x(6), x(7), x(8), x(9), x(10), x(11), x(12), x(13), x(14)];
+        let y = |row: usize| self.weigh(|t| x[row + t]);
+        [y(0), y(1), y(2), y(3), y(4)]
     }
 
     /// Along the rows of a block: from a line with margins. Two columns at a time, for which most of what is loaded is the
@@ -147,9 +151,9 @@ impl<L: Lanes> Window<L> {
 
 /// Column j of a block and its neighbours.
 #[inline(always)]
-pub(super) fn around<L: Copy>(blocks: [&[[L; BLOCK]]; 3], j: usize) -> [L; REACHED] {
+pub(super) fn around<'a, L: Copy>(blocks: [&'a [[L; BLOCK]]; 3], j: usize) -> impl Fn(usize) -> L + 'a {
     let columns = [&blocks[0][j], &blocks[1][j], &blocks[2][j]];
-    from_fn(|t| columns[t / BLOCK][t % BLOCK])
+    move |t| columns[t / BLOCK][t % BLOCK]
 }
 
 /// Columns before and after a line that has room for the window's reach on both sides: those of the pieces before and
