@@ -141,9 +141,8 @@ impl<L: Lanes> Window<L> {
             let columns: &[_; TAPS + 1] = line[j..].first_chunk().expect("margins");
             let [first, second] = out[j..].first_chunk_mut().expect("two columns");
             for row in 0..BLOCK {
-                let x: [L; TAPS + 1] = from_fn(|t| columns[t][row]);
-                first[row] = self.weigh(|t| x[t]);
-                second[row] = self.weigh(|t| x[1 + t]);
+                first[row] = self.weigh(|t| columns[t][row]);
+                second[row] = self.weigh(|t| columns[1 + t][row]);
             }
         }
     }
