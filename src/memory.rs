@@ -219,21 +219,14 @@ impl Sizes {
             row("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
             row("image, loss and cotangent", d, 10 * real),
             row("block of the total variation", block(config.loss.tv_block), 8 * real),
+            // Voxels, cotangent, two transforms, and 17 numbers for each register of cells, of which a row has one more.
+            row("block of the wavelets", block(config.wavelet.block), 8 * real + 2),
+            row("tree of neighbours, and where it has them", m, 11 * F64 + 1),
         ];
         let working = |name, rows: &[Row]| with(name, m, &[&kept, rows].concat());
         let mut moments = vec![
             with("first volume", self.points, &start),
-            working(
-                "iteration",
-                &[
-                    row(
-                        "block of the wavelets",
-                        block(config.wavelet.block),
-                        (18 + 5 * self.threads.min(7)) * real + 2,
-                    ),
-                    row("tree of neighbours", m, 8 * F64),
-                ],
-            ),
+            working("iteration", &[]),
             working("checkpoint", &[row("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
             with(
                 "last volume",

@@ -8,7 +8,7 @@ use super::polynomials::{
     exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_near_f32,
     root_near_f64, root_nearest_f32,
 };
-use super::rearrange::Rearrange;
+use super::rearrange::{Rearrange, columns_of_f32, wider};
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -208,25 +208,10 @@ fn sum_of_8(lanes: f64x8) -> f64 {
     low + high
 }
 
-// Not `map`, which may stay a call.
-#[inline(always)]
-fn wider([a, b, c, d, e, f, g, h]: [f32; 8]) -> f64x8 {
-    f64x8::new([a.into(), b.into(), c.into(), d.into(), e.into(), f.into(), g.into(), h.into()])
-}
-
 #[inline(always)]
 fn sum_of_16(lanes: f32x16) -> f64 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
     sum_of_8(wider(halves[0]) + wider(halves[1]))
-}
-
-/// [`Real::columns`], in registers.
-#[inline(always)]
-fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
-    let row = |i: usize| f32x8::new(rows[i][..8].try_into().expect("a slice of this length"));
-    let [a, b, c, d, e, f, g, h] =
-        f32x8::transpose([row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]).map(f32x8::to_array);
-    [wider(a), wider(b), wider(c), wider(d), wider(e), wider(f), wider(g), wider(h)]
 }
 
 /// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of

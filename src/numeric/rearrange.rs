@@ -23,6 +23,21 @@ fn eight(values: &[f32]) -> f32x8 {
     f32x8::new(values[..8].try_into().expect("a slice of this length"))
 }
 
+/// In f64. Not by `map`, which may stay a call.
+#[inline(always)]
+pub(super) fn wider([a, b, c, d, e, f, g, h]: [f32; 8]) -> f64x8 {
+    f64x8::new([a.into(), b.into(), c.into(), d.into(), e.into(), f.into(), g.into(), h.into()])
+}
+
+/// [`Real::columns`](super::Real::columns), in registers.
+#[inline(always)]
+pub(super) fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
+    let row = |i: usize| eight(rows[i]);
+    let [a, b, c, d, e, f, g, h] =
+        f32x8::transpose([row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]).map(f32x8::to_array);
+    [wider(a), wider(b), wider(c), wider(d), wider(e), wider(f), wider(g), wider(h)]
+}
+
 // By halves of eight lanes, for which there is a fast transpose; in memory, where halves are a register.
 impl Rearrange<f32> for f32x16 {
     #[inline(always)]

@@ -11,13 +11,15 @@ use crate::numeric::{Lanes, Real, threads};
 use std::iter::Sum;
 use std::ops::Range;
 
-/// Numbers of pairs of a primitive and a pixel or a voxel.
+/// Numbers of pairs of a primitive and a pixel or a voxel, and of the columns of registers that hold them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pairs {
     /// Pixels within the supports `[X2]`: each adds something.
     pub useful: usize,
     /// Lanes that the kernels go through: whole registers, which reach beyond the supports.
     pub evaluated: usize,
+    /// Columns of registers that they are in: each is set up once.
+    pub columns: usize,
 }
 
 impl Pairs {
@@ -27,9 +29,12 @@ impl Pairs {
     }
 
     fn of<R: Real, T: Reach<R>>(target: &T, useful: usize) -> Self {
-        let mut evaluated = 0;
-        target.walk(|_, _, registers| evaluated += registers.len() * R::Lanes::WIDTH);
-        Self { useful, evaluated }
+        let (mut evaluated, mut columns) = (0, 0);
+        target.walk(|_, _, registers| {
+            evaluated += registers.len() * R::Lanes::WIDTH;
+            columns += 1;
+        });
+        Self { useful, evaluated, columns }
     }
 }
 
@@ -43,6 +48,7 @@ impl Sum for Pairs {
         pairs.fold(Self::default(), |sum, pairs| Self {
             useful: sum.useful + pairs.useful,
             evaluated: sum.evaluated + pairs.evaluated,
+            columns: sum.columns + pairs.columns,
         })
     }
 }

@@ -132,6 +132,8 @@ impl Router {
                 return Ok(most);
             }
         }
+        // The old one goes first: two would be in memory at a time.
+        self.tree = None;
         let tree = ImmutableKdTree::new_from_slice(means).map_err(|error| {
             Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", "use fewer")
         })?;

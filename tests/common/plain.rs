@@ -7,6 +7,7 @@
 use std::fmt::{self, Display, Formatter};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+use trgs::numeric::rearrange::{DEALT, Rearrange};
 use trgs::numeric::{Lanes, Real};
 
 // Copies, not imports: a change of the polynomials changes bits and has to be made here, too.
@@ -195,7 +196,7 @@ macro_rules! plain {
         pub(crate) struct $number<const W: usize>(pub(crate) $scalar);
 
         /// `W` numbers.
-        #[derive(Clone, Copy)]
+        #[derive(Clone, Copy, Debug)]
         pub(crate) struct $row<const W: usize>([$number<W>; W]);
 
         impl<const W: usize> $number<W> {
@@ -248,6 +249,35 @@ macro_rules! plain {
             }
             fn is_finite(self) -> bool {
                 self.0.is_finite()
+            }
+        }
+
+        impl<const W: usize> Rearrange<$number<W>> for $row<W> {
+            fn deal<const N: usize>(
+                values: &[$number<W>],
+                stride: usize,
+                columns: &mut [[Self; N]; DEALT],
+                row: usize,
+            ) {
+                for (i, column) in columns.iter_mut().enumerate() {
+                    column[row] = Self::from_fn(|lane| values[lane * stride + i]);
+                }
+            }
+            fn collect<const N: usize>(
+                columns: &[[Self; N]; DEALT],
+                row: usize,
+                values: &mut [$number<W>],
+                stride: usize,
+            ) {
+                for (i, column) in columns.iter().enumerate() {
+                    column[row].0.iter().enumerate().for_each(|(lane, &value)| values[lane * stride + i] = value);
+                }
+            }
+            fn up(self) -> Self {
+                Self::from_fn(|i| if i == 0 { $number(0.0) } else { self.0[i - 1] })
+            }
+            fn down(self) -> Self {
+                Self::from_fn(|i| self.0.get(i + 1).copied().unwrap_or_default())
             }
         }
 
