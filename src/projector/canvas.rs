@@ -6,20 +6,10 @@ use std::ops::Range;
 /// Half of the lanes of the widest register.
 pub(super) const HALF: usize = 8;
 
-/// Scalars with room for whole registers.
-pub(super) trait Board<R: Real> {
-    /// From a register's place to that of the one two rows below.
-    fn step(&self) -> usize;
-    /// The register at a place.
-    fn load(&self, place: usize) -> R::Lanes;
-    /// Adds onto the register at a place.
-    fn add(&mut self, place: usize, value: R::Lanes);
-}
-
-/// An image: a register is `WIDTH/2` pixels of two rows, from any column on.
+/// An image: a register is `WIDTH/2` pixels of two rows, or `WIDTH` of one, from any column on.
 #[derive(Default)]
 pub(super) struct Canvas<R> {
-    /// Row by row; `stride` ≥ columns + WIDTH/2, and an even number of rows.
+    /// Row by row; `stride` ≥ columns + WIDTH, and an even number of rows.
     pub(super) pixels: Vec<R>,
     pub(super) stride: usize,
 }
@@ -34,14 +24,14 @@ impl<R: Real> Canvas<R> {
 
     /// Zeros for `rows` × `columns`, whatever it was before.
     pub(super) fn renew(&mut self, rows: usize, columns: usize) {
-        self.stride = columns + R::Lanes::WIDTH / 2;
+        self.stride = columns + R::Lanes::WIDTH;
         self.pixels.clear();
         self.pixels.resize(rows.next_multiple_of(2) * self.stride, R::ZERO);
     }
 
     /// Zeros again, in some columns of all rows, to the end of the last column's register.
     pub(super) fn clear(&mut self, columns: Range<usize>) {
-        let end = columns.end - 1 + R::Lanes::WIDTH / 2;
+        let end = columns.end - 1 + R::Lanes::WIDTH;
         for row in self.pixels.chunks_exact_mut(self.stride) {
             row[columns.start..end].fill(R::ZERO);
         }
@@ -53,24 +43,34 @@ impl<R: Real> Canvas<R> {
     }
 }
 
-impl<R: Real> Board<R> for Canvas<R> {
+impl<R: Real> Canvas<R> {
+    /// The register of two rows at a place.
     #[inline(always)]
-    fn step(&self) -> usize {
-        2 * self.stride
-    }
-
-    #[inline(always)]
-    fn load(&self, place: usize) -> R::Lanes {
+    pub(super) fn load(&self, place: usize) -> R::Lanes {
         let half = R::Lanes::WIDTH / 2;
         let (top, bottom) = self.pixels[place..].split_at(self.stride);
         R::Lanes::from_rows(&top[..half], &bottom[..half])
     }
 
+    /// Adds onto the register of two rows at a place.
     #[inline(always)]
-    fn add(&mut self, place: usize, value: R::Lanes) {
+    pub(super) fn add(&mut self, place: usize, value: R::Lanes) {
         let half = R::Lanes::WIDTH / 2;
         let (top, bottom) = self.pixels[place..].split_at_mut(self.stride);
         value.add_to_rows(&mut top[..half], &mut bottom[..half]);
+    }
+
+    /// The register of one row at a place.
+    #[inline(always)]
+    pub(super) fn load_row(&self, place: usize) -> R::Lanes {
+        R::Lanes::from_slice(&self.pixels[place..])
+    }
+
+    /// Adds onto the register of one row at a place.
+    #[inline(always)]
+    pub(super) fn add_to_row(&mut self, place: usize, value: R::Lanes) {
+        let pixels = &mut self.pixels[place..];
+        (R::Lanes::from_slice(pixels) + value).write(pixels);
     }
 }
 
@@ -172,19 +172,16 @@ impl<R: Real> Blocks<R> {
     }
 }
 
-impl<R: Real> Board<R> for Blocks<R> {
+impl<R: Real> Blocks<R> {
+    /// The register at a place.
     #[inline(always)]
-    fn step(&self) -> usize {
-        self.window.step::<R::Lanes>()
-    }
-
-    #[inline(always)]
-    fn load(&self, place: usize) -> R::Lanes {
+    pub(super) fn load(&self, place: usize) -> R::Lanes {
         R::Lanes::from_slice(&self.voxels[place..])
     }
 
+    /// Adds onto the register at a place.
     #[inline(always)]
-    fn add(&mut self, place: usize, value: R::Lanes) {
+    pub(super) fn add(&mut self, place: usize, value: R::Lanes) {
         let voxels = &mut self.voxels[place..];
         (R::Lanes::from_slice(voxels) + value).write(voxels);
     }

@@ -37,6 +37,48 @@ impl<L: Lanes> Column<L> {
         column: usize,
         both: impl Fn([f64; HALF]) -> L,
     ) -> Self {
+        let Half { z, whole, rest } = Half::new(plane, stance, first_row, column);
+        let z = both(z);
+        Self {
+            z,
+            floor: z * z + stance.floor,
+            tilt: all::<L>(plane.h_z) * z,
+            ridge: [both(whole) - stance.row, both(rest)],
+            x: stance.x,
+        }
+    }
+
+    /// Of registers of a row, whose halves are beside each other.
+    #[inline(always)]
+    pub(super) fn of_row(plane: &Plane, stance: &Stance<L>, first_row: usize, column: usize) -> Self {
+        let left = Half::new(plane, stance, first_row, column);
+        let right = Half::new(plane, stance, first_row, column + L::WIDTH / 2);
+        let join = |left: [f64; HALF], right: [f64; HALF]| {
+            let [left, right] = [left, right].map(|half| half.map(real::<L::Scalar>));
+            L::from_rows(&left[..L::WIDTH / 2], &right[..L::WIDTH / 2])
+        };
+        let z = join(left.z, right.z);
+        Self {
+            z,
+            floor: z * z + stance.floor,
+            tilt: all::<L>(plane.h_z) * z,
+            ridge: [join(left.whole, right.whole), join(left.rest, right.rest)],
+            x: stance.x,
+        }
+    }
+}
+
+/// What half of a register's lanes need.
+struct Half {
+    z: [f64; HALF],
+    /// Of [`Column::ridge`].
+    whole: [f64; HALF],
+    rest: [f64; HALF],
+}
+
+impl Half {
+    #[inline(always)]
+    fn new<L: Lanes>(plane: &Plane, stance: &Stance<L>, first_row: usize, column: usize) -> Self {
         let (first_row, column) = (first_row as f64, column as f64);
         // Rounded once, whichever register the column is in.
         let across: [f64; HALF] = std::array::from_fn(|i| (column + stance.columns[i]) - plane.column_centre);
@@ -44,13 +86,10 @@ impl<L: Lanes> Column<L> {
         let whole = ridge.map(f64::floor);
         // The b that lanes have: y keeps its digits where both parts cancel.
         let b = real::<L::Scalar>(plane.b).to_f64();
-        let z = both(std::array::from_fn(|i| plane.a * across[i] + stance.shift[i]));
         Self {
-            z,
-            floor: z * z + stance.floor,
-            tilt: all::<L>(plane.h_z) * z,
-            ridge: [both(whole) - stance.row, both(std::array::from_fn(|i| b * (whole[i] - ridge[i])))],
-            x: stance.x,
+            z: std::array::from_fn(|i| plane.a * across[i] + stance.shift[i]),
+            whole,
+            rest: std::array::from_fn(|i| b * (whole[i] - ridge[i])),
         }
     }
 }

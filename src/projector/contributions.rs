@@ -3,7 +3,7 @@
 use super::canvas::{Blocks, Canvas, PAIR, Window};
 use super::kernel::{STRIP, Scratch};
 use super::kernels::Kernels;
-use super::patch::Patch;
+use super::patch::{Patch, from_even};
 use super::shape::CHUNK;
 use super::solid::{Placed, Solid};
 use super::{Field, Projection, ViewField};
@@ -66,7 +66,7 @@ impl<R: Kernels> ViewField<'_, R> {
             let (mut canvas, mut scratch) = (Canvas::<R>::new(STRIP, column + 1), Scratch::default());
             let one = |i: usize| {
                 let footprint = &self.footprints[i];
-                let (rows, columns) = (footprint.rows_in(band.clone()), footprint.columns.clone());
+                let (rows, columns) = (from_even(footprint.rows_in(band.clone())), footprint.columns.clone());
                 // Registers are two rows tall and `half` columns wide, and reach beyond the last row and column.
                 let tall = rows.start..rows.start + rows.len().next_multiple_of(2);
                 let wide = columns.start..columns.start + columns.len().next_multiple_of(half);

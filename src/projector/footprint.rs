@@ -20,11 +20,6 @@ use std::ops::Range;
 /// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
 pub(super) const NEAR: f64 = 0.01;
 
-/// A range that starts at an even row, as the kernels want it.
-pub(super) fn from_even(rows: Range<usize>) -> Range<usize> {
-    rows.start & !1..rows.end
-}
-
 /// A primitive on the detector of one view. The default is one that is left out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Footprint {
@@ -256,10 +251,10 @@ impl Footprint {
 
     /// The rows within a band that the kernel walks.
     pub(super) fn rows_in(&self, band: Range<usize>) -> Range<usize> {
-        from_even(self.rows.start.max(band.start)..self.rows.end.min(band.end))
+        self.rows.start.max(band.start)..self.rows.end.min(band.end)
     }
 
-    /// Its part of a canvas in `rows` (even start), the first of which is row `top` there.
+    /// Its part of a canvas in `rows`, the first of which is row `top` there.
     pub(super) fn patch(&self, rows: Range<usize>, top: usize, stride: usize) -> Patch {
         Patch::new(&self.plane, rows, self.columns.clone(), top, stride)
     }

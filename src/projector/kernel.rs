@@ -1,6 +1,7 @@
 //! **HOT.** One primitive over a strip of pixels: the only code that runs once per (pixel, primitive).
 //!
-//! A SIMD register is `WIDTH/2` columns × 2 rows of pixels, or `WIDTH/4` × 2 of voxels in each of two slices. The work is
+//! A SIMD register is `WIDTH/2` columns × 2 rows of pixels, `WIDTH` pixels of a row where that is as wide as the support, or
+//! `WIDTH/4` × 2 voxels in each of two slices. The work is
 //! split into stages that each run over a batch of registers (distance, logarithm, exponential, use), logarithms and
 //! exponentials of two side by side, so that the long chains of one register hide behind those of the others. Within a
 //! column of registers the coordinate z of [`Plane`] is constant: half of the quadratic form and two thirds of the moments
@@ -17,19 +18,16 @@
 //! Accuracy: the profile is within 1.5e-7 (f32) and 5e-16 (f64) of its peak for every ν from 1 to 10⁴.
 //! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
 
-use super::canvas::Board;
 use super::column::Column;
 use super::plane::{Plane, all};
 use crate::numeric::{Lanes, NEAR_ONE, Real, real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
-/// Registers in a column of a strip, each two rows tall.
-const DEPTH: usize = 16;
 /// Rows in a strip.
-pub(super) const STRIP: usize = 2 * DEPTH;
+pub(super) const STRIP: usize = 32;
 /// Registers in a batch: several columns of a small footprint, at least one of a large one.
-const BATCH: usize = 2 * DEPTH;
+const BATCH: usize = STRIP;
 
 /// Registers whose logarithms, and exponentials, are found side by side: two where they are whole, one where the processor's
 /// are half as wide and as many, and it is two of these already.
@@ -37,8 +35,10 @@ const ABREAST: usize = if cfg!(target_feature = "avx512f") { 2 } else { 1 };
 
 /// A primitive and the registers of a board that its support reaches.
 pub(super) trait Reach<R: Real> {
-    /// What its registers are on.
-    type Board: Board<R>;
+    /// What its registers are on: scalars with room for whole registers.
+    type Board;
+    /// Rows from a register to the next one in a column.
+    const TALL: usize;
     /// Whether it is seen in slices, so that [`Sums::x`] are wanted.
     const SOLID: bool;
 
@@ -47,6 +47,12 @@ pub(super) trait Reach<R: Real> {
     /// Calls `visit(column, place, registers)` for each column of registers within a strip, which holds at least one:
     /// they are counted from the strip's first row, and `place` is where the one of that row is.
     fn walk(&self, visit: impl FnMut(Column<R::Lanes>, usize, Range<usize>));
+    /// From a register's place to that of the next one in its column.
+    fn step(board: &Self::Board) -> usize;
+    /// The register at a place.
+    fn load(board: &Self::Board, place: usize) -> R::Lanes;
+    /// Adds onto the register at a place.
+    fn add(board: &mut Self::Board, place: usize, value: R::Lanes);
 }
 
 /// `Σ over pixels of cotangent × derivative`, per unit of `weight`, in the terms of [`Plane`].
@@ -165,19 +171,19 @@ struct Shared<L: Lanes> {
     limit: L,
     root: Root,
     /// Rows of a strip's registers.
-    down: [L::Scalar; DEPTH],
+    down: [L::Scalar; STRIP],
 }
 
 impl<L: Lanes> Shared<L> {
     #[inline(always)]
-    fn new<const EXACT: bool>(plane: &Plane) -> Self {
+    fn new<const EXACT: bool>(plane: &Plane, tall: usize) -> Self {
         Self {
             minus_b: all(-plane.b),
             h_y: all(plane.h_y),
             k: all(plane.k),
             limit: all(plane.limit),
             root: plane.root::<EXACT>(),
-            down: std::array::from_fn(|j| real((2 * j) as f64)),
+            down: std::array::from_fn(|j| real((tall * j) as f64)),
         }
     }
 
@@ -232,12 +238,12 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
     scratch: &mut Scratch<R::Lanes>,
 ) {
     let plane = target.plane();
-    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
-    let step = board.step();
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane, T::TALL);
+    let step = T::step(board);
     let mut filled = 0;
     target.walk(|column, place, registers| {
         if filled + registers.len() > BATCH {
-            paint::<R, T::Board, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
+            paint::<R, T, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
             filled = 0;
         }
         shared.look(&column, registers, |j, sight| {
@@ -249,7 +255,7 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
             filled += 1;
         });
     });
-    paint::<R, T::Board, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
+    paint::<R, T, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
 }
 
 /// Adds the values of a batch, whose first `filled` registers have their distances, onto the board.
@@ -257,12 +263,12 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
 /// Not inlined: within the walk's closure there are too few registers left for the constants of its loops, which would be
 /// read from memory again for every one or two registers of pixels.
 #[inline(never)]
-fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
+fn paint<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
     shared: &Shared<R::Lanes>,
     filled: usize,
     scratch: &mut Scratch<R::Lanes>,
-    board: &mut B,
+    board: &mut T::Board,
 ) {
     let (weight, zero) = (all(plane.weight), R::Lanes::default());
     let Scratch { x, root, log, power, place, .. } = scratch;
@@ -270,7 +276,7 @@ fn paint<R: Real, B: Board<R>, const STUDENT: bool, const EXACT: bool>(
     let (x, root, power, place) = (&x[..filled], &root[..filled], &power[..filled], &place[..filled]);
     for (((&x, &root), &power), &place) in x.iter().zip(root).zip(power).zip(place) {
         let value = if EXACT { power * root } else { power };
-        board.add(place, x.select_le(shared.limit, value * weight, zero));
+        T::add(board, place, x.select_le(shared.limit, value * weight, zero));
     }
 }
 
@@ -328,8 +334,8 @@ pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: b
     scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
     let plane = target.plane();
-    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
-    let step = cotangent.step();
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane, T::TALL);
+    let step = T::step(cotangent);
     let beyond = all(2.0 * plane.limit + 1.0);
     scratch.total.clear::<EXACT>(T::SOLID);
     let (mut filled, mut ended) = (0, 0);
@@ -373,7 +379,7 @@ fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     for column in &columns[..ended] {
         let mut part = ColumnSums::<R::Lanes>::default();
         for j in begin..column.end {
-            let w = cotangent.load(place[j]);
+            let w = T::load(cotangent, place[j]);
             let w = if EXACT { w * root[j] } else { w };
             let a = x[j].select_le(shared.limit, w * power[j], zero);
             let value = if STUDENT { a.fma(x[j], a) } else { a };

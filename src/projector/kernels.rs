@@ -3,7 +3,7 @@
 use super::Projection;
 use super::canvas::{Blocks, Canvas};
 use super::kernel::{self, Scratch, Sums};
-use super::patch::Patch;
+use super::patch::{Patch, Slim};
 use super::solid::Placed;
 use crate::numeric::Real;
 use crate::primitives::Kernel;
@@ -33,8 +33,20 @@ impl<R: Real> KernelPair<R> {
 
     fn of<const STUDENT: bool, const EXACT: bool>() -> Self {
         Self {
-            forward: kernel::forward::<R, Patch, STUDENT, EXACT>,
-            backward: kernel::backward::<R, Patch, STUDENT, EXACT>,
+            forward: |patch, canvas, scratch| {
+                if patch.is_slim::<R>() {
+                    kernel::forward::<R, _, STUDENT, EXACT>(&Slim(patch), canvas, scratch);
+                } else {
+                    kernel::forward::<R, _, STUDENT, EXACT>(patch, canvas, scratch);
+                }
+            },
+            backward: |patch, canvas, scratch| {
+                if patch.is_slim::<R>() {
+                    kernel::backward::<R, _, STUDENT, EXACT>(&Slim(patch), canvas, scratch)
+                } else {
+                    kernel::backward::<R, _, STUDENT, EXACT>(patch, canvas, scratch)
+                }
+            },
             solid: Solids {
                 forward: |placed, blocks, scratch| kernel::forward::<R, _, STUDENT, false>(placed, blocks, scratch),
                 backward: |placed, blocks, scratch| kernel::backward::<R, _, STUDENT, false>(placed, blocks, scratch),

@@ -1,9 +1,10 @@
 //! How much of the work of an image or a volume is of use. Not in the paper.
 
 use super::canvas::Window;
-use super::footprint::{Footprint, from_even};
+use super::footprint::Footprint;
 use super::kernel::Reach;
 use super::kernels::Kernels;
+use super::patch::Slim;
 use super::plane::Plane;
 use super::solid::{Placed, Solid};
 use super::{GridField, ViewField};
@@ -61,7 +62,13 @@ impl<R: Kernels> ViewField<'_, R> {
     pub fn pairs(&self) -> Pairs {
         let one = |i: usize| {
             let footprint @ Footprint { plane, rows, columns, .. } = &self.footprints[i];
-            Pairs::of::<R, _>(&footprint.patch(from_even(rows.clone()), 0, 0), useful(plane, rows, columns))
+            let patch = footprint.patch(rows.clone(), rows.start, 0);
+            let useful = useful(plane, rows, columns);
+            if patch.is_slim::<R>() {
+                Pairs::of::<R, _>(&Slim(&patch), useful)
+            } else {
+                Pairs::of::<R, _>(&patch, useful)
+            }
         };
         threads::map_many(self.footprints.len(), one).into_iter().sum()
     }

@@ -198,11 +198,27 @@ pub(super) struct Placed<'a> {
 
 impl<R: Real> Reach<R> for Placed<'_> {
     type Board = Blocks<R>;
+    const TALL: usize = PAIR;
     const SOLID: bool = true;
 
     #[inline(always)]
     fn plane(&self) -> &Plane {
         &self.solid.plane
+    }
+
+    #[inline(always)]
+    fn step(blocks: &Blocks<R>) -> usize {
+        blocks.window.step::<R::Lanes>()
+    }
+
+    #[inline(always)]
+    fn load(blocks: &Blocks<R>, place: usize) -> R::Lanes {
+        blocks.load(place)
+    }
+
+    #[inline(always)]
+    fn add(blocks: &mut Blocks<R>, place: usize, value: R::Lanes) {
+        blocks.add(place, value);
     }
 
     #[inline(always)]

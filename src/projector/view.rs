@@ -1,6 +1,6 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
-use super::footprint::{Footprint, from_even};
+use super::footprint::Footprint;
 use super::kernel::{STRIP, Sums};
 use super::kernels::Kernels;
 use super::{Field, FieldGradient, Projection};
@@ -180,7 +180,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             for ((footprints, shapes), gradients) in groups.zip(gradients.chunks_mut(EIGHT)) {
                 let mut sums = [Sums::default(); EIGHT];
                 for (sums, footprint) in sums.iter_mut().zip(footprints).filter(|(_, f)| !f.is_empty()) {
-                    let rows = from_even(footprint.rows.clone());
+                    let rows = footprint.rows.clone();
                     let top = rows.start;
                     *sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
                 }
