@@ -35,8 +35,8 @@ pub(crate) struct Spaces<R> {
 
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
 ///
-/// The routing is constant to the gradient, which goes from a band alone through the transpose of the differences and
-/// back through the transform. Where a band is flat (`|∇| ≪ 1e-6`) the gradient to it fades to 0.
+/// The routing is constant to the gradient, which is found in the coefficients of each band and goes back through the
+/// transform. Where a band is flat (`|∇| ≪ 1e-6`) the gradient to it fades to 0.
 /// Bands are computed in parallel and added up in order, voxels of a cell in the block's precision, cells in f64.
 ///
 /// Tests: against [`super::naive::wavelet_loss`] to 1e-13 in f64 and 1e-5 in f32, and central differences.
