@@ -195,7 +195,7 @@ impl Sizes {
         let (m, real, d) = (self.most, self.real, self.detector);
         let lasting = |count: usize| {
             vec![
-                row("views as SSIM compares with them: image twice, mean, variance", self.pixels, 4 * real),
+                row("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
                 // Raw values, two moments each, momentum, id, c, its target, pull and views.
                 row("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
             ]

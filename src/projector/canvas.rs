@@ -41,9 +41,7 @@ impl<R: Real> Canvas<R> {
     pub(super) fn row(&self, row: usize, columns: usize) -> &[R] {
         &self.pixels[row * self.stride..][..columns]
     }
-}
 
-impl<R: Real> Canvas<R> {
     /// The register of two rows at a place.
     #[inline(always)]
     pub(super) fn load(&self, place: usize) -> R::Lanes {
@@ -170,9 +168,7 @@ impl<R: Real> Blocks<R> {
         let bundles = self.voxels[first..].chunks_exact(BUNDLE);
         values.iter_mut().zip(bundles).for_each(|(value, bundle)| *value = bundle[place]);
     }
-}
 
-impl<R: Real> Blocks<R> {
     /// The register at a place.
     #[inline(always)]
     pub(super) fn load(&self, place: usize) -> R::Lanes {

@@ -86,7 +86,8 @@ impl<R: Real> Space<R> {
 /// An image to compare others with, and what SSIM needs to know of it. Computed once for each view.
 #[derive(Clone, Debug)]
 pub struct SsimTarget<R: Real> {
-    image: Array2<R>,
+    /// Rows and columns.
+    shape: [usize; 2],
     /// The blocks of the image, between two of zeros.
     blocks: Block<R>,
     /// The blur of the image and its variance, in blocks.
@@ -96,7 +97,7 @@ pub struct SsimTarget<R: Real> {
 impl<R: Real> SsimTarget<R> {
     /// Blurs the image `[v, u]` and its square.
     pub fn new(ssim: &Ssim<R>, image: ArrayView2<R>) -> Self {
-        let image = image.as_standard_layout().into_owned();
+        let image = image.as_standard_layout();
         let (rows, columns) = image.dim();
         let (fold, window, index) = (Fold::new::<R>(columns), Window::new(), Index::new(1.0));
         let (n, count) = (fold.length, rows.div_ceil(BLOCK));
@@ -129,12 +130,7 @@ impl<R: Real> SsimTarget<R> {
                 *variance = from_fn(|row| index.variance(of_b[row], variance[row]));
             }
         });
-        Self { image, blocks, moments }
-    }
-
-    /// The image itself.
-    pub fn image(&self) -> ArrayView2<'_, R> {
-        self.image.view()
+        Self { shape: [rows, columns], blocks, moments }
     }
 }
 
@@ -168,7 +164,7 @@ impl<R: Real> Ssim<R> {
         weights: [f64; 2],
         gradient: Option<&mut Array2<R>>,
     ) -> [f64; 2] {
-        assert_eq!(image.shape(), target.image.shape(), "SSIM of an image and a target of different shapes");
+        assert_eq!(image.shape(), target.shape, "SSIM of an image and a target of different shapes");
         let image = image.as_standard_layout();
         let (rows, columns) = image.dim();
         let gradient = gradient.map(|gradient| {
