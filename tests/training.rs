@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
-use trgs::projector::Projection;
+use trgs::projector::{Field, Projection};
 use trgs::scene::noise::Noise;
 use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
@@ -60,6 +60,24 @@ fn pairs() -> impl Iterator<Item = Config> {
         config.optimiser.position = position;
         config
     })
+}
+
+/// Whole registers reach beyond the supports, beyond small ones by more.
+#[test]
+fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
+    let pitch = 4.0 / 128.0;
+    let detector = Detector { rows: 128, columns: 128, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
+    let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
+    let plan = Plan { views: 9, test_views: 0, noise: Noise::LOW, seed: 4 };
+    let phantom = Phantom::by_name("torso", 0).unwrap();
+    let dataset = simulate("torso", Object::Phantom(&phantom), &scanner, &plan).unwrap();
+    let mut config = Config::of(Method::TrGs);
+    (config.iterations, config.model.points, config.density_control.cap) = (300, 5000, 5000);
+    let field = Field::<f32>::new(&run(&dataset, &config).primitives, config.cutoff);
+    for angle in [0.0, 0.4, 2.0] {
+        let pairs = field.view(&scanner, angle, config.projection).pairs();
+        assert!(pairs.useful > 500_000 && pairs.share() > 0.7, "{angle}: {} of {pairs:?}", pairs.share());
+    }
 }
 
 /// R²-Gaussian's own program in effect holds them: that setting has to leave the data's pull alone and nothing else out.

@@ -37,15 +37,8 @@ impl<L: Lanes> Column<L> {
         column: usize,
         both: impl Fn([f64; HALF]) -> L,
     ) -> Self {
-        let Half { z, whole, rest } = Half::new(plane, stance, first_row, column);
-        let z = both(z);
-        Self {
-            z,
-            floor: z * z + stance.floor,
-            tilt: all::<L>(plane.h_z) * z,
-            ridge: [both(whole) - stance.row, both(rest)],
-            x: stance.x,
-        }
+        let half = Half::new(plane, stance, first_row, column);
+        Self::at(plane, stance, both(half.z), [both(half.whole), both(half.rest)])
     }
 
     /// Of registers of a row, whose halves are beside each other.
@@ -57,12 +50,18 @@ impl<L: Lanes> Column<L> {
             let [left, right] = [left, right].map(|half| half.map(real::<L::Scalar>));
             L::from_rows(&left[..L::WIDTH / 2], &right[..L::WIDTH / 2])
         };
-        let z = join(left.z, right.z);
+        let ridge = [join(left.whole, right.whole), join(left.rest, right.rest)];
+        Self::at(plane, stance, join(left.z, right.z), ridge)
+    }
+
+    /// `ridge` is from the strip's first row on.
+    #[inline(always)]
+    fn at(plane: &Plane, stance: &Stance<L>, z: L, [whole, rest]: [L; 2]) -> Self {
         Self {
             z,
             floor: z * z + stance.floor,
             tilt: all::<L>(plane.h_z) * z,
-            ridge: [join(left.whole, right.whole), join(left.rest, right.rest)],
+            ridge: [whole - stance.row, rest],
             x: stance.x,
         }
     }

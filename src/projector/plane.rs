@@ -7,8 +7,8 @@ use crate::numeric::{Lanes, Real, real};
 #[cfg(test)]
 use std::ops::Range;
 
-/// Columns of a support that is too small for its outline to be worth its while.
-const PLUMP: usize = 24;
+/// Columns of a support that is too small for its outline to be worth its while: at most one register of a row.
+const PLUMP: usize = 16;
 
 /// A primitive seen on a plane of pixels, in coordinates in which its form is a sum of squares:
 ///
