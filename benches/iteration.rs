@@ -1,7 +1,8 @@
 //! What an iteration of training costs and where the time goes, at 64³/128²/5,000 primitives and at 256³/512²/50,000.
 //!
 //! Each part runs by itself on primitives as a run leaves them: their scales, how far they differ from each other and from
-//! one axis to the next, and their ν are those of two trained models. What is not due in every iteration (wavelets 10, density control with the confidence of what it adds 100, that of all 500) counts with its
+//! one axis to the next, and their ν are those of two trained models. What is not due in every iteration (wavelets 10,
+//! density control with the confidence of what it adds 100, that of all 500) counts with its
 //! share. After the measurements a table gives milliseconds per iteration and percentages. All cores;
 //! `cargo bench --bench iteration`
 
@@ -50,7 +51,7 @@ struct Trained {
     voxels: usize,
     pixels: usize,
     primitives: usize,
-    /// Geometric mean of all scales, such that supports have as many pixels.
+    /// Geometric mean of all scales: 7 % less than the model's, so that supports have as many pixels as there.
     scale: f64,
     /// Standard deviations of the logarithm of a scale: from primitive to primitive, and among a primitive's axes.
     spread: [f64; 2],
