@@ -2,9 +2,8 @@
 //!
 //! Each part runs by itself on primitives as a run leaves them: their scales, how far they differ from each other and from
 //! one axis to the next, and their ν are those of two trained models. What is not due in every iteration (wavelets 10,
-//! density control with the confidence of what it adds 100, that of all 500) counts with its
-//! share. After the measurements a table gives milliseconds per iteration and percentages. All cores;
-//! `cargo bench --bench iteration`
+//! density control with the confidence of what it adds 100, that of all 500) counts with its share. After the measurements
+//! a table gives milliseconds per iteration and percentages. All cores; `cargo bench --bench iteration`
 
 use criterion::Criterion;
 use ndarray::Array2;
@@ -47,7 +46,6 @@ fn scanner(voxels: usize, pixels: usize) -> Scanner {
 
 /// Primitives as a run of the chest (`chest_fnndsc`, 18 views, low noise, everything by default) leaves them.
 struct Trained {
-    name: &'static str,
     voxels: usize,
     pixels: usize,
     primitives: usize,
@@ -61,7 +59,6 @@ struct Trained {
 
 const TRAINED: [Trained; 2] = [
     Trained {
-        name: "64³ voxels, 128² pixels, 5,000 primitives",
         voxels: 64,
         pixels: 128,
         primitives: 5_000,
@@ -70,7 +67,6 @@ const TRAINED: [Trained; 2] = [
         nu: [2.6, 5.1, 20.4, 32.0, 44.9, 66.6, 91.9],
     },
     Trained {
-        name: "256³ voxels, 512² pixels, 50,000 primitives",
         voxels: 256,
         pixels: 512,
         primitives: 50_000,
@@ -134,7 +130,8 @@ impl Shares {
 }
 
 fn bench(c: &mut Criterion, trained: &Trained) {
-    let Trained { name, voxels, pixels, .. } = *trained;
+    let Trained { voxels, pixels, primitives, .. } = *trained;
+    let name = &format!("{voxels}³ voxels, {pixels}² pixels, {primitives} primitives");
     let (config, shares) = (Config::default(), Shares::default());
     let (scanner, physical) = (scanner(voxels, pixels), trained.primitives());
     let (m, grid) = (physical.len(), scanner.grid);

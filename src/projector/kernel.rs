@@ -1,11 +1,10 @@
 //! **HOT.** One primitive over a strip of pixels: the only code that runs once per (pixel, primitive).
 //!
 //! A SIMD register is `WIDTH/2` columns × 2 rows of pixels, `WIDTH` pixels of a row where that is as wide as the support, or
-//! `WIDTH/4` × 2 voxels in each of two slices. The work is
-//! split into stages that each run over a batch of registers (distance, logarithm, exponential, use), logarithms and
-//! exponentials of two side by side, so that the long chains of one register hide behind those of the others. Within a
-//! column of registers the coordinate z of [`Plane`] is constant: half of the quadratic form and two thirds of the moments
-//! leave the inner loop.
+//! `WIDTH/4` × 2 voxels in each of two slices. The work is split into stages that each run over a batch of registers
+//! (distance, logarithm, exponential, use), logarithms and exponentials of two side by side, so that the long chains of one
+//! register hide behind those of the others. Within a column of registers the coordinate z of [`Plane`] is constant: half of
+//! the quadratic form and two thirds of the moments leave the inner loop.
 //!
 //! Everything is a power of two. With Δ the squared Mahalanobis distance of the primitive's centre from the
 //! ray, x = Δ/unit and root = √(A0/A), 1 in the affine projection:
