@@ -7,6 +7,8 @@
 //! if the data are too large for the caches): the longest one is its bound, and the share is bound / time.
 //! `cargo bench --bench passes`
 
+mod trained;
+
 use criterion::Criterion;
 use ndarray::{Array2, Array3};
 use std::cell::RefCell;
@@ -17,9 +19,8 @@ use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
 use trgs::numeric::threads::Pool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
-use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::Field;
-use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::scene::Scanner;
 use trgs::wavelet::{Routing, wavelet_loss};
 
 type F32s = <f32 as Real>::Lanes;
@@ -105,19 +106,6 @@ impl Work {
     }
 }
 
-/// `m` turned primitives all over the volume, by a sequence of low discrepancy.
-fn primitives(m: usize, scale: f64) -> Primitives {
-    let at = |i: usize, factor: f64| ((i as f64 * factor).fract() - 0.5) * 1.6;
-    Primitives::new(Parameters {
-        mean: (0..m).map(|i| [at(i, 0.819_172_5), at(i, 0.671_043_6), at(i, 0.549_700_5)]).collect(),
-        scale: (0..m).map(|i| [1.0, 1.15, 0.85 + 0.06 * (i % 7) as f64].map(|s| s * scale)).collect(),
-        quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
-        density: vec![0.1; m],
-        nu: (0..m).map(|i| 5.0 + (i % 30) as f64).collect(),
-    })
-    .expect("valid primitives")
-}
-
 fn all(c: &mut Criterion) {
     let machine = Machine::measure();
     println!(
@@ -179,9 +167,10 @@ fn all(c: &mut Criterion) {
 
     // Forward 36 operations for a register of lanes, backward 44, as the kernels have them (README.md), and 19 and 38 for a
     // column of registers. What is done once for a primitive, or for eight of its slices, is left out.
-    let physical = primitives(5_000, 0.04);
+    let [trained, _] = &trained::TRAINED;
+    let (physical, scanner) = (trained.primitives(), trained.scanner());
     let field = Field::<f32>::new(&physical, 1e-3);
-    let grid = Grid::cube(64).block([16; 3], [SIDE; 3]);
+    let grid = scanner.grid.block([16; 3], [SIDE; 3]);
     let gradient = RefCell::new(field.zero_gradient());
     let pairs = field.on(&grid).pairs();
     let (registers, columns) = (pairs.evaluated as f64 / f32s, pairs.columns as f64);
@@ -212,9 +201,6 @@ fn all(c: &mut Criterion) {
     });
 
     // For each point of the sphere and each view: a product of two vectors 5, its square, a difference, the least.
-    let pitch = 4.0 / 512.0;
-    let detector = Detector { rows: 512, columns: 512, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
-    let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
     let (settings, angles) = (Settings::default(), Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU));
     let coverage = Coverage::new(settings);
     let points = (physical.len() * VIEWS * settings.sphere_points) as f64;

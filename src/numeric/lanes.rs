@@ -156,8 +156,8 @@ pub trait Lanes:
     fn at_most(self, other: Self) -> Self;
     /// The larger of both, `other` where `self` is NaN.
     fn at_least(self, other: Self) -> Self;
-    /// Whether `self < limit` in some lane.
-    fn any_below(self, limit: Self) -> bool;
+    /// A bit for each lane, from the lowest one on: whether `self < limit`.
+    fn below(self, limit: Self) -> u32;
     /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
     fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
     /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0; of several registers, so that each step
@@ -365,8 +365,8 @@ macro_rules! precision {
                 self.fast_max(other)
             }
             #[inline(always)]
-            fn any_below(self, limit: Self) -> bool {
-                self.simd_lt(limit).any()
+            fn below(self, limit: Self) -> u32 {
+                self.simd_lt(limit).to_bitmask()
             }
             #[inline(always)]
             fn select_le(self, limit: Self, yes: Self, no: Self) -> Self {
@@ -490,7 +490,7 @@ mod tests {
     #[test]
     fn comparisons_of_lanes_are_those_of_numbers() {
         let lanes = f64x8::from_fn(|i| i as f64);
-        assert!([f64::NAN, 0.0, 0.5].map(|limit| lanes.any_below(f64x8::splat(limit))) == [false, false, true]);
+        assert_eq!([f64::NAN, 0.0, 0.5, 3.0].map(|limit| lanes.below(f64x8::splat(limit))), [0, 0, 1, 0b111]);
         assert_eq!(lanes.at_least(f64x8::splat(3.0)).to_array(), [3.0, 3.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         assert_eq!(f64x8::splat(f64::NAN).at_least(lanes), lanes);
     }

@@ -25,8 +25,7 @@ impl<R: Real> Canvas<R> {
     /// Zeros for `rows` × `columns`, whatever it was before.
     pub(super) fn renew(&mut self, rows: usize, columns: usize) {
         self.stride = columns + R::Lanes::WIDTH;
-        self.pixels.clear();
-        self.pixels.resize(rows.next_multiple_of(2) * self.stride, R::ZERO);
+        clear(&mut self.pixels, rows.next_multiple_of(2) * self.stride);
     }
 
     /// Zeros again, in some columns of all rows, to the end of the last column's register.
@@ -70,6 +69,13 @@ impl<R: Real> Canvas<R> {
         let pixels = &mut self.pixels[place..];
         (R::Lanes::from_slice(pixels) + value).write(pixels);
     }
+}
+
+/// As many zeros: a place among them is a u32 (`queue`).
+fn clear<R: Real>(values: &mut Vec<R>, count: usize) {
+    assert!(u32::try_from(count).is_ok(), "{count} pixels or voxels in one piece, more than 2^32");
+    values.clear();
+    values.resize(count, R::ZERO);
 }
 
 /// Rows and slices of a register of a volume.
@@ -135,8 +141,7 @@ impl<R: Real> Blocks<R> {
     /// Zeros for another window.
     pub(super) fn renew(&mut self, window: Window) {
         let pairs = window.slices.len().div_ceil(PAIR) * window.rows.div_ceil(PAIR);
-        self.voxels.clear();
-        self.voxels.resize(pairs * window.step::<R::Lanes>(), R::ZERO);
+        clear(&mut self.voxels, pairs * window.step::<R::Lanes>());
         self.window = window;
     }
 
@@ -180,5 +185,22 @@ impl<R: Real> Blocks<R> {
     pub(super) fn add(&mut self, place: usize, value: R::Lanes) {
         let voxels = &mut self.voxels[place..];
         (R::Lanes::from_slice(voxels) + value).write(voxels);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    #[should_panic(expected = "more than 2^32")]
+    fn an_image_whose_places_are_not_numbers_of_32_bits_is_refused() {
+        let _ = Canvas::<f32>::new(1 << 16, 1 << 16);
+    }
+
+    #[test]
+    #[should_panic(expected = "more than 2^32")]
+    fn a_volume_whose_places_are_not_numbers_of_32_bits_is_refused() {
+        let _ = Blocks::<f32>::new(Window { slices: 0..1 << 11, rows: 1 << 11, columns: 0..1 << 10 });
     }
 }

@@ -19,14 +19,13 @@
 
 use super::column::Column;
 use super::plane::{Plane, all};
-use crate::numeric::{Lanes, NEAR_ONE, Real, real};
+use super::queue::{BATCH, Queue, Queued, Shared};
+use crate::numeric::{Lanes, Real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
 /// Rows in a strip.
 pub(super) const STRIP: usize = 32;
-/// Registers in a batch: several columns of a small footprint, at least one of a large one.
-const BATCH: usize = STRIP;
 
 /// Registers whose logarithms, and exponentials, are found side by side: two where they are whole, one where the processor's
 /// are half as wide and as many, and it is two of these already.
@@ -80,18 +79,6 @@ enum Logarithm {
     Any,
 }
 
-/// How 1/√(1+e) is found in all registers of a support.
-#[derive(Clone, Copy)]
-enum Root {
-    /// The affine projection has none.
-    None,
-    /// No e is beyond the first of [`NEAR_ONE`].
-    Nearest,
-    /// No e is beyond the second.
-    Near,
-    Any,
-}
-
 impl Plane {
     #[inline(always)]
     fn logarithm<L: Lanes, const STUDENT: bool>(&self) -> Logarithm {
@@ -101,20 +88,10 @@ impl Plane {
             true => Logarithm::Any,
         }
     }
-
-    #[inline(always)]
-    fn root<const EXACT: bool>(&self) -> Root {
-        match EXACT {
-            false => Root::None,
-            true if self.bend <= NEAR_ONE[0] => Root::Nearest,
-            true if self.bend <= NEAR_ONE[1] => Root::Near,
-            true => Root::Any,
-        }
-    }
 }
 
-/// The intermediate values of a batch of registers. Kept from call to call: clearing it would cost as much as a small
-/// footprint.
+/// A queue of registers, and the intermediate values of a batch of them. Kept from call to call: clearing it would cost as
+/// much as a small footprint.
 pub(super) struct Scratch<L> {
     x: [L; BATCH],
     y: [L; BATCH],
@@ -122,20 +99,8 @@ pub(super) struct Scratch<L> {
     root: [L; BATCH],
     log: [L; BATCH],
     power: [L; BATCH],
-    /// Where a register is on the board.
-    place: [usize; BATCH],
-    columns: [Ended<L>; BATCH],
+    queue: Queue<L>,
     total: Totals<L>,
-}
-
-/// A column of registers in a batch.
-#[derive(Clone, Copy, Default)]
-struct Ended<L> {
-    z: L,
-    /// The slices' x. Solids only.
-    x: L,
-    /// Where its registers end.
-    end: usize,
 }
 
 impl<L: Lanes> Default for Scratch<L> {
@@ -147,84 +112,8 @@ impl<L: Lanes> Default for Scratch<L> {
             root: empty,
             log: empty,
             power: empty,
-            place: [0; BATCH],
-            columns: [Ended::default(); BATCH],
+            queue: Queue::default(),
             total: Totals::default(),
-        }
-    }
-}
-
-/// Where a register's lanes are, seen from the primitive.
-struct Sight<L> {
-    y: L,
-    x: L,
-    /// Exact projection only: 1/√(1+e).
-    root: L,
-}
-
-/// What all kernels need of a plane, in every lane.
-struct Shared<L: Lanes> {
-    minus_b: L,
-    h_y: L,
-    k: L,
-    limit: L,
-    root: Root,
-    /// Rows of a strip's registers.
-    down: [L::Scalar; STRIP],
-}
-
-impl<L: Lanes> Shared<L> {
-    #[inline(always)]
-    fn new<const EXACT: bool>(plane: &Plane, tall: usize) -> Self {
-        Self {
-            minus_b: all(-plane.b),
-            h_y: all(plane.h_y),
-            k: all(plane.k),
-            limit: all(plane.limit),
-            root: plane.root::<EXACT>(),
-            down: std::array::from_fn(|j| real((tall * j) as f64)),
-        }
-    }
-
-    /// Calls `visit(j, sight)` for the registers j of a column.
-    #[inline(always)]
-    fn look(&self, column: &Column<L>, registers: Range<usize>, visit: impl FnMut(usize, Sight<L>)) {
-        // e is a polynomial of y.
-        let bend = [
-            self.h_y.fma(self.h_y, self.k),
-            self.h_y * (column.tilt + column.tilt + all(2.0)),
-            column.tilt.fma(column.tilt + all(2.0), self.k * column.floor),
-        ];
-        let e = |y: L| y.fma(y.fma(bend[0], bend[1]), bend[2]);
-        match self.root {
-            Root::None => self.each(column, registers, |_, delta| (delta, L::default()), visit),
-            Root::Nearest => self.each(column, registers, |y, delta| (delta, e(y).rsqrt_1p_nearest()), visit),
-            Root::Near => self.each(column, registers, |y, delta| (delta, e(y).rsqrt_1p_near()), visit),
-            Root::Any => {
-                // Far from the centre e could overflow, and beside the source 1+e would lose its digits.
-                let root = |y: L, delta: L| {
-                    let delta = delta.at_most(all(L::Scalar::FAR));
-                    let h = self.h_y.fma(y, column.tilt + all(1.0));
-                    (delta, h.fma(h, self.k * delta).rsqrt())
-                };
-                self.each(column, registers, root, visit);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn each(
-        &self,
-        column: &Column<L>,
-        registers: Range<usize>,
-        root: impl Fn(L, L) -> (L, L),
-        mut visit: impl FnMut(usize, Sight<L>),
-    ) {
-        for j in registers {
-            let y = (column.ridge[0] - L::splat(self.down[j])).fma(self.minus_b, column.ridge[1]);
-            let (delta, root) = root(y, y.fma(y, column.floor));
-            let x = if matches!(self.root, Root::None) { delta } else { delta * (root * root) };
-            visit(j, Sight { y, x, root });
         }
     }
 }
@@ -237,27 +126,18 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
     scratch: &mut Scratch<R::Lanes>,
 ) {
     let plane = target.plane();
-    let shared = Shared::<R::Lanes>::new::<EXACT>(plane, T::TALL);
-    let step = T::step(board);
-    let mut filled = 0;
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
+    let stride = [T::step(board), T::TALL];
     target.walk(|column, place, registers| {
-        if filled + registers.len() > BATCH {
-            paint::<R, T, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
-            filled = 0;
+        if !scratch.queue.has_room(&registers) {
+            paint::<R, T, STUDENT, EXACT>(plane, &shared, scratch, board);
         }
-        shared.look(&column, registers, |j, sight| {
-            if EXACT {
-                scratch.root[filled] = sight.root;
-            }
-            scratch.x[filled] = sight.x;
-            scratch.place[filled] = place + j * step;
-            filled += 1;
-        });
+        scratch.queue.push::<EXACT, false>(&shared, column, place, registers, stride);
     });
-    paint::<R, T, STUDENT, EXACT>(plane, &shared, filled, scratch, board);
+    paint::<R, T, STUDENT, EXACT>(plane, &shared, scratch, board);
 }
 
-/// Adds the values of a batch, whose first `filled` registers have their distances, onto the board.
+/// Adds the values of a queue's registers onto the board, and empties it.
 ///
 /// Not inlined: within the walk's closure there are too few registers left for the constants of its loops, which would be
 /// read from memory again for every one or two registers of pixels.
@@ -265,18 +145,28 @@ pub(super) fn forward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bo
 fn paint<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
     shared: &Shared<R::Lanes>,
-    filled: usize,
     scratch: &mut Scratch<R::Lanes>,
     board: &mut T::Board,
 ) {
     let (weight, zero) = (all(plane.weight), R::Lanes::default());
-    let Scratch { x, root, log, power, place, .. } = scratch;
-    profile::<_, STUDENT>(plane, plane.q, filled, x, log, power);
-    let (x, root, power, place) = (&x[..filled], &root[..filled], &power[..filled], &place[..filled]);
-    for (((&x, &root), &power), &place) in x.iter().zip(root).zip(power).zip(place) {
-        let value = if EXACT { power * root } else { power };
-        T::add(board, place, x.select_le(shared.limit, value * weight, zero));
+    let Scratch { x, root, log, power, queue, .. } = scratch;
+    for batch in queue.batches() {
+        queue.look(shared, batch.clone(), x.iter_mut().zip(&mut *root), |(x, root), sight| {
+            *x = sight.x;
+            if EXACT {
+                *root = sight.root;
+            }
+        });
+        let places = queue.places(batch);
+        let filled = places.len();
+        profile::<_, STUDENT>(plane, plane.q, filled, x, log, power);
+        let (x, root, power) = (&x[..filled], &root[..filled], &power[..filled]);
+        for (((&x, &root), &power), &place) in x.iter().zip(root).zip(power).zip(places) {
+            let value = if EXACT { power * root } else { power };
+            T::add(board, place as usize, x.select_le(shared.limit, value * weight, zero));
+        }
     }
+    queue.clear();
 }
 
 /// (1+x)^-exponent of the first `filled` registers and the logarithms of 1+x, or 2^-x.
@@ -333,71 +223,79 @@ pub(super) fn backward<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: b
     scratch: &mut Scratch<R::Lanes>,
 ) -> Sums {
     let plane = target.plane();
-    let shared = Shared::<R::Lanes>::new::<EXACT>(plane, T::TALL);
-    let step = T::step(cotangent);
-    let beyond = all(2.0 * plane.limit + 1.0);
+    let shared = Shared::<R::Lanes>::new::<EXACT>(plane);
+    let stride = [T::step(cotangent), T::TALL];
     scratch.total.clear::<EXACT>(T::SOLID);
-    let (mut filled, mut ended) = (0, 0);
     target.walk(|column, place, registers| {
-        if filled + registers.len() > BATCH {
-            gather::<R, T, STUDENT, EXACT>(plane, &shared, filled, ended, scratch, cotangent);
-            (filled, ended) = (0, 0);
+        if !scratch.queue.has_room(&registers) {
+            gather::<R, T, STUDENT, EXACT>(plane, &shared, scratch, cotangent);
         }
-        shared.look(&column, registers, |j, Sight { y, x, root }| {
-            // What is beyond the limit is multiplied by zero: it, and its logarithm near 0, have to be finite.
-            scratch.x[filled] = x.at_most(beyond);
-            scratch.y[filled] = y;
-            if EXACT {
-                scratch.root[filled] = root;
-            }
-            scratch.place[filled] = place + j * step;
-            filled += 1;
-        });
-        scratch.columns[ended] = Ended { z: column.z, x: column.x, end: filled };
-        ended += 1;
+        scratch.queue.push::<EXACT, true>(&shared, column, place, registers, stride);
     });
-    gather::<R, T, STUDENT, EXACT>(plane, &shared, filled, ended, scratch, cotangent);
+    gather::<R, T, STUDENT, EXACT>(plane, &shared, scratch, cotangent);
     let slopes = if STUDENT { [plane.q, plane.q - 0.5] } else { [LN_2; 2] };
     scratch.total.sums::<EXACT>(plane, slopes, T::SOLID)
 }
 
-/// Adds a batch to the sums: its first `filled` registers, in its first `ended` columns. Not inlined, as [`paint`].
+/// Adds the registers of a queue to the sums, and empties it. Not inlined, as [`paint`].
 #[inline(never)]
 fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     plane: &Plane,
     shared: &Shared<R::Lanes>,
-    filled: usize,
-    ended: usize,
     scratch: &mut Scratch<R::Lanes>,
     cotangent: &T::Board,
 ) {
-    let Scratch { x, y, root, log, power, place, columns, total, .. } = scratch;
+    let Scratch { x, y, root, log, power, queue, total } = scratch;
     let zero = R::Lanes::default();
-    profile::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power);
-    let mut begin = 0;
-    for column in &columns[..ended] {
-        let mut part = ColumnSums::<R::Lanes>::default();
-        for j in begin..column.end {
-            let w = T::load(cotangent, place[j]);
-            let w = if EXACT { w * root[j] } else { w };
-            let a = x[j].select_le(shared.limit, w * power[j], zero);
-            let value = if STUDENT { a.fma(x[j], a) } else { a };
-            part.value += value;
-            if STUDENT {
-                part.log = value.fma(log[j], part.log);
-            }
-            let b = if EXACT { a * (root[j] * root[j]) } else { a };
-            part.b.add(b, y[j]);
+    // What is beyond the limit is multiplied by zero: it, and its logarithm near 0, have to be finite.
+    let beyond = all(2.0 * plane.limit + 1.0);
+    let mut columns = queue.columns();
+    let mut part = ColumnSums::<R::Lanes>::default();
+    for batch in queue.batches() {
+        let found = x.iter_mut().zip(&mut *y).zip(&mut *root);
+        queue.look(shared, batch.clone(), found, |((x, y), root), sight| {
+            *x = sight.x.at_most(beyond);
+            *y = sight.y;
             if EXACT {
-                part.bx.add(b * x[j], y[j]);
+                *root = sight.root;
             }
+        });
+        let places = queue.places(batch.clone());
+        let filled = places.len();
+        profile::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power);
+        let mut begin = 0;
+        while let [column, others @ ..] = columns {
+            let rest = column.end - batch.start;
+            let end = rest.min(filled);
+            for i in begin..end {
+                let w = T::load(cotangent, places[i] as usize);
+                let w = if EXACT { w * root[i] } else { w };
+                let a = x[i].select_le(shared.limit, w * power[i], zero);
+                let value = if STUDENT { a.fma(x[i], a) } else { a };
+                part.value += value;
+                if STUDENT {
+                    part.log = value.fma(log[i], part.log);
+                }
+                let b = if EXACT { a * (root[i] * root[i]) } else { a };
+                part.b.add(b, y[i]);
+                if EXACT {
+                    part.bx.add(b * x[i], y[i]);
+                }
+            }
+            begin = end;
+            if rest > filled {
+                // It goes on in the next batch.
+                break;
+            }
+            total.add::<EXACT>(&part, column.z);
+            if T::SOLID {
+                total.add_slices(&part.b, column);
+            }
+            part = ColumnSums::default();
+            columns = others;
         }
-        total.add::<EXACT>(&part, column.z);
-        if T::SOLID {
-            total.add_slices(&part.b, column);
-        }
-        begin = column.end;
     }
+    queue.clear();
 }
 
 /// Something times 1, y, y², summed.
@@ -468,7 +366,7 @@ impl<L: Lanes> Totals<L> {
 
     /// The moments of x, which is the same in all voxels of a slice.
     #[inline(always)]
-    fn add_slices(&mut self, Moments([one, y, _]): &Moments<L>, column: &Ended<L>) {
+    fn add_slices(&mut self, Moments([one, y, _]): &Moments<L>, column: &Queued<L>) {
         let times_x = *one * column.x;
         self.x[0] += times_x;
         self.x[1] += times_x * column.x;

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | whitening matrix, kernel constants | `shape` | `[Eq. 3]`, `[Eq. 5]` |
 //! | quadratic form on the detector, support | `footprint`, `extents` | `[Eq. 4]`, `[X1]`, `[X2]` |
-//! | pixels, SIMD | `kernel`, `column` | `[Eq. 4]`, `[X1]`, `[X3]` |
+//! | pixels, SIMD | `kernel`, `queue`, `column` | `[Eq. 4]`, `[X1]`, `[X3]` |
 //! | registers that hold pixels or voxels of the support | `outline`, `patch`, `solid` | `[X2]` |
 //! | images and volumes as the kernels have them | `canvas` | |
 //! | images band by band, gradients primitive by primitive | `view` | |
@@ -30,6 +30,7 @@ mod pairs;
 mod patch;
 mod plane;
 mod profile;
+mod queue;
 mod shape;
 mod solid;
 mod view;

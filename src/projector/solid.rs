@@ -1,6 +1,6 @@
 //! A primitive in the grid's slices: what differs from slice to slice, and the registers that its support reaches.
 
-use super::canvas::{BUNDLE, Blocks, HALF, PAIR, Window};
+use super::canvas::{Blocks, HALF, PAIR, Window};
 use super::column::{Column, Stance};
 use super::extents::Extents;
 use super::kernel::{Reach, STRIP};
@@ -106,30 +106,35 @@ impl Solid {
         self.slices.clone()
     }
 
-    /// Where the plane is in one slice.
+    /// Where the plane is in some slices from one on.
     #[inline(always)]
-    fn level(&self, slice: usize) -> Level {
-        let offset = (slice as f64 - self.centre) * self.step;
-        let x = self.xx * offset;
-        Level { x, row_centre: self.plane.row_centre + self.ridge_x * offset, shift: self.ax * offset, floor: x * x }
+    fn levels(&self, slice: usize) -> Levels {
+        let offset = (all(slice as f64) + each(|i| i as f64) - all(self.centre)) * all(self.step);
+        let x = all(self.xx) * offset;
+        Levels {
+            x: x.to_array(),
+            row_centre: (all(self.plane.row_centre) + all(self.ridge_x) * offset).to_array(),
+            shift: (all(self.ax) * offset).to_array(),
+            floor: (x * x).to_array(),
+        }
     }
 
     /// The plane in one slice, and rows and columns that bound the support there.
     pub(super) fn slice(&self, slice: usize) -> (Plane, Range<usize>, Range<usize>) {
-        let Level { row_centre, shift, floor, .. } = self.level(slice);
+        let Levels { row_centre: [row_centre, ..], shift: [shift, ..], floor: [floor, ..], .. } = self.levels(slice);
         (Plane { row_centre, shift, floor, ..self.plane }, self.rows.clone(), self.columns.clone())
     }
 
     /// Where registers can hold voxels of the support: for [`ACROSS`] columns of registers side by side in each of `WIDTH/4`
     /// pairs of slices from `slice` on, one pair after the other, in a strip of rows. The first of them all starts at the first
-    /// column, from `column` on, that the pair's support can reach, and `shift` columns further.
+    /// of `columns` that the pair's support can reach, and `shift` columns further.
     #[inline(always)]
-    fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, column: usize, shift: usize) -> Ends {
+    fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, columns: &Range<usize>, shift: usize) -> Ends {
         let Self { plane, ridge_x, ax, xx, step, .. } = self;
         let splat = |value: f64| L::splat(real(value));
         let wide = Window::wide::<L>();
         let width = wide as f64 - 1.0;
-        let (offset, left) = ((slice as f64 - self.centre) * step, column as f64 - plane.column_centre);
+        let (offset, left) = ((slice as f64 - self.centre) * step, columns.start as f64 - plane.column_centre);
         // Slices from the first one on, and columns from a pair's first one on.
         let along = L::from_fn(|i| L::Scalar::from_index(i / ACROSS * PAIR));
         let beside = L::from_fn(|i| L::Scalar::from_index(i % ACROSS * wide));
@@ -170,24 +175,32 @@ impl Solid {
         let per_row = splat(1.0 / PAIR as f64);
         let end = low.select_le(high, high * per_row + splat(1.0), splat(0.0));
         let end = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(0.0), end);
-        [across, low * per_row, end].map(|lanes| {
+        let end = across.select_le(splat(columns.len() as f64 - 1.0), end, splat(0.0));
+        let some = splat(0.0).below(end);
+        let [across, begin, end] = [across, low * per_row, end].map(|lanes| {
             let mut indices = [0; WIDEST];
             L::write_indices(lanes.split().0, &mut indices);
             indices
-        })
+        });
+        Ends { across, begin, end, some }
     }
 }
 
-/// For each lane the column, from the first one on, and where its registers begin and end in a strip: there is none where the
-/// end is not beyond the beginning.
-type Ends = [[u32; WIDEST]; 3];
+/// For each lane the column, from the first one on, and where its registers begin and end in a strip.
+struct Ends {
+    across: [u32; WIDEST],
+    begin: [u32; WIDEST],
+    end: [u32; WIDEST],
+    /// A bit for each lane that has registers, in columns there are.
+    some: u32,
+}
 
-/// What differs from slice to slice in a solid's [`Plane`], and the slice's own coordinate x.
-struct Level {
-    x: f64,
-    row_centre: f64,
-    shift: f64,
-    floor: f64,
+/// What differs from slice to slice in a solid's [`Plane`], and the slice's own coordinate x: of some slices.
+struct Levels {
+    x: [f64; EIGHT],
+    row_centre: [f64; EIGHT],
+    shift: [f64; EIGHT],
+    floor: [f64; EIGHT],
 }
 
 /// A primitive and the window that is looked at.
@@ -233,21 +246,20 @@ impl<R: Real> Reach<R> for Placed<'_> {
             for strip in rows.clone().step_by(STRIP) {
                 let strip = strip..rows.end.min(strip + STRIP);
                 for shift in (0..columns.len()).step_by(abreast) {
-                    let [across, begin, end] = solid.ends::<R::Lanes>(some, &strip, columns.start, shift);
-                    for slice in (some..slices.end.min(some + together)).step_by(PAIR) {
-                        let stance = Stance::of_slices([solid.level(slice), solid.level(slice + 1)]);
-                        let first = (slice - some) / PAIR * ACROSS;
-                        let left = columns.start + across[first] as usize;
-                        let place = window.place::<R::Lanes>(slice, strip.start, window.columns.start);
-                        for lane in first..first + ACROSS {
-                            let column = left + (lane - first) * wide;
-                            let registers = begin[lane] as usize..end[lane] as usize;
-                            if column < columns.end && !registers.is_empty() {
-                                let place = place + BUNDLE * (column - window.columns.start);
-                                let column = Column::new(&solid.plane, &stance, strip.start, column, both_rows);
-                                visit(column, place, registers);
-                            }
-                        }
+                    let Ends { across, begin, end, some: mut lanes } =
+                        solid.ends::<R::Lanes>(some, &strip, &columns, shift);
+                    let levels = solid.levels(some);
+                    let pairs = (slices.end - some).div_ceil(PAIR);
+                    lanes &= (1_u32 << (pairs * ACROSS).min(R::Lanes::WIDTH)) - 1;
+                    while lanes != 0 {
+                        let lane = lanes.trailing_zeros() as usize;
+                        lanes &= lanes - 1;
+                        let slice = lane / ACROSS * PAIR;
+                        let stance = Stance::of_slices(&levels, slice);
+                        let column = columns.start + across[lane] as usize;
+                        let place = window.place::<R::Lanes>(some + slice, strip.start, column);
+                        let column = Column::new(&solid.plane, &stance, strip.start, column, both_rows);
+                        visit(column, place, begin[lane] as usize..end[lane] as usize);
                     }
                 }
             }
@@ -256,17 +268,18 @@ impl<R: Real> Reach<R> for Placed<'_> {
 }
 
 impl<L: Lanes> Stance<L> {
-    /// In a row, one slice and the next take turns.
+    /// In a row, slice `first` of the levels and the next one take turns.
     #[inline(always)]
-    fn of_slices(pair: [Level; PAIR]) -> Self {
-        let level = |i: usize| &pair[i % PAIR];
+    fn of_slices(levels: &Levels, first: usize) -> Self {
+        let turns = |levels: &[f64; EIGHT]| std::array::from_fn(|i| levels[first + i % PAIR]);
+        let lanes = |levels: &[f64; EIGHT]| L::from_fn(|i| real(levels[first + i % PAIR]));
         Self {
             columns: std::array::from_fn(|i| (i / PAIR) as f64),
-            row_centre: std::array::from_fn(|i| level(i).row_centre),
-            shift: std::array::from_fn(|i| level(i).shift),
-            floor: L::from_fn(|i| real(level(i).floor)),
+            row_centre: turns(&levels.row_centre),
+            shift: turns(&levels.shift),
+            floor: lanes(&levels.floor),
             row: L::from_fn(|i| L::Scalar::from_index(Window::lane(i)[0])),
-            x: L::from_fn(|i| real(level(i).x)),
+            x: lanes(&levels.x),
         }
     }
 }

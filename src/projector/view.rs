@@ -156,7 +156,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// Adds the gradient of `Σ cotangent·image`; `cotangent` is `[v, u]`.
     ///
     /// # Panics
-    /// If the cotangent does not have the detector's shape, or the gradient belongs to another field.
+    /// If the cotangent does not have the detector's shape, or the gradient belongs to another field, or for images of 2^32 pixels.
     pub fn pull_back(&self, cotangent: ArrayView2<'_, R>, gradient: &mut FieldGradient) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");

@@ -128,7 +128,7 @@ impl<R: Kernels> GridField<'_, R> {
     /// Adds the gradient of `Σ cotangent·volume`; `cotangent` is `[x, y, z]`.
     ///
     /// # Panics
-    /// If the cotangent does not have the grid's shape, or the gradient belongs to another field.
+    /// If the cotangent does not have the grid's shape, or the gradient belongs to another field, or for volumes of 2^32 voxels.
     pub fn pull_back(&self, cotangent: ArrayView3<'_, R>, gradient: &mut FieldGradient) {
         let Self { field, grid, solids } = self;
         let [nx, ny, nz] = grid.shape;

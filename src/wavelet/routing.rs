@@ -294,7 +294,7 @@ impl Room {
             let [x, y, z] = [Row::splat(point.x) - x, Row::splat(point.y) - y, Row::splat(point.z) - z];
             let mut distance = x * x + y * y + z * z;
             distances.push(distance);
-            if distance.any_below(order[neighbours - 1]) {
+            if distance.below(order[neighbours - 1]) != 0 {
                 for nearer in order.iter_mut() {
                     (*nearer, distance) = (nearer.at_most(distance), nearer.at_least(distance));
                 }

@@ -346,8 +346,8 @@ macro_rules! plain {
             fn at_least(self, other: Self) -> Self {
                 Self::from_fn(|i| if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
             }
-            fn any_below(self, limit: Self) -> bool {
-                (0..Self::WIDTH).any(|i| self.0[i] < limit.0[i])
+            fn below(self, limit: Self) -> u32 {
+                (0..Self::WIDTH).fold(0, |bits, i| bits | u32::from(self.0[i] < limit.0[i]) << i)
             }
             fn select_le(self, limit: Self, yes: Self, no: Self) -> Self {
                 Self::from_fn(|i| if self.0[i] <= limit.0[i] { yes.0[i] } else { no.0[i] })
