@@ -16,7 +16,8 @@ use trained::{TRAINED, Trained};
 use trgs::confidence::{Coverage, nu_loss, nu_target};
 use trgs::config::Config;
 use trgs::density::{ar, succeed};
-use trgs::loss::{Ssim, SsimTarget, image_loss, tv::tv};
+use trgs::loss::tv::{self, tv_into};
+use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into};
 use trgs::numeric::threads::Pool;
 use trgs::optim::sghmc::{Phase, Stir};
 use trgs::optim::{Adam, Sghmc};
@@ -24,7 +25,7 @@ use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, Kernel, Primitives};
 use trgs::projector::Field;
 use trgs::scene::Scanner;
-use trgs::wavelet::{Router, Routing, wavelet_loss};
+use trgs::wavelet::{self, Router, Routing, wavelet_loss_into};
 
 const VIEWS: usize = 18;
 
@@ -78,6 +79,10 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         Array2::from_shape_fn((pixels, pixels), |(v, u)| ((v * 7 + u * 3) % 11) as f32 / 11.0).view(),
     );
     let cotangent = image_loss(&ssim, 0.25, image.view(), &target).cotangent;
+    // As in a run, where the last iteration worked.
+    let (prediction, of_image) = (RefCell::new(image.clone()), RefCell::new(cotangent.clone()));
+    let (volume, slopes) = (RefCell::default(), RefCell::default());
+    let spaces = (tv::Spaces::default(), wavelet::Spaces::default());
     let block = grid.block([grid.shape[0] / 4; 3], [32; 3]);
     let gradient = RefCell::new(field.zero_gradient());
     let coverage = Coverage::new(config.confidence.settings());
@@ -109,16 +114,17 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         black_box(Field::<f32>::new(&activation.forward(&raw), config.cutoff));
     });
     part("projection", 1, &|| {
-        black_box(field.view(&scanner, 0.4, config.projection).image());
+        field.view(&scanner, 0.4, config.projection).image_into(&mut prediction.borrow_mut());
     });
     part("image loss", 1, &|| {
-        black_box(image_loss(&ssim, 0.25, image.view(), &target));
+        black_box(image_loss_into(&ssim, 0.25, image.view(), &target, &mut of_image.borrow_mut()));
     });
     part("projection, back", 1, &|| view.pull_back(cotangent.view(), &mut gradient.borrow_mut()));
     part("total variation", 1, &|| {
-        let there = field.on(&block);
-        let (_, cotangent) = tv(there.voxels().view());
-        there.pull_back(cotangent.view(), &mut gradient.borrow_mut());
+        let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
+        there.voxels_into(&mut volume);
+        black_box(tv_into(volume.view(), &spaces.0, &mut slopes));
+        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
     });
     part("gradient to raw", 1, &|| {
         let mut gradient = field.finish(&gradient.borrow());
@@ -142,9 +148,10 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         let settings = config.wavelet.settings();
         let (router, routing) = &mut *routes.borrow_mut();
         router.route_into(&block, &physical.parameters.mean, &confidence, &settings, routing).expect("finite means");
-        let there = field.on(&block);
-        let loss = wavelet_loss(there.voxels().view(), routing, &settings);
-        there.pull_back(loss.gradient.view(), &mut gradient.borrow_mut());
+        let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
+        there.voxels_into(&mut volume);
+        black_box(wavelet_loss_into(volume.view(), routing, &settings, &spaces.1, &mut slopes));
+        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
     });
     part("confidence of all", config.confidence.every, &|| {
         black_box(coverage.confidence(&physical, &scanner, &angles));

@@ -44,7 +44,10 @@ pub fn image_loss<R: Real>(
 }
 
 /// Total, L1 and D-SSIM of [`image_loss`], with the cotangent in the place of another array.
-pub(crate) fn image_loss_into<R: Real>(
+///
+/// # Panics
+/// When the prediction and the target differ in shape.
+pub fn image_loss_into<R: Real>(
     ssim: &Ssim<R>,
     weight: f64,
     prediction: ArrayView2<R>,

@@ -19,9 +19,9 @@ pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     (tv_into(block, &Spaces::default(), &mut gradient), gradient)
 }
 
-/// What total variation works in.
+/// What [`tv_into`] works in: it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
-pub(crate) struct Spaces<R> {
+pub struct Spaces<R> {
     /// Of each voxel of a slice, the distances to those after it.
     distances: Spares<Vec<R>>,
     /// Of each voxel of a slice 1 where it has one before it along z, else 0; and 0 for one more.
@@ -31,7 +31,7 @@ pub(crate) struct Spaces<R> {
 }
 
 /// [`tv`] with the gradient in the place of another array.
-pub(crate) fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut Array3<R>) -> f64 {
+pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
         *gradient = Array3::default(block.raw_dim());

@@ -82,7 +82,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     }
 
     /// [`Self::image`] in the place of another.
-    pub(crate) fn image_into(&self, image: &mut Array2<R>) {
+    pub fn image_into(&self, image: &mut Array2<R>) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         if image.dim() != (rows, columns) {
             *image = Array2::default((rows, columns));

@@ -101,7 +101,7 @@ impl<R: Kernels> GridField<'_, R> {
     }
 
     /// [`Self::voxels`] in the place of others.
-    pub(crate) fn voxels_into(&self, volume: &mut Array3<R>) {
+    pub fn voxels_into(&self, volume: &mut Array3<R>) {
         let Self { field, grid, solids } = self;
         let [nx, ny, nz] = grid.shape;
         if volume.dim() != (nx, ny, nz) {

@@ -24,9 +24,9 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
-/// What the loss works in.
+/// What [`wavelet_loss_into`] works in: it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
-pub(crate) struct Spaces<R> {
+pub struct Spaces<R> {
     weights: Spares<Weights<R>>,
     bands: Spares<Space<R>>,
     subbands: Spares<Subbands<R>>,
@@ -52,7 +52,10 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
 }
 
 /// L, E and S of [`wavelet_loss`], with the gradient in the place of another array.
-pub(crate) fn wavelet_loss_into<R: Real>(
+///
+/// # Panics
+/// As [`wavelet_loss`].
+pub fn wavelet_loss_into<R: Real>(
     block: ArrayView3<R>,
     routing: &Routing,
     settings: &Settings,

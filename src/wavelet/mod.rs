@@ -24,8 +24,7 @@ mod loss;
 pub mod naive;
 mod routing;
 
-pub(crate) use loss::{Spaces, wavelet_loss_into};
-pub use loss::{WaveletLoss, wavelet_loss};
+pub use loss::{Spaces, WaveletLoss, wavelet_loss, wavelet_loss_into};
 pub use routing::{Router, Routing, route};
 
 use crate::error::{Error, Result};
