@@ -135,7 +135,7 @@ fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, bloc
                 cells.iter_mut().zip(bands).for_each(|(cells, band)| *cells = padded(&band[i * width + z..][..n]));
                 for (j, voxels) in join(&cells).iter().enumerate() {
                     let place = x * of_cells + ((j / 2) * ny + 2 * y + j % 2) * nz + 2 * z;
-                    block[place..][..2 * n].copy_from_slice(&voxels[..2 * n]);
+                    put(voxels, &mut block[place..][..2 * n]);
                 }
             }
         }
@@ -154,7 +154,7 @@ fn analyse_all<R: Real>(slices: &[R], [ny, nz]: [usize; 2], mut bands: [&mut [R]
                 *voxels = padded(&slices[((2 * x + j / 2) * ny + 2 * y + j % 2) * nz + 2 * z..][..2 * n]);
             }
             for (band, cells) in bands.iter_mut().zip(split(&voxels)) {
-                band[row * width + z..][..n].copy_from_slice(&cells[..n]);
+                put(&cells, &mut band[row * width + z..][..n]);
             }
         }
     }
@@ -170,6 +170,16 @@ fn padded<R: Real, const N: usize>(values: &[R]) -> [R; N] {
             padded[..values.len()].copy_from_slice(values);
             padded
         }
+    }
+}
+
+/// As many of the values as there are places.
+#[inline(always)]
+fn put<R: Real, const N: usize>(values: &[R; N], places: &mut [R]) {
+    match <&mut [R; N]>::try_from(&mut *places) {
+        // A few instructions: to copy a number of values that only the run knows is a call.
+        Ok(all) => *all = *values,
+        Err(_) => places.copy_from_slice(&values[..places.len()]),
     }
 }
 
