@@ -43,7 +43,7 @@ pub fn image_loss<R: Real>(
     ImageLoss { total, l1, d_ssim, cotangent }
 }
 
-/// Total, L1 and D-SSIM of [`image_loss`], with the cotangent in the place of another array.
+/// Total, L1 and D-SSIM of [`image_loss`], with the cotangent in the place of another array. Not in the paper.
 ///
 /// # Panics
 /// When the prediction and the target differ in shape.

@@ -30,7 +30,7 @@ pub struct Spaces<R> {
     sums: Spares<Vec<f64>>,
 }
 
-/// [`tv`] with the gradient in the place of another array.
+/// [`tv`] with the gradient in the place of another array. Not in the paper.
 pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {

@@ -4,6 +4,9 @@ use super::canvas::HALF;
 use super::plane::{Plane, all};
 use crate::numeric::{Lanes, Real, real};
 
+/// Rows in a strip: as many registers as a column has at most.
+pub(super) const STRIP: usize = 32;
+
 /// Where half of a register's lanes are in the plane, or in the planes of two slices: those of its first row.
 pub(super) struct Stance<L> {
     /// Columns from the register's first one on.

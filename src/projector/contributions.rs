@@ -1,7 +1,8 @@
 //! What each primitive adds to one pixel or voxel: the way from an artefact back to its cause. Not in the paper.
 
 use super::canvas::{Blocks, Canvas, PAIR, Window};
-use super::kernel::{STRIP, Scratch};
+use super::column::STRIP;
+use super::kernel::Scratch;
 use super::kernels::Kernels;
 use super::patch::{Patch, from_even};
 use super::shape::CHUNK;

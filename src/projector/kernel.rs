@@ -24,9 +24,6 @@ use crate::numeric::{Lanes, Real};
 use std::f64::consts::LN_2;
 use std::ops::Range;
 
-/// Rows in a strip.
-pub(super) const STRIP: usize = 32;
-
 /// Registers whose logarithms, and exponentials, are found side by side: two where they are whole, one where the processor's
 /// are half as wide and as many, and it is two of these already.
 const ABREAST: usize = if cfg!(target_feature = "avx512f") { 2 } else { 1 };

@@ -1,6 +1,6 @@
 //! Which registers of a strip can hold pixels of a primitive's support.
 
-use super::kernel::STRIP;
+use super::column::STRIP;
 use super::plane::Plane;
 use std::ops::Range;
 

@@ -1,8 +1,8 @@
 //! A primitive on an image: one plane, and the columns of registers that its support reaches there.
 
 use super::canvas::{Canvas, HALF};
-use super::column::{Column, Stance};
-use super::kernel::{Reach, STRIP};
+use super::column::{Column, STRIP, Stance};
+use super::kernel::Reach;
 use super::outline::Outline;
 use super::plane::Plane;
 use crate::numeric::{Lanes, Real, real};

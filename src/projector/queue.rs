@@ -4,15 +4,14 @@
 //! only says where its columns are. Distances are found afterwards, for a batch of registers in one loop, whichever columns
 //! they are in.
 
-use super::column::Column;
-use super::kernel::STRIP;
+use super::column::{Column, STRIP};
 use super::plane::{Plane, all};
 use crate::numeric::{Lanes, NEAR_ONE, Real, real};
 use std::ops::Range;
 
-/// Registers in a batch, which all stages have at hand: several columns of a small footprint, one of a large one.
-pub(super) const BATCH: usize = STRIP;
-/// Columns in a queue, and registers in them: all of most footprints.
+/// Registers in a batch: enough for their long chains to hide behind each other, few enough for the nearest cache.
+pub(super) const BATCH: usize = 32;
+/// Columns in a queue, and registers in them: all of most footprints, and room for any column.
 const COLUMNS: usize = 64;
 const REGISTERS: usize = 8 * BATCH;
 

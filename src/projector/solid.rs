@@ -1,9 +1,9 @@
 //! A primitive in the grid's slices: what differs from slice to slice, and the registers that its support reaches.
 
 use super::canvas::{Blocks, HALF, PAIR, Window};
-use super::column::{Column, Stance};
+use super::column::{Column, STRIP, Stance};
 use super::extents::Extents;
-use super::kernel::{Reach, STRIP};
+use super::kernel::Reach;
 use super::plane::{Bounds, Plane, Planes};
 use super::shape::{Shape, whitening};
 use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};

@@ -1,7 +1,8 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
+use super::column::STRIP;
 use super::footprint::Footprint;
-use super::kernel::{STRIP, Sums};
+use super::kernel::Sums;
 use super::kernels::Kernels;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::Real;

@@ -51,7 +51,7 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
     WaveletLoss { value, enhancement, suppression, gradient }
 }
 
-/// L, E and S of [`wavelet_loss`], with the gradient in the place of another array.
+/// L, E and S of [`wavelet_loss`] `[Eq. 15]`, with the gradient in the place of another array.
 ///
 /// # Panics
 /// As [`wavelet_loss`].
