@@ -28,7 +28,7 @@
 //! | [`numeric`] | the ground: scalars, lanes, sums, random numbers, threads | |
 //!
 //! Images, volumes and losses that are made again and again have a twin of their function, `…_into`, which fills an array that
-//! is there and asks for no memory.
+//! is there and asks for no memory the second time.
 //!
 //! Equation tags: `[Eq. n]` are the paper's; `[X1]` is the exact cone-beam projection, `[X2]` the support of a
 //! primitive, `[X3]` the precision of its power, all three ours and explained in [`projector`].

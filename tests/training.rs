@@ -2,9 +2,11 @@
 
 mod common;
 
+use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
+use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
@@ -13,6 +15,7 @@ use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Scanner};
 use trgs::train::{Checkpoint, Checkpoints, Reconstruction, train};
+use trgs::wavelet::{self, Routing, wavelet_loss, wavelet_loss_into};
 use trgs::{Error, evaluation};
 
 fn scan() -> Dataset {
@@ -207,6 +210,45 @@ fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u6
     let measured = || blocks = allocation_counter::measure(|| drop(run(dataset, &config))).count_total;
     threads::install(1, measured).unwrap();
     blocks
+}
+
+/// Twice at the same size: the second time is measured.
+#[test]
+fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_memory() {
+    let dataset = scan();
+    let Scanner { grid, detector, .. } = dataset.scanner;
+    let model = run(&dataset, &Config { iterations: 1, ..busy(Method::TrGs) }).primitives;
+    let field = Field::<f32>::new(&model, 1e-3);
+    let (view, there) = (field.view(&dataset.scanner, 0.4, Projection::Exact), field.on(&grid));
+    let ssim = Ssim::<f32>::default();
+    let target = SsimTarget::new(&ssim, Array2::from_elem((detector.rows, detector.columns), 0.1).view());
+    let settings = Config::default().wavelet.settings();
+    let routing = Routing { high: Array3::from_elem(grid.shape, 1), neighbours: settings.neighbours };
+    let (of_tv, of_wavelets) = (tv::Spaces::default(), wavelet::Spaces::default());
+    let (mut image, mut volume) = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
+    let (mut cotangent, mut slopes) =
+        (Array2::default((detector.rows, detector.columns)), [(); 2].map(|()| Array3::default((0, 0, 0))));
+    let mut losses = ([0.0; 3], 0.0, [0.0; 3]);
+    let mut all = || {
+        view.image_into(&mut image);
+        there.voxels_into(&mut volume);
+        losses = (
+            image_loss_into(&ssim, 0.25, image.view(), &target, &mut cotangent),
+            tv::tv_into(volume.view(), &of_tv, &mut slopes[0]),
+            wavelet_loss_into(volume.view(), &routing, &settings, &of_wavelets, &mut slopes[1]),
+        );
+    };
+    let mut blocks = [0; 2];
+    let measured = || blocks = [(); 2].map(|()| allocation_counter::measure(&mut all).count_total);
+    threads::install(1, measured).unwrap();
+    assert!(blocks[0] > 0 && blocks[1] == 0, "{blocks:?}");
+    assert_eq!((&image, &volume), (&view.image(), &there.voxels()));
+    let expected = image_loss(&ssim, 0.25, image.view(), &target);
+    assert_eq!((losses.0[0], &cotangent), (expected.total, &expected.cotangent));
+    let (value, gradient) = tv::tv(volume.view());
+    assert_eq!((losses.1, &slopes[0]), (value, &gradient));
+    let expected = wavelet_loss(volume.view(), &routing, &settings);
+    assert_eq!((losses.2[0], &slopes[1]), (expected.value, &expected.gradient));
 }
 
 /// The kd-tree of their neighbours is made anew only where primitives have gone far or others are there.

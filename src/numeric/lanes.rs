@@ -491,6 +491,7 @@ mod tests {
     fn comparisons_of_lanes_are_those_of_numbers() {
         let lanes = f64x8::from_fn(|i| i as f64);
         assert_eq!([f64::NAN, 0.0, 0.5, 3.0].map(|limit| lanes.below(f64x8::splat(limit))), [0, 0, 1, 0b111]);
+        assert_eq!(f32x16::from_fn(|i| 15.0 - i as f32).below(f32x16::splat(6.0)), 0b1111_1100_0000_0000);
         assert_eq!(lanes.at_least(f64x8::splat(3.0)).to_array(), [3.0, 3.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         assert_eq!(f64x8::splat(f64::NAN).at_least(lanes), lanes);
     }

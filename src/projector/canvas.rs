@@ -73,7 +73,7 @@ impl<R: Real> Canvas<R> {
 
 /// As many zeros: a place among them is a u32 (`queue`).
 fn clear<R: Real>(values: &mut Vec<R>, count: usize) {
-    assert!(u32::try_from(count).is_ok(), "{count} pixels or voxels in one piece, more than 2^32");
+    assert!(u32::try_from(count).is_ok(), "{count} pixels or voxels in one piece: there is room for fewer than 2^32");
     values.clear();
     values.resize(count, R::ZERO);
 }
@@ -193,13 +193,13 @@ mod tests {
     use super::*;
 
     #[test]
-    #[should_panic(expected = "more than 2^32")]
+    #[should_panic(expected = "fewer than 2^32")]
     fn an_image_whose_places_are_not_numbers_of_32_bits_is_refused() {
         let _ = Canvas::<f32>::new(1 << 16, 1 << 16);
     }
 
     #[test]
-    #[should_panic(expected = "more than 2^32")]
+    #[should_panic(expected = "fewer than 2^32")]
     fn a_volume_whose_places_are_not_numbers_of_32_bits_is_refused() {
         let _ = Blocks::<f32>::new(Window { slices: 0..1 << 11, rows: 1 << 11, columns: 0..1 << 10 });
     }

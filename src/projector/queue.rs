@@ -146,7 +146,11 @@ impl<L: Lanes> Queue<L> {
             ((place + registers.start * step) as u32, step as u32, (registers.start * tall) as f32);
         self.owner[most.clone()].fill(self.ended as u8);
         self.row[most.clone()].iter_mut().enumerate().for_each(|(i, row)| *row = first_row + (i * tall) as f32);
-        self.place[most].iter_mut().zip(0..).for_each(|(place, i)| *place = first + i * step);
+        // Beyond the column's end there need not be a place.
+        self.place[most]
+            .iter_mut()
+            .zip(0_u32..)
+            .for_each(|(place, i)| *place = first.wrapping_add(i.wrapping_mul(step)));
         self.ended += 1;
         self.filled += registers.len();
     }

@@ -24,7 +24,7 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
-/// What [`wavelet_loss_into`] works in: it asks for no memory again while blocks are as large as the last one.
+/// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
 pub struct Spaces<R> {
     weights: Spares<Weights<R>>,
