@@ -254,6 +254,12 @@ impl Footprint {
         self.rows.start.max(band.start)..self.rows.end.min(band.end)
     }
 
+    /// Something of each line of memory that [`Self::patch`] reads.
+    pub(super) fn touch(&self) -> u64 {
+        let Self { plane, rows, columns, .. } = self;
+        plane.row_centre.to_bits() ^ plane.bend.to_bits() ^ rows.start as u64 ^ columns.start as u64
+    }
+
     /// Its part of a canvas in `rows`, the first of which is row `top` there.
     pub(super) fn patch(&self, rows: Range<usize>, top: usize, stride: usize) -> Patch {
         Patch::new(&self.plane, rows, self.columns.clone(), top, stride)

@@ -10,6 +10,7 @@ use crate::numeric::threads::{self, Lent};
 use crate::numeric::vectors::{EIGHT, lanes};
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
+use std::hint::black_box;
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
@@ -98,6 +99,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             canvas.renew(height, columns);
             fetched.reserve(FETCH);
             for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
+                // One wait for all of them: their lines are asked for before any patch is made.
+                black_box(some.iter().fold(0, |bits, &i| bits ^ self.footprints[i as usize].touch()));
                 fetched.clear();
                 fetched.extend(some.iter().map(|&i| {
                     let footprint = &self.footprints[i as usize];
