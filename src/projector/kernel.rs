@@ -184,18 +184,11 @@ fn profile<L: Lanes, const STUDENT: bool>(
     powers(filled, -exponent, log, power);
 }
 
-/// [`profile`] for a caller that has sums in registers: inlined there, the constants of its loops would find no room and be
-/// read again for every one or two registers of pixels.
+/// Does work that would find no registers for its constants where it is called from, among sums, and would read them again for
+/// every one or two registers of pixels.
 #[inline(never)]
-fn profile_apart<L: Lanes, const STUDENT: bool>(
-    plane: &Plane,
-    exponent: f64,
-    filled: usize,
-    x: &[L; BATCH],
-    log: &mut [L; BATCH],
-    power: &mut [L; BATCH],
-) {
-    profile::<L, STUDENT>(plane, exponent, filled, x, log, power);
+fn apart(work: impl FnOnce()) {
+    work();
 }
 
 /// log2(1+x) of the first `filled` registers, several at a time: one beyond is of an earlier batch, nobody reads its log.
@@ -273,7 +266,7 @@ fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
         });
         let places = queue.places(batch.clone());
         let filled = places.len();
-        profile_apart::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power);
+        apart(|| profile::<_, STUDENT>(plane, plane.q + 1.0, filled, x, log, power));
         let mut begin = 0;
         while let [column, others @ ..] = columns {
             let rest = column.end - batch.start;
