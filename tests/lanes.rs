@@ -16,6 +16,7 @@ use trgs::numeric::{Lanes, Real};
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Detector, Scanner};
+use trgs::wavelet::{self, Routing};
 use wide::{f32x8, f32x16, f64x4, f64x8};
 
 /// Zeros, subnormals, the smallest and largest numbers, infinities, NaN, halves that round either way, random numbers of
@@ -252,6 +253,28 @@ fn assert_kernels_agree_bit_by_bit<Fast: Kernels, Plain: Kernels>() {
 fn all_kernels_have_the_same_bits_in_plain_arithmetic() {
     assert_kernels_agree_bit_by_bit::<f32, Plain32<16>>();
     assert_kernels_agree_bit_by_bit::<f64, Plain64<8>>();
+}
+
+/// The wavelet loss of a block and its gradient.
+fn wavelets<R: Real>(shape: [usize; 3], levels: usize) -> Vec<u64> {
+    let number = |i: usize| R::from_f64(f64::from(((i * 7919 + 13) % 1009) as f32 / 1009.0));
+    let [_, y, z] = shape;
+    let block = Array3::from_shape_fn(shape, |(i, j, k)| number((i * y + j) * z + k));
+    let high = Array3::from_shape_fn(shape, |(i, j, k)| ((3 * i + 5 * j + 7 * k) % 9) as u16);
+    let settings = wavelet::Settings { levels, ..wavelet::Settings::default() };
+    let loss = wavelet::wavelet_loss(block.view(), &Routing { high, neighbours: 8 }, &settings);
+    assert!(loss.enhancement > 0.0 && loss.suppression > 0.0);
+    let gradient = loss.gradient.iter().map(|d| d.to_f64());
+    gradient.chain([loss.value, loss.enhancement, loss.suppression]).map(f64::to_bits).collect()
+}
+
+/// Rows of cells that are shorter than a register, as long, and longer.
+#[test]
+fn wavelet_losses_have_the_same_bits_in_plain_arithmetic() {
+    for (shape, levels) in [([2, 2, 2], 1), ([4, 6, 10], 1), ([6, 4, 32], 1), ([4, 10, 44], 1), ([8, 12, 72], 2)] {
+        assert!(wavelets::<f32>(shape, levels) == wavelets::<Plain32<16>>(shape, levels), "f32, {shape:?}");
+        assert!(wavelets::<f64>(shape, levels) == wavelets::<Plain64<8>>(shape, levels), "f64, {shape:?}");
+    }
 }
 
 /// Largest difference relative to the largest value of each array.

@@ -8,11 +8,12 @@ use super::polynomials::{
     exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_near_f32,
     root_near_f64, root_nearest_f32,
 };
-use super::rearrange::{Rearrange, columns_of_f32, wider};
+use super::rearrange::{Rearrange, columns_of_f32, one_of_eight, one_of_sixteen};
+use super::reduce::{eight_of_16, sum_of_8};
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
-use wide::{f32x8, f32x16, f64x2, f64x4, f64x8, i32x8, u32x8, u32x16, u64x8};
+use wide::{f32x16, f64x8, u32x8, u32x16, u64x8};
 
 /// A floating-point scalar that the pixel kernels can run in.
 pub trait Real:
@@ -93,6 +94,8 @@ pub trait Lanes:
     type Scalar: Real<Lanes = Self>;
     /// A whole number in every lane.
     type Index: Copy;
+    /// `WIDTH` contiguous values.
+    type Block: Copy;
     /// Number of lanes, even.
     const WIDTH: usize;
     /// The largest x whose logarithm of 1+x [`Self::log2_1p_near`] takes.
@@ -104,6 +107,14 @@ pub trait Lanes:
     fn from_slice(values: &[Self::Scalar]) -> Self;
     /// Writes the lanes to the first `WIDTH` of contiguous values.
     fn write(self, values: &mut [Self::Scalar]);
+    /// Contiguous values, `WIDTH` at a time, without those that are left over.
+    fn blocks(values: &[Self::Scalar]) -> &[Self::Block];
+    /// Lanes from as many values.
+    fn from_block(block: &Self::Block) -> Self;
+    /// [`Self::blocks`] to be written to.
+    fn blocks_mut(values: &mut [Self::Scalar]) -> &mut [Self::Block];
+    /// The values of the lanes.
+    fn to_block(self) -> Self::Block;
     /// Lanes from the first values, zeros where there are fewer than `WIDTH`.
     #[inline(always)]
     fn from_first(values: &[Self::Scalar]) -> Self {
@@ -179,39 +190,13 @@ pub trait Lanes:
     fn exp2(self) -> Self {
         Self::exp2_each([self])[0]
     }
+    /// Lanes that are eight apart added up, in f64.
+    fn eight(self) -> [f64; 8];
     /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
-    fn sum(self) -> f64;
-}
-
-/// The first eight values.
-#[inline(always)]
-fn eight(values: &[f32]) -> u32x8 {
-    bytemuck::cast(f32x8::new(values[..8].try_into().expect("a slice of this length")))
-}
-
-/// `table[index]` for indices below 16.
-#[inline(always)]
-fn one_of_sixteen(table: &[f32], index: u32x8) -> u32x8 {
-    let place = index & u32x8::splat(7);
-    let low: i32x8 = bytemuck::cast(eight(table).shuffle(place));
-    let high: i32x8 = bytemuck::cast(eight(&table[8..]).shuffle(place));
-    let index: i32x8 = bytemuck::cast(index);
-    bytemuck::cast(index.simd_lt(i32x8::splat(8)).select(low, high))
-}
-
-// In registers, or the compiler takes the lanes of several sums apart.
-#[inline(always)]
-fn sum_of_8(lanes: f64x8) -> f64 {
-    let [low, high]: [f64x4; 2] = bytemuck::cast(lanes);
-    let [low, high]: [f64x2; 2] = bytemuck::cast(low + high);
-    let [low, high] = (low + high).to_array();
-    low + high
-}
-
-#[inline(always)]
-fn sum_of_16(lanes: f32x16) -> f64 {
-    let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
-    sum_of_8(wider(halves[0]) + wider(halves[1]))
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        sum_of_8(f64x8::new(self.eight()))
+    }
 }
 
 /// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of
@@ -221,7 +206,7 @@ macro_rules! precision {
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
         rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, exp2 $exp2:ident,
         pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
-        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, sum $sum:ident
+        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, eight $eight:expr
         $(, columns $columns:ident)?
     ) => {
         impl Real for $scalar {
@@ -266,6 +251,7 @@ macro_rules! precision {
         impl Lanes for $lanes {
             type Scalar = $scalar;
             type Index = $bits;
+            type Block = [$scalar; $width];
             const WIDTH: usize = $width;
             const NEAR: f64 = $near;
 
@@ -280,6 +266,22 @@ macro_rules! precision {
             #[inline(always)]
             fn write(self, values: &mut [$scalar]) {
                 values[..$width].copy_from_slice(&self.to_array());
+            }
+            #[inline(always)]
+            fn blocks(values: &[$scalar]) -> &[Self::Block] {
+                values.as_chunks().0
+            }
+            #[inline(always)]
+            fn from_block(block: &Self::Block) -> Self {
+                $lanes::new(*block)
+            }
+            #[inline(always)]
+            fn blocks_mut(values: &mut [$scalar]) -> &mut [Self::Block] {
+                values.as_chunks_mut().0
+            }
+            #[inline(always)]
+            fn to_block(self) -> Self::Block {
+                self.to_array()
             }
             #[inline(always)]
             fn from_rows(top: &[$scalar], bottom: &[$scalar]) -> Self {
@@ -386,8 +388,8 @@ macro_rules! precision {
                 $exp2(t)
             }
             #[inline(always)]
-            fn sum(self) -> f64 {
-                $sum(self)
+            fn eight(self) -> [f64; 8] {
+                $eight(self).to_array()
             }
         }
     };
@@ -397,13 +399,13 @@ precision!(
     f32, f32x16, u32x16, u32, width 16, mantissa 23, rsqrt 0x5f37_5a86 in 2, horizon 126.0, far 1e15, exp2 exp2_f32,
     pick |tables, index| {
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
-        bytemuck::cast([eight(tables[0]).shuffle(first), eight(tables[1]).shuffle(second)])
+        bytemuck::cast([one_of_eight(tables[0], first), one_of_eight(tables[1], second)])
     },
     wide {
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, sum sum_of_16,
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, eight eight_of_16,
     columns columns_of_f32
 );
 precision!(
@@ -418,7 +420,7 @@ precision!(
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
     },
-    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_near_f64, nearest root_near_f64, sum sum_of_8
+    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_near_f64, nearest root_near_f64, eight |lanes| lanes
 );
 
 #[cfg(test)]

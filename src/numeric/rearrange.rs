@@ -1,6 +1,6 @@
 //! Lanes in another order.
 
-use wide::{f32x8, f32x16, f64x8, u32x16, u64x8};
+use wide::{f32x8, f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 
 /// Registers that are dealt together.
 pub const DEALT: usize = 8;
@@ -21,6 +21,22 @@ pub trait Rearrange<R>: Sized {
 #[inline(always)]
 fn eight(values: &[f32]) -> f32x8 {
     f32x8::new(values[..8].try_into().expect("a slice of this length"))
+}
+
+/// `table[index]` for indices below 8.
+#[inline(always)]
+pub(super) fn one_of_eight(table: &[f32], index: u32x8) -> u32x8 {
+    bytemuck::cast::<_, u32x8>(eight(table)).shuffle(index)
+}
+
+/// `table[index]` for indices below 16.
+#[inline(always)]
+pub(super) fn one_of_sixteen(table: &[f32], index: u32x8) -> u32x8 {
+    let place = index & u32x8::splat(7);
+    let low: i32x8 = bytemuck::cast(one_of_eight(table, place));
+    let high: i32x8 = bytemuck::cast(one_of_eight(&table[8..], place));
+    let index: i32x8 = bytemuck::cast(index);
+    bytemuck::cast(index.simd_lt(i32x8::splat(8)).select(low, high))
 }
 
 /// In f64. Not by `map`, which may stay a call.

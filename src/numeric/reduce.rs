@@ -1,8 +1,9 @@
 //! Sums whose tree depends on the length alone, accumulated in f64.
 
+use super::rearrange::wider;
 use super::{Real, threads};
 use std::ops::Range;
-use wide::f64x8;
+use wide::{f32x16, f64x2, f64x4, f64x8};
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
@@ -12,6 +13,22 @@ const ABREAST: usize = 8;
 const GROUP: usize = ABREAST * LEAF;
 /// Values that one worker adds up, so that handing them over costs little beside.
 const SHARE: usize = 1 << 13;
+
+/// Sum of eight lanes, by halves. In registers, or the compiler takes the lanes of several sums apart.
+#[inline(always)]
+pub(super) fn sum_of_8(lanes: f64x8) -> f64 {
+    let [low, high]: [f64x4; 2] = bytemuck::cast(lanes);
+    let [low, high]: [f64x2; 2] = bytemuck::cast(low + high);
+    let [low, high] = (low + high).to_array();
+    low + high
+}
+
+/// Both halves of sixteen lanes.
+#[inline(always)]
+pub(super) fn eight_of_16(lanes: f32x16) -> f64x8 {
+    let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
+    wider(halves[0]) + wider(halves[1])
+}
 
 /// Where the tree divides `n` values.
 fn middle(n: usize) -> usize {

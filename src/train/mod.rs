@@ -25,7 +25,7 @@ use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads::{self, Lent, Spares};
-use crate::numeric::{real, reduce};
+use crate::numeric::{Real, real, reduce};
 use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
 use crate::primitives::{Activation, Kernel, Parameters, Primitives};
@@ -134,7 +134,7 @@ struct Trainer<'a, R: Kernels> {
 
 /// What the losses of an iteration work in.
 #[derive(Default)]
-struct Spaces<R> {
+struct Spaces<R: Real> {
     images: Spares<Array2<R>>,
     volumes: Spares<Array3<R>>,
     tv: tv::Spaces<R>,

@@ -10,69 +10,76 @@
 //! ```
 //!
 //! So a cell has six differences instead of the 24 of its voxels, and no band is put together: |∇f|² of each of its eight voxels
-//! is a sum of three out of six squares, and the gradient `-∂(Σ w·|∇f|)/∂C_{i-1} = ∂/∂C_i = F_i·d_i·Σ w/|∇f|` goes across
-//! borders, summed over the voxels on both sides.
+//! is a sum of three out of six squares. Seen from a cell, a border has the slope `s = F²/8·(c - c beyond)`, seen from beyond -s,
+//! and the gradient of `Σ w·|∇f|` to c is the sum over its six borders of `s·Σ w/|∇f|`, which runs over the four voxels here at
+//! the border and the four beyond. A cell finds its own part of both: what it gains itself is what its neighbour loses.
 //!
-//! Cells of a slice along x are rows along z, each with a cell of zeros after it, so that there is room for the last border.
+//! Divisions and roots take the time: two for each voxel of a band. All else is between them.
+//!
+//! Cells of a slice along x are rows along z, one after another as coefficients are; a register may hold parts of several.
 
 use super::routing::Routing;
 use super::{FLAT, Settings, haar};
 use crate::numeric::threads::{self, Spares};
-use crate::numeric::{Lanes, Real, real};
-use std::array::from_fn;
-use std::iter::repeat;
+use crate::numeric::vectors::{Eight, all};
+use crate::numeric::{Lanes, Real, WIDEST, real};
 
 /// Voxels of a cell, in the order `4·x + 2·y + z`.
 const VOXELS: usize = 8;
-/// Registers that say of as many cells what [`Weights`] says.
-const RECORD: usize = 1 + 2 * VOXELS;
-/// The squared factor of a difference between cells.
-const BETWEEN: f64 = 0.25;
+/// Borders of a cell: before and after it along x, along y, along z.
+const BORDERS: usize = 6;
+/// F²/8 between cells.
+const BETWEEN: f64 = 0.25 / 8.0;
+/// F²/8 at the faces across which a band is high.
+const AT_FACE: f64 = 4.0 / 8.0;
 
-/// Cells of a block and where they are kept.
-#[derive(Clone, Copy, Debug, Default)]
+/// Cells of a block.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Cells {
     /// Cells along x, y and z.
     shape: [usize; 3],
-    /// From a row to the next.
-    pitch: usize,
-    /// Places of a slice, whole registers.
-    size: usize,
+    /// Cells of a slice.
+    slice: usize,
+    /// Registers for these.
+    registers: usize,
 }
 
 impl Cells {
     /// Those of a block of `shape` voxels.
     fn new<R: Real>(shape: [usize; 3]) -> Self {
         let [x, y, z] = shape.map(|side| side / 2);
-        Self { shape: [x, y, z], pitch: z + 1, size: (y * (z + 1)).next_multiple_of(R::Lanes::WIDTH) }
+        Self { shape: [x, y, z], slice: y * z, registers: (y * z).div_ceil(R::Lanes::WIDTH) }
     }
 
-    /// A slice of coefficients, one after another, times `factor`.
-    fn spread<R: Real>(&self, coefficients: &[R], factor: R, slice: &mut [R]) {
-        let rows = coefficients.chunks_exact(self.shape[2]);
-        for (row, places) in rows.zip(slice.chunks_mut(self.pitch)) {
-            places.iter_mut().zip(row).for_each(|(place, &c)| *place = factor * c);
-        }
+    /// From a cell to the next one along x, y and z.
+    fn strides(&self) -> [usize; 3] {
+        [self.slice, self.shape[2], 1]
     }
+}
 
-    /// The gradient to a slice of coefficients: what it has gained less what goes to the next slice, times `factor`.
-    fn settle<R: Real>(&self, gained: &[R], lost: &[R], factor: R, gradient: &mut [R]) {
-        let places = gained.chunks(self.pitch).zip(lost.chunks(self.pitch));
-        for (row, (gained, lost)) in gradient.chunks_exact_mut(self.shape[2]).zip(places) {
-            row.iter_mut().zip(gained.iter().zip(lost)).for_each(|(d, (gained, lost))| *d = factor * (*gained - *lost));
-        }
-    }
+/// What there is in the places of a register.
+#[derive(Clone, Copy, Debug, Default)]
+struct Places<L> {
+    /// K, 0 where there is no cell.
+    neighbours: L,
+    /// 1 where there is a cell beyond the borders along y and z, else 0.
+    beyond: [L; 4],
 }
 
 /// What the strength at each voxel counts.
 #[derive(Debug, Default)]
-pub(super) struct Weights<R> {
+pub(super) struct Weights<R: Real> {
     cells: Cells,
-    /// For each slice and register of cells: K, 0 where there is no cell; the confident neighbours of each of their voxels;
-    /// the gradient of the loss to the strength there.
-    records: Vec<R>,
-    /// Of a slice, K, and the confident neighbours of the first voxels of all cells, of the second ones and so on.
-    apart: Spares<[Vec<R>; 1 + VOXELS]>,
+    /// K.
+    neighbours: usize,
+    /// Of a slice.
+    places: Vec<Places<R::Lanes>>,
+    /// For each slice and register the confident neighbours of the cells' voxels.
+    high: Vec<[R::Lanes; VOXELS]>,
+    /// What each neighbour adds to the gradient of the loss to a strength, and each confident one on top of that.
+    push: [R; 2],
+    /// Confident neighbours of the first voxels of a slice's cells, of the second ones and so on.
+    apart: Spares<[Vec<R>; VOXELS]>,
 }
 
 impl<R: Real> Weights<R> {
@@ -80,132 +87,124 @@ impl<R: Real> Weights<R> {
     pub(super) fn fit(&mut self, routing: &Routing, settings: &Settings, share: f64) {
         let (x, y, z) = routing.high.dim();
         let cells = Cells::new::<R>([x, y, z]);
+        if (self.cells, self.neighbours) != (cells, routing.neighbours) {
+            self.reshape(cells, routing.neighbours);
+        }
+        let of_low = settings.suppress / share;
+        let of_high = settings.enhance * settings.enhancement / share;
+        self.push = [of_low, -of_low - of_high].map(real);
         let high = routing.high.as_standard_layout();
         let high = high.as_slice().expect("standard layout");
-        let splat = |value: f64| R::Lanes::splat(real(value));
-        let of_low = splat(settings.suppress / share);
-        let of_high = splat(settings.enhance * settings.enhancement / share);
-        let width = R::Lanes::WIDTH;
-        self.cells = cells;
-        self.records.resize(cells.shape[0] * cells.size * RECORD, R::ZERO);
-        threads::for_each_chunk_in(&mut self.records, cells.size * RECORD, &self.apart, |slice, records, space| {
-            let [all, apart @ ..] = space;
-            apart.iter_mut().chain([&mut *all]).for_each(|values| zeros(values, cells.size));
-            for (row, voxels) in high[2 * slice * y * z..][..2 * y * z].chunks_exact(z).enumerate() {
-                let (odd_x, odd_y, first) = (row / y, row % 2, row % y / 2 * cells.pitch);
+        threads::for_each_chunk_in(&mut self.high, cells.registers, &self.apart, |slice, registers, apart| {
+            for voxels in apart.iter_mut() {
+                voxels.resize(cells.registers * R::Lanes::WIDTH, R::ZERO);
+                voxels[cells.slice..].fill(R::ZERO);
+            }
+            for (row, counts) in high[2 * slice * y * z..][..2 * y * z].chunks_exact(z).enumerate() {
+                let (odd_x, odd_y, first) = (row / y, row % 2, row % y / 2 * (z / 2));
                 let of_row = 4 * odd_x + 2 * odd_y;
                 let [even, odd] = &mut apart[of_row..of_row + 2] else { unreachable!("a pair of eight") };
-                let places = even[first..].iter_mut().zip(&mut odd[first..]);
-                for (pair, (even, odd)) in voxels.chunks_exact(2).zip(places) {
-                    (*even, *odd) = (real(f64::from(pair[0])), real(f64::from(pair[1])));
-                }
-                all[first..][..z / 2].fill(R::from_index(routing.neighbours));
+                deal(counts, &mut even[first..], &mut odd[first..]);
             }
-            for (record, place) in records.chunks_exact_mut(RECORD * width).zip((0..).step_by(width)) {
-                let neighbours = R::Lanes::from_slice(&all[place..]);
-                neighbours.write(record);
-                for (voxel, high) in apart.iter().enumerate() {
-                    let high = R::Lanes::from_slice(&high[place..]);
-                    high.write(&mut record[(1 + voxel) * width..]);
-                    let push = of_low * (neighbours - high) - of_high * high;
-                    push.write(&mut record[(1 + VOXELS + voxel) * width..]);
-                }
+            for (voxel, values) in apart.iter().enumerate() {
+                let values = values.chunks_exact(R::Lanes::WIDTH).map(R::Lanes::from_slice);
+                registers.iter_mut().zip(values).for_each(|(voxels, values)| voxels[voxel] = values);
             }
         });
     }
 
-    fn of_slice(&self, x: usize) -> &[R] {
-        let length = self.cells.size * RECORD;
-        &self.records[x * length..][..length]
+    fn reshape(&mut self, cells: Cells, neighbours: usize) {
+        let Cells { shape: [nx, ny, nz], slice, registers } = cells;
+        (self.cells, self.neighbours) = (cells, neighbours);
+        self.high = vec![<[R::Lanes; VOXELS]>::default(); nx * registers];
+        let places = |register: usize| {
+            let of_cells = |some: &dyn Fn(usize, usize) -> usize| {
+                R::Lanes::from_fn(|lane| {
+                    let place = register * R::Lanes::WIDTH + lane;
+                    if place < slice { R::from_index(some(place / nz, place % nz)) } else { R::ZERO }
+                })
+            };
+            Places {
+                neighbours: of_cells(&|_, _| neighbours),
+                beyond: [
+                    of_cells(&|y, _| usize::from(y > 0)),
+                    of_cells(&|y, _| usize::from(y + 1 < ny)),
+                    of_cells(&|_, z| usize::from(z > 0)),
+                    of_cells(&|_, z| usize::from(z + 1 < nz)),
+                ],
+            }
+        };
+        self.places = (0..registers).map(places).collect();
     }
 }
 
-/// Differences across the borders along one axis.
-#[derive(Debug, Default)]
-struct Borders<R> {
-    /// F·d.
-    slopes: Vec<R>,
-    /// d².
-    squares: Vec<R>,
-}
-
-impl<R: Real> Borders<R> {
-    fn fit(&mut self, places: usize) {
-        zeros(&mut self.slopes, places);
-        zeros(&mut self.squares, places);
-    }
-
-    /// From the cells on both sides and F².
-    fn find(&mut self, before: &[R], after: &[R], factors: impl Iterator<Item = R>) {
-        let borders = self.slopes.iter_mut().zip(&mut self.squares);
-        for (((slope, square), (before, after)), factor) in borders.zip(before.iter().zip(after)).zip(factors) {
-            let step = *after - *before;
-            *slope = factor * step;
-            *square = *slope * step;
+/// Counts in even places and those in odd ones.
+fn deal<R: Real>(counts: &[u16], even: &mut [R], odd: &mut [R]) {
+    // As many as the widest register has lanes, or the compiler takes one after another.
+    const PAIRS: usize = WIDEST;
+    let (chunks, rest) = counts.as_chunks::<{ 2 * PAIRS }>();
+    let (even, even_rest) = even.split_at_mut(PAIRS * chunks.len());
+    let (odd, odd_rest) = odd.split_at_mut(PAIRS * chunks.len());
+    let places = even.as_chunks_mut::<PAIRS>().0.iter_mut().zip(odd.as_chunks_mut::<PAIRS>().0);
+    for (counts, (even, odd)) in chunks.iter().zip(places) {
+        for i in 0..PAIRS {
+            (even[i], odd[i]) = (R::from_index(counts[2 * i].into()), R::from_index(counts[2 * i + 1].into()));
         }
     }
-}
-
-/// Of each cell, the sums of weight / strength over the four voxels before its middle along an axis, and over those after it.
-#[derive(Debug, Default)]
-struct Halves<R> {
-    before: Vec<R>,
-    /// Behind as many zeros as there are places from a border to the next: at a border's place is the cell before it.
-    after: Vec<R>,
-}
-
-impl<R: Real> Halves<R> {
-    fn fit(&mut self, places: usize) {
-        zeros(&mut self.before, places);
-        zeros(&mut self.after, places);
-    }
-
-    /// What the borders' slopes add to the gradient of the cells after them, and take from that of the cells before.
-    fn flow_into(&self, slopes: &[R], flow: &mut [R]) {
-        let halves = self.after.iter().zip(&self.before);
-        for ((flow, slope), (after, before)) in flow.iter_mut().zip(slopes).zip(halves) {
-            *flow = *slope * (*after + *before);
-        }
+    for (pair, (even, odd)) in rest.as_chunks::<2>().0.iter().zip(even_rest.iter_mut().zip(odd_rest)) {
+        (*even, *odd) = (R::from_index(pair[0].into()), R::from_index(pair[1].into()));
     }
 }
 
 /// What a band is gone through with.
 #[derive(Debug, Default)]
-pub(super) struct Space<R> {
-    /// A slice and the one after it, by turns, with a row of zeros before the cells and one after them.
-    slices: [Vec<R>; 2],
-    /// Borders before a slice and after it, by turns.
-    along_x: [Borders<R>; 2],
-    along_y: Borders<R>,
-    along_z: Borders<R>,
-    /// F² of the latter two.
-    factors: [Vec<R>; 2],
-    /// Those along x are of two slices: after the middle of the one before.
-    halves: [Halves<R>; 3],
-    after_x: Vec<R>,
-    flows: [Vec<R>; 3],
-    /// The gradient of a slice but for what goes to the next one.
-    gained: Vec<R>,
-}
-
-fn zeros<R: Real>(values: &mut Vec<R>, n: usize) {
-    values.clear();
-    values.resize(n, R::ZERO);
+pub(super) struct Space<R: Real> {
+    cells: Cells,
+    /// The coefficients, between a slice of zeros and another one.
+    band: Vec<R>,
+    /// What the cells of a slice gain themselves.
+    own: Vec<R>,
+    /// What their neighbours lose beyond each border. Beside those along y and z is room for zeros: before the others where
+    /// the neighbour comes after, else after them.
+    lost: [Vec<R>; BORDERS],
+    /// What the slice before took from this one.
+    lost_before: Vec<R>,
 }
 
 impl<R: Real> Space<R> {
-    fn fit(&mut self, Cells { pitch, size, .. }: Cells) {
-        self.slices.iter_mut().for_each(|slice| zeros(slice, size + 2 * pitch));
-        self.along_x.iter_mut().for_each(|borders| borders.fit(size));
-        self.along_y.fit(size + pitch);
-        self.along_z.fit(size + 1);
-        let parts = self.halves.iter_mut().zip(&mut self.flows);
-        for ((halves, flow), stride) in parts.zip([0, pitch, 1]) {
-            halves.fit(size + stride);
-            zeros(flow, size + stride);
+    /// Nobody writes to the zeros around cells but zeros, so they are still there at the next band.
+    fn fit(&mut self, cells: Cells) {
+        if self.cells == cells {
+            return;
         }
-        zeros(&mut self.after_x, size);
-        zeros(&mut self.gained, size);
+        self.cells = cells;
+        let Cells { shape, slice, registers } = cells;
+        let places = registers * R::Lanes::WIDTH;
+        let zeros = |n: usize| vec![R::ZERO; n];
+        self.band = zeros((shape[0] + 1) * slice + places);
+        self.own = zeros(places);
+        self.lost_before = zeros(places);
+        let [_, along_y, along_z] = cells.strides();
+        self.lost = [0, 0, along_y, along_y, along_z, along_z].map(|room| zeros(places + room));
+    }
+
+    /// The gradient to the coefficients of slice x, but for what the next one takes from it, and what this one takes from
+    /// that before.
+    fn settle(&mut self, x: usize, gradient: &mut [R]) {
+        let Cells { slice, .. } = self.cells;
+        let [_, along_y, along_z] = self.cells.strides();
+        let [before_x, after_x, before_y, after_y, before_z, after_z] = &mut self.lost;
+        let (before, here) = gradient[..(x + 1) * slice].split_at_mut(x * slice);
+        if x > 0 {
+            before[(x - 1) * slice..].iter_mut().zip(before_x).for_each(|(gradient, lost)| *gradient -= *lost);
+        }
+        let lost_y = after_y.iter().zip(&before_y[along_y..]);
+        let lost_z = after_z.iter().zip(&before_z[along_z..]);
+        let lost = self.lost_before.iter().zip(lost_y.zip(lost_z));
+        for ((gradient, own), (x, ((y0, y1), (z0, z1)))) in here.iter_mut().zip(&self.own).zip(lost) {
+            *gradient = *own - (*x + ((*y0 + *y1) + (*z0 + *z1)));
+        }
+        std::mem::swap(after_x, &mut self.lost_before);
     }
 }
 
@@ -219,100 +218,109 @@ pub(super) fn strength<R: Real>(
     gradient: &mut [R],
 ) -> [f64; 2] {
     let cells = weights.cells;
-    let Cells { shape: [nx, ny, nz], pitch, .. } = cells;
     space.fit(cells);
-    let Space { slices, along_x, along_y, along_z, factors, halves: [x_halves, y_halves, z_halves], .. } = space;
-    let Space { after_x, flows: [flow_x, flow_y, flow_z], gained, .. } = space;
-    let scale = haar::scale();
-    let at_face = haar::is_high(band).map(|high| if high { real::<R>(4.0) } else { R::ZERO });
-    let factor = |axis: usize, border: usize, n: usize| {
-        if border == 0 || border == n { at_face[axis] } else { real(BETWEEN) }
-    };
-    factors[0].clear();
-    factors[0].extend((0..flow_y.len()).map(|place| factor(1, (place / pitch).min(ny), ny)));
-    factors[1].clear();
-    factors[1].extend((0..flow_z.len()).map(|place| factor(2, place % pitch, nz)));
-    let slice_of = |x: usize| &coefficients[x * ny * nz..][..ny * nz];
-    let mut slices_of_gradient = gradient.chunks_exact_mut(ny * nz);
-    let mut sums = [0.0; 2];
-    cells.spread(slice_of(0), scale, &mut slices[0][pitch..]);
-    along_x[0].find(&slices[1][pitch..], &slices[0][pitch..], repeat(factor(0, 0, nx)));
-    for x in 0..nx {
-        let [even, odd] = slices;
-        let (here, next) = if x % 2 == 0 { (even, odd) } else { (odd, even) };
-        if x + 1 < nx {
-            cells.spread(slice_of(x + 1), scale, &mut next[pitch..]);
-        } else {
-            next.fill(R::ZERO);
-        }
-        let [even, odd] = along_x;
-        let (before_x, beyond_x) = if x % 2 == 0 { (even, odd) } else { (odd, even) };
-        beyond_x.find(&here[pitch..], &next[pitch..], repeat(factor(0, x + 1, nx)));
-        along_y.find(here, &here[pitch..], factors[0].iter().copied());
-        along_z.find(&here[pitch - 1..], &here[pitch..], factors[1].iter().copied());
-        let squares = [
-            [&before_x.squares[..], &beyond_x.squares[..]],
-            [&along_y.squares[..], &along_y.squares[pitch..]],
-            [&along_z.squares[..], &along_z.squares[1..]],
-        ];
-        let halves = [
-            [&mut x_halves.before[..], &mut after_x[..]],
-            [&mut y_halves.before[..], &mut y_halves.after[pitch..]],
-            [&mut z_halves.before[..], &mut z_halves.after[1..]],
-        ];
-        let found = weigh(squares, weights.of_slice(x), halves);
-        sums = from_fn(|i| sums[i] + found[i]);
-        x_halves.flow_into(&before_x.slopes, flow_x);
-        if x > 0 {
-            cells.settle(gained, flow_x, scale, slices_of_gradient.next().expect("a slice for each of the cells'"));
-        }
-        y_halves.flow_into(&along_y.slopes, flow_y);
-        z_halves.flow_into(&along_z.slopes, flow_z);
-        let within = flow_y.iter().zip(&flow_y[pitch..]).zip(flow_z.iter().zip(&flow_z[1..]));
-        for ((gained, flow_x), ((y, beyond_y), (z, beyond_z))) in gained.iter_mut().zip(&*flow_x).zip(within) {
-            *gained = *flow_x + (*y - *beyond_y) + (*z - *beyond_z);
-        }
-        std::mem::swap(&mut x_halves.after, after_x);
+    space.band[cells.slice..][..coefficients.len()].copy_from_slice(coefficients);
+    space.lost_before.fill(R::ZERO);
+    let at_face = haar::is_high(band).map(|high| if high { AT_FACE } else { 0.0 });
+    let mut sums = [all(0.0); 2];
+    for x in 0..cells.shape[0] {
+        weigh(x, at_face, weights, space, &mut sums);
+        space.settle(x, gradient);
     }
-    x_halves.before.fill(R::ZERO);
-    x_halves.flow_into(&along_x[nx % 2].slopes, flow_x);
-    cells.settle(gained, flow_x, scale, slices_of_gradient.next().expect("a slice for each of the cells'"));
-    sums
+    sums.map(|sum| sum.sum())
 }
 
-/// In one slice, from the squares at both borders along each axis: the sums of strength times confident neighbours and times
-/// others, and weight / strength summed over the halves of each cell.
-fn weigh<R: Real>(squares: [[&[R]; 2]; 3], records: &[R], halves: [[&mut [R]; 2]; 3]) -> [f64; 2] {
-    let flat = R::Lanes::splat(real(FLAT));
-    let width = R::Lanes::WIDTH;
-    let [[x0, x1], [y0, y1], [z0, z1]] = squares;
-    let [[before_x, after_x], [before_y, after_y], [before_z, after_z]] = halves;
-    let mut sums = [0.0; 2];
-    for (record, place) in records.chunks_exact(RECORD * width).zip((0..).step_by(width)) {
-        let load = |values: &[R]| R::Lanes::from_slice(&values[place..]);
-        let of = |number: usize| R::Lanes::from_slice(&record[number * width..]);
-        let (x, y, z) = ([load(x0) + flat, load(x1) + flat], [load(y0), load(y1)], [load(z0), load(z1)]);
-        let neighbours = of(0);
-        let (mut confident, mut others) = (R::Lanes::default(), R::Lanes::default());
-        let mut shares = [R::Lanes::default(); VOXELS];
-        for (voxel, share) in shares.iter_mut().enumerate() {
-            let strength = (x[voxel / 4] + y[voxel / 2 % 2] + z[voxel % 2]).sqrt();
-            let high = of(1 + voxel);
-            *share = of(1 + VOXELS + voxel) / strength;
-            confident += high * strength;
-            others += (neighbours - high) * strength;
+/// As many registers of an array.
+fn registers_of<L: Lanes>(values: &mut [L::Scalar], registers: usize) -> &mut [L::Block] {
+    &mut L::blocks_mut(values)[..registers]
+}
+
+/// In slice x, adds up strength times confident neighbours and times others, and finds what cells gain and their neighbours
+/// lose.
+#[inline(always)]
+fn weigh<R: Real>(x: usize, at_face: [f64; 3], weights: &Weights<R>, space: &mut Space<R>, sums: &mut [Eight; 2]) {
+    let Cells { shape, slice, registers } = weights.cells;
+    let [along_x, along_y, along_z] = weights.cells.strides();
+    let splat = |value: f64| R::Lanes::splat(real(value));
+    let (flat, push) = (splat(FLAT), weights.push.map(R::Lanes::splat));
+    // Of the borders along x all cells of a slice have the same kind; of others the one at faces and what is added between.
+    let factors = [x > 0, x + 1 < shape[0]].map(|within| splat(if within { BETWEEN } else { at_face[0] }));
+    let at_faces = [splat(at_face[1]), splat(at_face[2])];
+    let between = [splat(BETWEEN - at_face[1]), splat(BETWEEN - at_face[2])];
+    // All arrays are cut to one length, so that no place in them has to be checked.
+    let Space { band, own, lost, .. } = space;
+    let cells = |first: usize| &R::Lanes::blocks(&band[first..])[..registers];
+    let first = (x + 1) * slice;
+    let here = cells(first);
+    let beyond = [
+        cells(first - along_x),
+        cells(first + along_x),
+        cells(first - along_y),
+        cells(first + along_y),
+        cells(first - along_z),
+        cells(first + along_z),
+    ];
+    let places = &weights.places[..registers];
+    let high = &weights.high[x * registers..][..registers];
+    let own = registers_of::<R::Lanes>(own, registers);
+    let [x0, x1, y0, y1, z0, z1] = lost;
+    // Not `map`, which may stay a call.
+    let lost = [
+        registers_of::<R::Lanes>(x0, registers),
+        registers_of::<R::Lanes>(x1, registers),
+        registers_of::<R::Lanes>(y0, registers),
+        registers_of::<R::Lanes>(&mut y1[along_y..], registers),
+        registers_of::<R::Lanes>(z0, registers),
+        registers_of::<R::Lanes>(&mut z1[along_z..], registers),
+    ];
+    let differences = |i: usize| {
+        let c = R::Lanes::from_block(&here[i]);
+        let (mut slopes, mut squares) = ([flat; BORDERS], [flat; BORDERS]);
+        for border in 0..BORDERS {
+            let other = R::Lanes::from_block(&beyond[border][i]);
+            let (factor, step) = if border < 2 {
+                (factors[border], c - other)
+            } else {
+                let (axis, there) = (border / 2 - 1, places[i].beyond[border - 2]);
+                (there.fma(between[axis], at_faces[axis]), (-there).fma(other, c))
+            };
+            slopes[border] = factor * step;
+            squares[border] = slopes[border] * step;
         }
+        (slopes, squares)
+    };
+    let mut found = differences(0);
+    for i in 0..registers {
+        let (slopes, [x0, x1, y0, y1, z0, z1]) = found;
+        // The roots of the next register need not wait for what becomes of these.
+        found = differences((i + 1).min(registers - 1));
+        let (x, y, z) = ([x0 + flat, x1 + flat], [y0, y1], [z0, z1]);
+        let Places { neighbours, beyond } = places[i];
+        let least = push[0] * neighbours;
+        let (mut confident, mut others) = (R::Lanes::default(), R::Lanes::default());
+        let mut shares = [flat; VOXELS];
+        for voxel in 0..VOXELS {
+            let strength = (x[voxel / 4] + y[voxel / 2 % 2] + z[voxel % 2]).sqrt();
+            let high = high[i][voxel];
+            confident = high.fma(strength, confident);
+            others = (neighbours - high).fma(strength, others);
+            shares[voxel] = push[1].fma(high, least) / strength;
+        }
+        sums[0] += Eight::new(confident.eight());
+        sums[1] += Eight::new(others.eight());
         let [a, b, c, d, e, f, g, h] = shares;
         let (ab, cd, ef, gh) = (a + b, c + d, e + f, g + h);
         let (ae, bf, cg, dh) = (a + e, b + f, c + g, d + h);
-        let write = |values: &mut [R], sum: R::Lanes| sum.write(&mut values[place..]);
-        write(before_x, ab + cd);
-        write(after_x, ef + gh);
-        write(before_y, ab + ef);
-        write(after_y, cd + gh);
-        write(before_z, ae + cg);
-        write(after_z, bf + dh);
-        sums = [sums[0] + confident.sum(), sums[1] + others.sum()];
+        let halves = [ab + cd, ef + gh, ab + ef, cd + gh, ae + cg, bf + dh];
+        let mut gained = [flat; BORDERS];
+        for border in 0..BORDERS {
+            gained[border] = slopes[border] * halves[border];
+        }
+        let [x0, x1, y0, y1, z0, z1] = gained;
+        own[i] = ((x0 + x1) + ((y0 + y1) + (z0 + z1))).to_block();
+        for border in 0..BORDERS {
+            let lost_there = if border < 4 { gained[border] } else { beyond[border - 2] * gained[border] };
+            lost[border][i] = lost_there.to_block();
+        }
     }
-    sums
 }

@@ -125,18 +125,13 @@ fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, bloc
     let bands: [_; BANDS] = std::array::from_fn(|band| if band == 0 { low } else { subbands.band(level, band) });
     threads::for_each_chunk(block, SLAB * ny * nz, |slab, block| {
         let first = slab * SLAB * ny * nz / BANDS;
-        let (of_cells, width) = (2 * ny * nz, nz / 2);
-        for (i, row) in (first / width..).zip(0..block.len() / (4 * nz)) {
-            let (x, y) = (row / (ny / 2), row % (ny / 2));
-            for z in (0..width).step_by(CHUNK) {
-                let n = CHUNK.min(width - z);
-                // Not `map`, which may stay a call.
-                let mut cells = [[R::ZERO; CHUNK]; BANDS];
-                cells.iter_mut().zip(bands).for_each(|(cells, band)| *cells = padded(&band[i * width + z..][..n]));
-                for (j, voxels) in join(&cells).iter().enumerate() {
-                    let place = x * of_cells + ((j / 2) * ny + 2 * y + j % 2) * nz + 2 * z;
-                    put(voxels, &mut block[place..][..2 * n]);
-                }
+        let mut rows = (first..).step_by(nz / 2);
+        for slices in block.chunks_exact_mut(2 * ny * nz) {
+            let (even, odd) = slices.split_at_mut(ny * nz);
+            for (even, odd) in even.chunks_exact_mut(2 * nz).zip(odd.chunks_exact_mut(2 * nz)) {
+                let first = rows.next().expect("without end");
+                let ((a, b), (c, d)) = (even.split_at_mut(nz), odd.split_at_mut(nz));
+                join_row(&bands, first, [a, b, c, d]);
             }
         }
     });
@@ -144,48 +139,63 @@ fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, bloc
 
 /// The coefficients of all bands of a few slices: rows of `ny`·`nz` voxels, an even number of them.
 fn analyse_all<R: Real>(slices: &[R], [ny, nz]: [usize; 2], mut bands: [&mut [R]; BANDS]) {
-    let width = nz / 2;
-    for row in 0..bands[0].len() / width {
-        let (x, y) = (row / (ny / 2), row % (ny / 2));
-        for z in (0..width).step_by(CHUNK) {
-            let n = CHUNK.min(width - z);
-            let mut voxels = [[R::ZERO; 2 * CHUNK]; 4];
-            for (j, voxels) in voxels.iter_mut().enumerate() {
-                *voxels = padded(&slices[((2 * x + j / 2) * ny + 2 * y + j % 2) * nz + 2 * z..][..2 * n]);
-            }
-            for (band, cells) in bands.iter_mut().zip(split(&voxels)) {
-                put(&cells, &mut band[row * width + z..][..n]);
-            }
+    let mut first = 0;
+    for slices in slices.chunks_exact(2 * ny * nz) {
+        let (even, odd) = slices.split_at(ny * nz);
+        for (even, odd) in even.chunks_exact(2 * nz).zip(odd.chunks_exact(2 * nz)) {
+            let ((a, b), (c, d)) = (even.split_at(nz), odd.split_at(nz));
+            split_row([a, b, c, d], &mut bands, first);
+            first += nz / 2;
         }
     }
 }
 
-/// A few values and as many zeros as are missing.
+/// All bands of a row of cells, from its four rows of voxels, in the places from the `first` one on.
 #[inline(always)]
-fn padded<R: Real, const N: usize>(values: &[R]) -> [R; N] {
-    match values.try_into() {
-        Ok(all) => all,
-        Err(_) => {
-            let mut padded = [R::ZERO; N];
-            padded[..values.len()].copy_from_slice(values);
-            padded
+fn split_row<R: Real>([a, b, c, d]: [&[R]; 4], bands: &mut [&mut [R]; BANDS], first: usize) {
+    let left = a.len() / 2 % CHUNK;
+    let end = first + a.len() / 2;
+    let (a, b, c, d) = (a.as_chunks(), b.as_chunks(), c.as_chunks(), d.as_chunks());
+    let rows = a.0.iter().zip(b.0).zip(c.0.iter().zip(d.0));
+    for (((a, b), (c, d)), place) in rows.zip((first..).step_by(CHUNK)) {
+        for (band, cells) in bands.iter_mut().zip(split([a, b, c, d])) {
+            band[place..][..CHUNK].copy_from_slice(&cells);
+        }
+    }
+    if left > 0 {
+        let mut voxels = [[R::ZERO; 2 * CHUNK]; 4];
+        voxels.iter_mut().zip([a.1, b.1, c.1, d.1]).for_each(|(voxels, row)| voxels[..2 * left].copy_from_slice(row));
+        for (band, cells) in bands.iter_mut().zip(split(voxels.each_ref())) {
+            band[end - left..end].copy_from_slice(&cells[..left]);
         }
     }
 }
 
-/// As many of the values as there are places.
+/// The four rows of voxels of a row of cells: the transpose of [`split_row`], and its inverse.
 #[inline(always)]
-fn put<R: Real, const N: usize>(values: &[R; N], places: &mut [R]) {
-    match <&mut [R; N]>::try_from(&mut *places) {
-        // A few instructions: to copy a number of values that only the run knows is a call.
-        Ok(all) => *all = *values,
-        Err(_) => places.copy_from_slice(&values[..places.len()]),
+fn join_row<R: Real>(bands: &[&[R]; BANDS], first: usize, [a, b, c, d]: [&mut [R]; 4]) {
+    let left = a.len() / 2 % CHUNK;
+    let end = first + a.len() / 2;
+    let cells = |place: usize, n: usize| {
+        let mut cells = [[R::ZERO; CHUNK]; BANDS];
+        cells.iter_mut().zip(bands).for_each(|(cells, band)| cells[..n].copy_from_slice(&band[place..][..n]));
+        cells
+    };
+    let (a, b, c, d) = (a.as_chunks_mut(), b.as_chunks_mut(), c.as_chunks_mut(), d.as_chunks_mut());
+    let rows = a.0.iter_mut().zip(b.0).zip(c.0.iter_mut().zip(d.0));
+    for (((a, b), (c, d)), place) in rows.zip((first..).step_by(CHUNK)) {
+        [*a, *b, *c, *d] = join(&cells(place, CHUNK));
+    }
+    if left > 0 {
+        for (voxels, row) in [a.1, b.1, c.1, d.1].into_iter().zip(join(&cells(end - left, left))) {
+            voxels.copy_from_slice(&row[..2 * left]);
+        }
     }
 }
 
-/// All bands of a row of cells, from its four rows of voxels.
+/// [`split_row`] of a few cells.
 #[inline(always)]
-fn split<R: Real>(voxels: &[[R; 2 * CHUNK]; 4]) -> [[R; CHUNK]; BANDS] {
+fn split<R: Real>(voxels: [&[R; 2 * CHUNK]; 4]) -> [[R; CHUNK]; BANDS] {
     let mut bands = [[R::ZERO; CHUNK]; BANDS];
     let scale = scale::<R>();
     for i in 0..CHUNK {
@@ -201,7 +211,7 @@ fn split<R: Real>(voxels: &[[R; 2 * CHUNK]; 4]) -> [[R; CHUNK]; BANDS] {
     bands
 }
 
-/// The four rows of voxels of a row of cells: the transpose of [`split`], and its inverse.
+/// [`join_row`] of a few cells.
 #[inline(always)]
 fn join<R: Real>(bands: &[[R; CHUNK]; BANDS]) -> [[R; 2 * CHUNK]; 4] {
     let mut voxels = [[R::ZERO; 2 * CHUNK]; 4];

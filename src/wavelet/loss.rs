@@ -26,7 +26,7 @@ pub struct WaveletLoss<R> {
 
 /// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
-pub struct Spaces<R> {
+pub struct Spaces<R: Real> {
     weights: Spares<Weights<R>>,
     bands: Spares<Space<R>>,
     subbands: Spares<Subbands<R>>,
@@ -208,6 +208,19 @@ mod tests {
             assert!(one > 0.0 && other == 0.0, "{one} and {other}");
             let along: f64 = before.gradient.iter().zip(&block).map(|(d, v)| d * v).sum();
             assert!(sign * along > 0.0, "the gradient along the block: {along}");
+        }
+    }
+
+    #[test]
+    fn blocks_of_other_shapes_before_it_do_not_matter_to_a_block() {
+        let (spaces, mut gradient) = (Spaces::default(), Array3::default((0, 0, 0)));
+        // A slice of sixteen cells, of three, of fifteen: what is left over in registers is not that of the last one.
+        for (shape, neighbours) in [([4, 8, 8], 8), ([6, 2, 6], 8), ([4, 6, 10], 5), ([4, 8, 8], 3)] {
+            let (block, routing) = (block(shape, 6), routing(shape, neighbours));
+            let found = wavelet_loss_into(block.view(), &routing, &plain(), &spaces, &mut gradient);
+            let expected = wavelet_loss(block.view(), &routing, &plain());
+            assert_eq!(found, [expected.value, expected.enhancement, expected.suppression], "{shape:?}");
+            assert_eq!(gradient, expected.gradient, "{shape:?}");
         }
     }
 

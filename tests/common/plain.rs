@@ -284,6 +284,7 @@ macro_rules! plain {
         impl<const W: usize> Lanes for $row<W> {
             type Scalar = $number<W>;
             type Index = [usize; W];
+            type Block = [$number<W>; W];
             const WIDTH: usize = W;
             const NEAR: f64 = $span;
             fn splat(value: $number<W>) -> Self {
@@ -294,6 +295,18 @@ macro_rules! plain {
             }
             fn write(self, values: &mut [$number<W>]) {
                 values[..W].copy_from_slice(&self.0);
+            }
+            fn blocks(values: &[$number<W>]) -> &[Self::Block] {
+                values.as_chunks().0
+            }
+            fn blocks_mut(values: &mut [$number<W>]) -> &mut [Self::Block] {
+                values.as_chunks_mut().0
+            }
+            fn from_block(block: &Self::Block) -> Self {
+                Self(*block)
+            }
+            fn to_block(self) -> Self::Block {
+                self.0
             }
             fn from_rows(top: &[$number<W>], bottom: &[$number<W>]) -> Self {
                 Self::from_fn(|i| if i < W / 2 { top[i] } else { bottom[i - W / 2] })
@@ -360,6 +373,11 @@ macro_rules! plain {
             }
             fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
                 t.map(|t| Self(t.0.map($number::exp2)))
+            }
+            /// One half plus the other, while there are more than eight.
+            fn eight(self) -> [f64; 8] {
+                let lane = |i: usize| self.0.get(i).map_or(0.0, |lane| lane.to_f64());
+                std::array::from_fn(|i| (i + 8..W).step_by(8).fold(lane(i), |sum, other| sum + lane(other)))
             }
             /// One half plus the other, until one number is left.
             fn sum(self) -> f64 {
