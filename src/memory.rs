@@ -219,8 +219,8 @@ impl Sizes {
             row("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
             row("image, loss and cotangent", d, 10 * real),
             row("block of the total variation", block(config.loss.tv_block), 8 * real),
-            // Voxels, cotangent, two transforms, and 17 numbers for each register of cells, of which a row has one more.
-            row("block of the wavelets", block(config.wavelet.block), 8 * real + 2),
+            // Voxels, cotangent, two transforms, a weight of each voxel, and copies of at most six bands out of eight.
+            row("block of the wavelets", block(config.wavelet.block), 6 * real + 2),
             row("tree of neighbours, and where it has them", m, 11 * F64 + 1),
         ];
         let working = |name, rows: &[Row]| with(name, m, &[&kept, rows].concat());

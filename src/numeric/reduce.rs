@@ -23,7 +23,7 @@ pub(super) fn sum_of_8(lanes: f64x8) -> f64 {
     low + high
 }
 
-/// Both halves of sixteen lanes.
+/// Both halves of sixteen lanes added up, in f64.
 #[inline(always)]
 pub(super) fn eight_of_16(lanes: f32x16) -> f64x8 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);

@@ -124,14 +124,13 @@ fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, bloc
     let [_, ny, nz] = subbands.shape().map(|side| side >> (level - 1));
     let bands: [_; BANDS] = std::array::from_fn(|band| if band == 0 { low } else { subbands.band(level, band) });
     threads::for_each_chunk(block, SLAB * ny * nz, |slab, block| {
-        let first = slab * SLAB * ny * nz / BANDS;
-        let mut rows = (first..).step_by(nz / 2);
+        let mut first = slab * SLAB * ny * nz / BANDS;
         for slices in block.chunks_exact_mut(2 * ny * nz) {
             let (even, odd) = slices.split_at_mut(ny * nz);
             for (even, odd) in even.chunks_exact_mut(2 * nz).zip(odd.chunks_exact_mut(2 * nz)) {
-                let first = rows.next().expect("without end");
                 let ((a, b), (c, d)) = (even.split_at_mut(nz), odd.split_at_mut(nz));
                 join_row(&bands, first, [a, b, c, d]);
+                first += nz / 2;
             }
         }
     });
