@@ -4,8 +4,11 @@
 //! `default` attribute its default. A key also needs its range in `validate`, which a test asks for; a new table
 //! needs a row in `text::TABLES`, which another test asks for.
 
+mod auto;
 mod text;
 mod validate;
+
+pub use auto::Auto;
 
 use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings};
 use crate::classical::{RayModel, Turn, Window};
