@@ -60,8 +60,8 @@ impl Shares {
 fn bench(c: &mut Criterion, trained: &Trained) {
     let Trained { voxels, pixels, primitives, .. } = *trained;
     let name = &format!("{voxels}³ voxels, {pixels}² pixels, {primitives} primitives");
-    let (config, shares) = (Config::default(), Shares::default());
     let (scanner, physical) = (trained.scanner(), trained.primitives());
+    let (config, shares) = (Config::default().resolved(&scanner, VIEWS), Shares::default());
     let (m, grid) = (physical.len(), scanner.grid);
     let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
     let activation = Activation {

@@ -72,6 +72,7 @@ fn sum(rows: &[Row]) -> u64 {
 impl Estimate {
     /// Of a run of `config` on a scan, of whose training views it uses `views`, with so many workers.
     pub fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
+        let config = &config.resolved(&scan.scanner, views);
         let sizes = Sizes::new(scan, views, config, threads);
         let mut moments = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
@@ -162,7 +163,7 @@ impl Sizes {
     fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
         let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
         let points = match config.initialisation.from {
-            Start::Fdk => config.model.points.min(grid.voxels()),
+            Start::Fdk | Start::SmoothedFdk | Start::Sart => config.model.points.min(grid.voxels()),
             Start::Random => config.model.points,
             Start::Dataset => scan.points,
         };

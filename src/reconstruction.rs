@@ -9,7 +9,7 @@ use crate::numeric::Real;
 use crate::primitives::Primitives;
 use crate::projector::forward;
 use crate::scene::{Dataset, Projections, Volume, trilinear};
-use crate::train::{self, Checkpoints, Record, train};
+use crate::train::{self, Checkpoints, Record, Sampled, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -23,6 +23,8 @@ pub struct Reconstruction {
     pub volume: Volume,
     /// Of a method that fits primitives.
     pub log: Vec<Record>,
+    /// How the primitives became the volume; missing where the method has none.
+    pub sampled: Option<Sampled>,
 }
 
 /// How far a method has come.
@@ -59,14 +61,15 @@ pub fn reconstruct(
     let volume = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
             let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
-            let train::Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
-            return Ok(Reconstruction { primitives: Some(primitives), volume, log });
+            let train::Reconstruction { primitives, volume, sampled, log } =
+                train(dataset, config, checkpoints, &mut observe)?;
+            return Ok(Reconstruction { primitives: Some(primitives), volume, log, sampled: Some(sampled) });
         }
         (Method::Fdk, _) => fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?,
         (_, Precision::F32) => algebraic::<f32>(dataset, config, observe)?,
         (_, Precision::F64) => algebraic::<f64>(dataset, config, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, log: Vec::new() })
+    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None })
 }
 
 /// The volume that an iterative method on voxels finds.

@@ -98,6 +98,8 @@ impl Reconstruct {
         }
         // Again, for what only reading tells.
         self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
+        let config = config.resolved(&dataset.scanner, dataset.train.len());
+        checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check_config(&config))?;
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
@@ -154,7 +156,6 @@ impl Reconstruct {
         config.precision = self.precision.unwrap_or(config.precision);
         config.seed = self.seed.unwrap_or(config.seed);
         self.set.iter().try_for_each(|setting| config.set(setting))?;
-        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.check_config(&config))?;
         config.validate()?;
         Ok(config)
     }
@@ -191,11 +192,14 @@ pub(super) fn reconstruct(
             }
         };
         let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, log } = found;
+        let Reconstruction { primitives, volume, log, sampled } = found;
         drop(bar);
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
-        let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation };
+        if let Some(sampled) = &sampled {
+            tracing::info!("{sampled}");
+        }
+        let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation, sampled };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

@@ -13,7 +13,7 @@ use trgs::provenance::{Provenance, digest_file};
 use trgs::reconstruction::Evaluation;
 use trgs::report::{self, Curve, Report};
 use trgs::scene::{Dataset, Volume, npy};
-use trgs::train::Record;
+use trgs::train::{Record, Sampled};
 use trgs::{Error, Result};
 
 /// Where a run that fits primitives keeps its state.
@@ -36,6 +36,8 @@ pub(super) struct Outcome {
     pub(super) passes: Vec<TimedPass>,
     pub(super) seconds: f64,
     pub(super) evaluation: Evaluation,
+    /// How primitives became the volume.
+    pub(super) sampled: Option<Sampled>,
 }
 
 /// An iteration on voxels, as the log has it.
@@ -154,6 +156,7 @@ fn page(
         ("Noise".into(), dataset.noise.to_string()),
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
+    facts.extend(outcome.sampled.iter().map(|sampled| ("Volume sampled".into(), sampled.to_string())));
     facts.extend(dataset.notes.iter().map(|note| ("Note".into(), note.clone())));
     if let Some(last) = outcome.passes.last() {
         facts.push(("Iterations".into(), last.pass.iteration.to_string()));

@@ -5,6 +5,7 @@
 //! needs a row in `text::TABLES`, which another test asks for.
 
 mod auto;
+mod plan;
 mod text;
 mod validate;
 
@@ -65,10 +66,26 @@ pub enum Precision {
 pub enum Start {
     /// On bright voxels of an FDK reconstruction.
     Fdk,
+    /// The same of that reconstruction smoothed.
+    SmoothedFdk,
+    /// On bright voxels after five passes of SART.
+    Sart,
     /// On the initial points that come with the dataset.
     Dataset,
     /// Anywhere in the volume.
     Random,
+}
+
+/// How the values of a volume are taken from a field of primitives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sampling {
+    /// As the projections say: see [`crate::train::sampling`].
+    Auto,
+    /// The field at the voxel centres, the paper's and R²-Gaussian's.
+    Point,
+    /// So that the trilinear interpolation of the volume is the field: [`crate::scene::interpolant()`].
+    Interpolant,
 }
 
 /// The profile of the primitives.
@@ -112,8 +129,8 @@ pub struct Config {
     /// How the volume is found: tr-gs, r2-gaussian or fdk.
     #[default(Method::TrGs)]
     pub method: Method,
-    /// Training steps, one view each.
-    #[default = 5000]
+    /// Training steps, one view each; 0: 140 a view.
+    #[default = 0]
     pub iterations: usize,
     /// All random choices follow from it.
     #[default = 0]
@@ -127,6 +144,9 @@ pub struct Config {
     /// A primitive ends where its projection has fallen to this fraction of its peak; 0: nowhere.
     #[default = 1e-3]
     pub cutoff: f64,
+    /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
+    #[default(Sampling::Auto)]
+    pub sampling: Sampling,
     /// Iterations between two reports.
     #[default = 100]
     pub report_every: usize,
@@ -164,8 +184,8 @@ pub struct ModelConfig {
     /// Profile of the primitives: student-t or gaussian.
     #[default(KernelName::StudentT)]
     pub kernel: KernelName,
-    /// Primitives at the start.
-    #[default = 5000]
+    /// Primitives at the start; 0: as the volume's surface, ¾ of (voxels)^⅔.
+    #[default = 0]
     pub points: usize,
     /// Lower end of the degrees of freedom.
     #[default = 2.0]
@@ -176,9 +196,9 @@ pub struct ModelConfig {
     /// Degrees of freedom at the start.
     #[default = 10.0]
     pub nu_initial: f64,
-    /// Smallest scale, as a fraction of the volume's longest side.
-    #[default = 0.0005]
-    pub scale_min: f64,
+    /// Smallest scale, in voxels. The default is the standard deviation of the linear interpolation between voxel centres.
+    #[default = 0.408]
+    pub smallest_scale: f64,
     /// Largest scale, as a fraction of the volume's longest side.
     #[default = 0.5]
     pub scale_max: f64,
@@ -188,7 +208,7 @@ pub struct ModelConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct InitialisationConfig {
-    /// fdk, dataset (its init_*.npy) or random.
+    /// fdk, smoothed-fdk, sart, dataset (its init_*.npy) or random.
     #[default(Start::Fdk)]
     pub from: Start,
     /// Voxels of the first reconstruction above this density can carry a primitive.
@@ -197,6 +217,9 @@ pub struct InitialisationConfig {
     /// Measured density → density of the primitive, which overlaps its neighbours.
     #[default = 0.15]
     pub density_factor: f64,
+    /// smoothed-fdk: standard deviation of the smoothing, voxels.
+    #[default = 1.0]
+    pub smoothing: f64,
 }
 
 /// What is minimised: `L1 + d_ssim·(1-SSIM)` of a projection `+ tv·TV` of a block of the volume.
@@ -239,8 +262,8 @@ pub struct ConfidenceConfig {
     /// Ratio of size to extent along the ray at which that radius is reached.
     #[default(confidence::Settings::default().kappa)]
     pub kappa: f64,
-    /// Iterations between two computations of c; what density control adds has its own at once.
-    #[default = 500]
+    /// Iterations between two computations of c; what density control adds has its own at once. 0: a twelfth of the run.
+    #[default = 0]
     pub every: usize,
 }
 
@@ -345,11 +368,11 @@ pub struct DensityControlConfig {
     /// Part of the run after which it ends.
     #[default(25.0 / 30.0)]
     pub stop: f64,
-    /// Iterations between two steps.
-    #[default = 100]
+    /// Iterations between two steps; 0: a sixtieth of the run, at most 100.
+    #[default = 0]
     pub every: usize,
-    /// Number of primitives that it does not lead beyond; adc may do so by one step.
-    #[default = 20_000]
+    /// Number of primitives that it does not lead beyond; adc may do so by one step. 0: 2 (voxels)^⅔, a primitive for 8 rays at most.
+    #[default = 0]
     pub cap: usize,
     /// ar: density below which a primitive is dead.
     #[default = 5e-4]
@@ -473,7 +496,6 @@ impl Config {
                 config.optimiser.position = PositionOptimiser::Adam;
                 config.density_control.method = DensityControl::Adc;
                 config.density_control.stop = 0.5;
-                config.density_control.cap = 500_000;
             }
             Method::Sart | Method::Cgls => config.iterations = SartSettings::default().iterations,
             Method::OsSart => (config.iterations, config.algebraic.subset) = (SartSettings::default().iterations, 10),

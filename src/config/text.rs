@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use toml::{Table, Value};
 
+/// A key of former versions: the smallest scale as a fraction of the volume's side.
+const FORMER_SCALE: &str = "model.scale_min";
+
 /// The tables: name, what it is for, its keys and what they are for.
 const TABLES: [(&str, &str, &[&str], &[&str]); 12] = [
     ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
@@ -120,6 +123,10 @@ impl Config {
 
     /// Sets one key after checking that it exists and that the value has its type.
     fn put(&mut self, key: &str, value: Value) -> Result<()> {
+        if key == FORMER_SCALE {
+            let remedy = "model.smallest_scale is stated in voxels: multiply by the voxels along the longest side";
+            return Err(Error::invalid("configuration key", key, "model.smallest_scale", remedy));
+        }
         let entries = self.entries();
         let Some((_, old)) = entries.iter().find(|(name, _)| name == key) else {
             let nearest = nearest(key, entries.iter().map(|(name, _)| name.as_str()));

@@ -1,10 +1,12 @@
 //! The paper's experiments at another size: what is made smaller, and by how much.
 
-use crate::config::{Config, DensityControl};
+use crate::config::{Config, DensityControl, Sampling};
 use crate::numeric::elementary::pow;
 
 /// Of the volume in the paper.
 const PAPER_SIZE: f64 = 256.0;
+/// Smallest scale of a primitive in R²-Gaussian, as a fraction of the volume's longest side.
+const PAPER_SMALLEST_SCALE: f64 = 0.0005;
 /// Primitives that the paper starts from.
 const PAPER_POINTS: f64 = 50_000.0;
 /// Training steps in the paper.
@@ -61,6 +63,10 @@ impl Scale {
         config.density_control.every = (config.iterations / 60).clamp(1, 100);
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
         config.checkpoint_every = config.iterations;
+        // As the paper and R²-Gaussian do, whatever the scan.
+        config.sampling = Sampling::Point;
+        // R²'s fraction of the side, at any size.
+        config.model.smallest_scale = PAPER_SMALLEST_SCALE * self.size as f64;
         config.report_every = config.iterations;
         let block = (self.size / 4).clamp(4, 32) & !1;
         (config.wavelet.block, config.loss.tv_block) = (block, block);

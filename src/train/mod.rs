@@ -11,15 +11,18 @@
 
 mod optimiser;
 mod record;
+pub mod sampling;
+mod start;
 mod state;
 mod views;
 
 pub use record::Record;
+pub use sampling::Sampled;
+pub use start::initial_primitives;
 pub use state::{Checkpoint, Checkpoints};
 
-use crate::classical::fdk::{Turn, Window, fdk};
 use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
-use crate::config::{Config, DensityControl, KernelName, Precision, Start};
+use crate::config::{Config, DensityControl, KernelName, Precision};
 use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
@@ -27,13 +30,11 @@ use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads::{self, Lent, Spares};
 use crate::numeric::{Real, real, reduce};
 use crate::primitives::activation::Interval;
-use crate::primitives::initialisation::{self, Point};
 use crate::primitives::{Activation, Kernel, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
-use crate::scene::Volume;
 use crate::scene::dataset::Dataset;
+use crate::scene::{Grid, Volume};
 use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
-use glam::DVec3;
 use ndarray::{Array2, Array3};
 use optimiser::Step;
 use rand::RngExt;
@@ -55,6 +56,8 @@ pub struct Reconstruction {
     pub primitives: Primitives,
     /// The field on the dataset's grid.
     pub volume: Volume,
+    /// How the field became the volume.
+    pub sampled: Sampled,
     /// All reports.
     pub log: Vec<Record>,
 }
@@ -71,42 +74,23 @@ pub fn train(
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
+    let config = &config.resolved(&dataset.scanner, dataset.train.len());
     match config.precision {
         Precision::F32 => Trainer::<f32>::new(dataset, config, checkpoints)?.run(observe),
         Precision::F64 => Trainer::<f64>::new(dataset, config, checkpoints)?.run(observe),
     }
 }
 
-/// The primitives that a run starts from.
-///
-/// # Errors
-/// When the dataset does not have what the configuration asks for.
-pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitives> {
-    let kernel = kernel(config);
-    let start = &config.initialisation;
-    let points = match start.from {
-        Start::Fdk => {
-            let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak, Turn::Full)?;
-            initialisation::bright_voxels(&volume, start.threshold, config.model.points, config.seed)?
-        }
-        Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
-        Start::Dataset => {
-            let points = dataset.initial_points.as_ref().ok_or_else(|| {
-                Error::invalid(
-                    "initialisation.from",
-                    "dataset",
-                    "a dataset with initial points (init_*.npy)",
-                    "use fdk or random",
-                )
-            })?;
-            let point = |row: ndarray::ArrayView1<'_, f64>| Point {
-                position: DVec3::new(row[0], row[1], row[2]),
-                density: row[3],
-            };
-            points.rows().into_iter().map(point).collect()
-        }
-    };
-    initialisation::primitives(&points, kernel, start.density_factor, config.model.nu_initial)
+/// The range of the scales on a grid, scene units.
+fn scales(grid: &Grid, config: &Config) -> Result<Interval> {
+    let voxel = grid.spacing.min_element();
+    let (min, max) = (config.model.smallest_scale * voxel, config.model.scale_max * grid.size().max_element());
+    if min >= max {
+        let expected = format!("less than model.scale_max = {} of the longest side", config.model.scale_max);
+        let remedy = format!("set it below {:.3}", max / voxel);
+        return Err(Error::invalid("model.smallest_scale", config.model.smallest_scale, expected, remedy));
+    }
+    Ok(Interval { min, max })
 }
 
 fn kernel(config: &Config) -> Kernel {
@@ -166,10 +150,9 @@ impl<R: Kernels> Derived<R> {
 impl<'a, R: Kernels> Trainer<'a, R> {
     fn new(dataset: &'a Dataset, config: &'a Config, checkpoints: Option<Checkpoints>) -> Result<Self> {
         dataset.scanner.validate()?;
-        let longest = dataset.scanner.grid.size().max_element();
         let activation = Activation {
             kernel: kernel(config),
-            scale: Interval { min: config.model.scale_min * longest, max: config.model.scale_max * longest },
+            scale: scales(&dataset.scanner.grid, config)?,
             nu: Interval { min: config.model.nu_min, max: config.model.nu_max },
         };
         let (smallest, multiple) = (dataset.scanner.grid.shape.into_iter().min(), 1 << config.wavelet.levels);
@@ -242,9 +225,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         }
         drop(derived);
         let primitives = self.activation.forward(&self.state.raw);
-        let grid = self.dataset.scanner.grid;
-        let values = Field::<R>::new(&primitives, self.config.cutoff).voxels(&grid).mapv(|value| value.to_f64() as f32);
-        Ok(Reconstruction { primitives, volume: Volume::new(grid, values)?, log: self.state.log })
+        let field = Field::<R>::new(&primitives, self.config.cutoff);
+        let (volume, sampled) = sampling::volume(&field, self.dataset, self.config.sampling, self.config.projection)?;
+        Ok(Reconstruction { primitives, volume, sampled, log: self.state.log })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.

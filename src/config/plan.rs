@@ -1,0 +1,100 @@
+//! What follows from the scan: the one place where lengths of runs and sizes of populations are set.
+//!
+//! A key that is 0 is filled in before a run starts. n is the side of a cube with as many voxels as the volume.
+//!
+//! | key | value | reason |
+//! |---|---|---|
+//! | `iterations` | 140 a training view, 1,000 to 5,000 | every view is seen as often, however many there are |
+//! | `model.points` | ¾ n² | primitives lie on surfaces; 49,152 at 256³ |
+//! | `density_control.cap` | 2 n², at most a primitive for 8 rays | the same; a primitive has 12 numbers |
+//! | `density_control.every` | iterations/60, 1 to 100 | the population is at its cap after a third of any run |
+//! | `confidence.every` | iterations/12, 1 to 500 | twelve times a run |
+//!
+//! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
+
+use super::{Config, DensityControl};
+use crate::numeric::elementary::pow;
+use crate::scene::Scanner;
+
+/// Iterations for a training view, and their range.
+const ITERATIONS_PER_VIEW: usize = 140;
+const FEWEST_ITERATIONS: usize = 1000;
+const MOST_ITERATIONS: usize = 5000;
+/// Fewest primitives that a run starts from, and that its cap is.
+const FEWEST_POINTS: usize = 64;
+/// Rays for a primitive.
+const RAYS: usize = 8;
+
+impl Config {
+    /// The configuration with every key that is 0 filled in for a scan with so many training views.
+    #[must_use]
+    pub fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
+        let mut config = self.clone();
+        if !config.method.fits_primitives() {
+            return config;
+        }
+        let surface = pow(scanner.grid.voxels() as f64, 2.0 / 3.0);
+        let rays = views.saturating_mul(scanner.detector.pixels());
+        fill(&mut config.iterations, (ITERATIONS_PER_VIEW * views).clamp(FEWEST_ITERATIONS, MOST_ITERATIONS));
+        let cap = ((2.0 * surface).round() as usize).min(rays / RAYS).max(FEWEST_POINTS);
+        fill(&mut config.model.points, ((0.75 * surface).round() as usize).clamp(FEWEST_POINTS, cap));
+        // Its last step leads beyond.
+        let adaptive = config.density_control.method == DensityControl::Adc;
+        fill(&mut config.density_control.cap, if adaptive { cap * 4 / 5 } else { cap });
+        fill(&mut config.density_control.every, (config.iterations / 60).clamp(1, 100));
+        fill(&mut config.confidence.every, (config.iterations / 12).clamp(1, 500));
+        config
+    }
+}
+
+/// Sets a key that is 0.
+fn fill(key: &mut usize, value: usize) {
+    if *key == 0 {
+        *key = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Method;
+    use crate::scene::{Beam, Detector, Grid};
+
+    fn scanner(voxels: usize, pixels: usize) -> Scanner {
+        let pitch = 4.0 / pixels as f64;
+        let detector =
+            Detector { rows: pixels, columns: pixels, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
+        Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(voxels) }
+    }
+
+    #[test]
+    fn populations_go_with_surfaces_and_iterations_with_views() {
+        let of = |voxels, pixels, views| {
+            let config = Config::of(Method::TrGs).resolved(&scanner(voxels, pixels), views);
+            (config.iterations, config.model.points, config.density_control.cap, config.density_control.every)
+        };
+        assert_eq!(of(64, 128, 18), (2520, 3072, 8192, 42));
+        assert_eq!(of(256, 512, 50), (5000, 49_152, 131_072, 83));
+        // Few rays make fewer primitives.
+        assert_eq!(of(64, 32, 6), (1000, 768, 768, 16));
+        assert_eq!(of(2, 2, 1), (1000, 64, 64, 16));
+    }
+
+    #[test]
+    fn what_was_set_stays() {
+        let mut config = Config::of(Method::TrGs);
+        config.set("density_control.cap=777").unwrap();
+        config.iterations = 30;
+        let resolved = config.resolved(&scanner(64, 128), 18);
+        assert_eq!((resolved.iterations, resolved.density_control.cap, resolved.density_control.every), (30, 777, 1));
+        assert_eq!(resolved.resolved(&scanner(16, 16), 3), resolved);
+    }
+
+    #[test]
+    fn methods_on_voxels_have_their_own_iterations() {
+        for method in [Method::Sart, Method::OsSart, Method::Cgls, Method::AsdPocs] {
+            let config = Config::of(method);
+            assert_eq!(config.resolved(&scanner(64, 128), 18).iterations, config.iterations);
+        }
+    }
+}

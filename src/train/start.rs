@@ -1,0 +1,109 @@
+//! Where the primitives of a run start: points on a first volume, given ones, or anywhere.
+
+use super::kernel;
+use crate::classical::algebraic::{Order, SartSettings, sart};
+use crate::classical::fdk::{Turn, Window, fdk};
+use crate::classical::{RayModel, VoxelProjector};
+use crate::config::{Config, Start};
+use crate::error::{Error, Result};
+use crate::numeric::elementary::exp;
+use crate::primitives::Primitives;
+use crate::primitives::initialisation::{self, Point};
+use crate::scene::{Dataset, Volume};
+use glam::DVec3;
+use ndarray::{ArrayView1, Axis, Zip};
+use std::ops::ControlFlow;
+
+/// Passes of SART before the first points.
+const PASSES: usize = 5;
+/// Standard deviations after which the smoothing of a first volume ends.
+const REACH: f64 = 3.0;
+
+/// The primitives that a run starts from.
+///
+/// # Errors
+/// When the dataset does not have what the configuration asks for.
+pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitives> {
+    let config = &config.resolved(&dataset.scanner, dataset.train.len());
+    let start = &config.initialisation;
+    let points = match start.from {
+        Start::Fdk | Start::SmoothedFdk | Start::Sart => {
+            let volume = first_volume(dataset, start.from, start.smoothing)?;
+            initialisation::bright_voxels(&volume, start.threshold, config.model.points, config.seed)?
+        }
+        Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
+        Start::Dataset => given(dataset)?,
+    };
+    initialisation::primitives(&points, kernel(config), start.density_factor, config.model.nu_initial)
+}
+
+/// The volume whose bright voxels carry the first primitives.
+fn first_volume(dataset: &Dataset, from: Start, smoothing: f64) -> Result<Volume> {
+    if from == Start::Sart {
+        let projector = VoxelProjector::new(&dataset.scanner, RayModel::Joseph)?;
+        let settings = SartSettings { iterations: PASSES, order: Order::AngularDistance, ..SartSettings::default() };
+        return sart::<f32>(&projector, &dataset.train, &settings, &mut |_| ControlFlow::Continue(()));
+    }
+    let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak, Turn::Full)?;
+    Ok(if from == Start::SmoothedFdk { smoothed(volume, smoothing) } else { volume })
+}
+
+/// The points of the dataset.
+fn given(dataset: &Dataset) -> Result<Vec<Point>> {
+    let points = dataset.initial_points.as_ref().ok_or_else(|| {
+        Error::invalid(
+            "initialisation.from",
+            "dataset",
+            "a dataset with initial points (init_*.npy)",
+            "use fdk or random",
+        )
+    })?;
+    let point = |row: ArrayView1<'_, f64>| Point { position: DVec3::new(row[0], row[1], row[2]), density: row[3] };
+    Ok(points.rows().into_iter().map(point).collect())
+}
+
+/// A volume convolved with a normal distribution of `sigma` voxels along each axis; beyond an end the last voxel stands.
+fn smoothed(mut volume: Volume, sigma: f64) -> Volume {
+    let reach = (REACH * sigma).ceil() as usize;
+    let weights: Vec<f64> = (0..=2 * reach)
+        .map(|k| {
+            let offset = k as f64 - reach as f64;
+            exp(-offset * offset / (2.0 * sigma * sigma))
+        })
+        .collect();
+    let total: f64 = weights.iter().sum();
+    for axis in 0..3 {
+        let before = volume.values.clone();
+        let lanes = |axis| (volume.values.len_of(Axis(axis)), Axis(axis));
+        let (n, axis) = lanes(axis);
+        Zip::from(volume.values.lanes_mut(axis)).and(before.lanes(axis)).for_each(|mut out, line| {
+            for (i, out) in out.iter_mut().enumerate() {
+                let at = |k: usize| f64::from(line[(i + k).saturating_sub(reach).min(n - 1)]);
+                let sum: f64 = weights.iter().enumerate().map(|(k, weight)| weight * at(k)).sum();
+                *out = (sum / total) as f32;
+            }
+        });
+    }
+    volume
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Grid;
+    use ndarray::Array3;
+
+    #[test]
+    fn smoothing_keeps_the_sum_and_has_its_variance() {
+        let mut values = Array3::zeros((21, 19, 17));
+        values[[10, 9, 8]] = 1.0;
+        let grid = Grid { shape: [21, 19, 17], ..Grid::cube(20) };
+        let found = smoothed(Volume::new(grid, values).unwrap(), 1.2).values;
+        let sum: f64 = found.iter().map(|&value| f64::from(value)).sum();
+        let second: f64 =
+            found.indexed_iter().map(|((x, ..), &v)| f64::from(v) * (x as f64 - 10.0) * (x as f64 - 10.0)).sum();
+        assert!((sum - 1.0).abs() < 1e-5 && (second / sum - 1.44).abs() < 0.02, "{sum} {second}");
+        let even = Volume::new(Grid::cube(6), Array3::from_elem([6; 3], 0.3)).unwrap();
+        assert!(smoothed(even, 2.0).values.iter().all(|value| (value - 0.3).abs() < 1e-6));
+    }
+}
