@@ -17,6 +17,7 @@ mod views;
 pub use record::Record;
 pub use state::{Checkpoint, Checkpoints};
 
+use crate::classical::density_unit::{density_unit, in_unit};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision, Start};
@@ -51,16 +52,23 @@ pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a
 /// What a run ends with.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// Physical parameters.
+    /// Physical parameters, densities in attenuation per scene unit.
     pub primitives: Primitives,
     /// The field on the dataset's grid.
     pub volume: Volume,
     /// All reports.
     pub log: Vec<Record>,
+    /// Attenuation per scene unit that counted as 1 in the run.
+    pub unit: f64,
 }
 
 /// Reconstructs a dataset by fitting primitives to its training views. With `checkpoints` the state is kept in a file
 /// from time to time, at the end and when `observe` stops the run; going on from it leads to the same bits.
+///
+/// The run works on projections divided by a unit of density U: `config.density_unit`, or where that is auto what
+/// [`density_unit`] finds. All densities in the configuration and all losses are in units of U; densities of initial points
+/// are divided by it, those of the result multiplied. So projections times k lead to densities times k: to the bit for a power
+/// of two; otherwise up to the rounding of the pixels, which a run with large learning rates magnifies.
 ///
 /// # Errors
 /// For a configuration that does not fit the data or the checkpoint, a value that is not finite, a checkpoint that
@@ -71,13 +79,17 @@ pub fn train(
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
+    dataset.scanner.validate()?;
+    let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
+    let checkpoints = checkpoints.map(|checkpoints| (checkpoints, digest(dataset)));
+    let dataset = &*in_unit(dataset, unit);
     match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, config, checkpoints)?.run(observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, config, checkpoints)?.run(observe),
+        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(observe),
+        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(observe),
     }
 }
 
-/// The primitives that a run starts from.
+/// The primitives that a run starts from; densities of the dataset and of the configuration are in one unit.
 ///
 /// # Errors
 /// When the dataset does not have what the configuration asks for.
@@ -118,7 +130,9 @@ fn kernel(config: &Config) -> Kernel {
 
 /// The state of a run, and what follows from dataset and configuration.
 struct Trainer<'a, R: Kernels> {
+    /// In units of density.
     dataset: &'a Dataset,
+    unit: f64,
     config: &'a Config,
     activation: Activation,
     coverage: Coverage,
@@ -164,8 +178,13 @@ impl<R: Kernels> Derived<R> {
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
-    fn new(dataset: &'a Dataset, config: &'a Config, checkpoints: Option<Checkpoints>) -> Result<Self> {
-        dataset.scanner.validate()?;
+    /// Checkpoints go with the digest of the data as they were measured.
+    fn new(
+        dataset: &'a Dataset,
+        unit: f64,
+        config: &'a Config,
+        checkpoints: Option<(Checkpoints, String)>,
+    ) -> Result<Self> {
         let longest = dataset.scanner.grid.size().max_element();
         let activation = Activation {
             kernel: kernel(config),
@@ -181,7 +200,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let ssim = Ssim::<R>::default();
         let image = |view| dataset.train.image(view).mapv(|value| real::<R>(f64::from(value)));
         let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();
-        let (checkpoint, from) = checkpoints.map_or((None, None), |c| (Some((c.file, digest(dataset))), c.from));
+        let (checkpoint, from) = checkpoints.map_or((None, None), |(c, data)| (Some((c.file, data)), c.from));
         let resumed = from.is_some();
         let state = match (from, &checkpoint) {
             (Some(from), Some((_, data))) => {
@@ -192,6 +211,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         };
         let mut trainer = Self {
             dataset,
+            unit,
             config,
             activation,
             coverage: Coverage::new(config.confidence.settings()),
@@ -241,10 +261,11 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             }
         }
         drop(derived);
-        let primitives = self.activation.forward(&self.state.raw);
+        let mut primitives = self.activation.forward(&self.state.raw);
+        primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let grid = self.dataset.scanner.grid;
         let values = Field::<R>::new(&primitives, self.config.cutoff).voxels(&grid).mapv(|value| value.to_f64() as f32);
-        Ok(Reconstruction { primitives, volume: Volume::new(grid, values)?, log: self.state.log })
+        Ok(Reconstruction { primitives, volume: Volume::new(grid, values)?, log: self.state.log, unit: self.unit })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
