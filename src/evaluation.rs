@@ -7,10 +7,13 @@
 //! |---|---|
 //! | `psnr3d/peak1` | `10 log10(1/MSE)` over all voxels, peak 1, nothing clipped or scaled |
 //! | `ssim3d/r2-slices` | mean over the axes of the mean [SSIM](crate::loss::ssim) of the slices across it |
+//! | `psnr3d/truth-range` | the same with both volumes divided by the range of the truth, its largest less its least value |
+//! | `ssim3d/truth-range-slices` | SSIM of the slices of these, otherwise as above |
 //! | `psnr2d/selfmax` | `10 log10(1/MSE)` of images divided by their own maximum, mean over the views |
 //! | `ssim2d/selfmax` | SSIM of the same images, mean over the same views |
 //!
 //! Slices and views whose truth is nowhere above 0 are left out of the means.
+//! Those with the truth's range are there where the largest value of the truth is not from ½ to 2: a peak of 1 says little then.
 //! The 2-D metrics do not see an error in global scale; the 3-D ones do. All arithmetic is f64.
 //! PSNR is infinite for equal data. JSON has no such number: infinity is written as the string `"inf"`, and a
 //! value that does not exist (a view left out, a mean over nothing), NaN here, as `null`.
@@ -46,6 +49,12 @@ pub struct Metrics {
     /// Structural similarity of the volume's slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ssim_3d: Option<Metric>,
+    /// [`Self::psnr_3d`] with the truth's range as its peak, where that is not near 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_3d_range: Option<Metric>,
+    /// [`Self::ssim_3d`] of volumes divided by the truth's range, where that is not near 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ssim_3d_range: Option<Metric>,
     /// Peak signal-to-noise ratio of the projections, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_2d: Option<Metric>,
@@ -57,9 +66,11 @@ pub struct Metrics {
 impl Metrics {
     /// Names of the columns of a table of metrics.
     pub const NAMES: [&'static str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
+    /// Names of the metrics with the truth's range.
+    pub const RANGE_NAMES: [&'static str; 2] = ["psnr_3d_range", "ssim_3d_range"];
 
-    /// All four metrics of a volume and of projections (those of the truth come first in each pair). A pair that is
-    /// missing leaves its two metrics out.
+    /// All metrics of a volume and of projections (those of the truth come first in each pair). A pair that is
+    /// missing leaves its metrics out.
     ///
     /// # Errors
     /// When the shapes in a pair differ.
@@ -72,6 +83,10 @@ impl Metrics {
             check_shapes("volume", truth.values.shape(), result.values.shape())?;
             metrics.psnr_3d = Some(psnr_3d(truth.values.view(), result.values.view()));
             metrics.ssim_3d = Some(ssim_3d(truth.values.view(), result.values.view()));
+            if let Some(range) = range_that_matters(truth.values.view()) {
+                metrics.psnr_3d_range = Some(psnr_3d_range(truth.values.view(), result.values.view(), range));
+                metrics.ssim_3d_range = Some(ssim_3d_range(truth.values.view(), result.values.view(), range));
+            }
         }
         if let Some((truth, result)) = projections {
             check_shapes("projections", truth.images.shape(), result.images.shape())?;
@@ -84,6 +99,11 @@ impl Metrics {
     /// The metrics in the order of [`Self::NAMES`].
     pub fn columns(&self) -> [Option<&Metric>; 4] {
         [&self.psnr_3d, &self.ssim_3d, &self.psnr_2d, &self.ssim_2d].map(Option::as_ref)
+    }
+
+    /// The metrics in the order of [`Self::RANGE_NAMES`].
+    pub fn of_range(&self) -> [Option<&Metric>; 2] {
+        [&self.psnr_3d_range, &self.ssim_3d_range].map(Option::as_ref)
     }
 
     /// The cells of a table's row, in the order of [`Self::NAMES`]: dB with two decimals, similarities with four.
@@ -104,11 +124,37 @@ impl Metrics {
 /// # Panics
 /// When the shapes differ.
 pub fn psnr_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
+    psnr_of_peak("psnr3d/peak1", truth, result, 1.0)
+}
+
+/// PSNR of a volume, peak `range`: `psnr3d/truth-range`. Not in the paper, whose densities lie in [0, 1].
+///
+/// # Panics
+/// When the shapes differ.
+pub fn psnr_3d_range(truth: ArrayView3<f32>, result: ArrayView3<f32>, range: f64) -> Metric {
+    psnr_of_peak("psnr3d/truth-range", truth, result, range)
+}
+
+fn psnr_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Metric {
     assert_eq!(truth.shape(), result.shape(), "PSNR of volumes of different shapes");
     let slabs = threads::map(truth.len_of(Axis(0)), |x| {
-        squared_error(truth.index_axis(Axis(0), x), result.index_axis(Axis(0), x), 1.0, 1.0)
+        squared_error(truth.index_axis(Axis(0), x), result.index_axis(Axis(0), x), peak, peak)
     });
-    Metric::new("psnr3d/peak1", psnr(reduce::sum(&slabs) / truth.len() as f64), Vec::new())
+    Metric::new(definition, psnr(reduce::sum(&slabs) / truth.len() as f64), Vec::new())
+}
+
+/// Largest less least value of a volume; 0 where all are equal. Not in the paper.
+pub fn range(truth: ArrayView3<f32>) -> f64 {
+    let (low, high) =
+        truth.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)));
+    f64::from(high) - f64::from(low)
+}
+
+/// The range of a truth whose largest value is not near 1.
+fn range_that_matters(truth: ArrayView3<f32>) -> Option<f64> {
+    let top = truth.iter().fold(f32::NEG_INFINITY, |top, &value| top.max(value));
+    let range = range(truth);
+    (!(0.5..=2.0).contains(&top) && range > 0.0 && range.is_finite()).then_some(range)
 }
 
 /// SSIM of a volume, slice by slice across each axis; `ssim3d/r2-slices`. Not in the paper: it names the metric,
@@ -117,16 +163,29 @@ pub fn psnr_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
 /// # Panics
 /// When the shapes differ.
 pub fn ssim_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
+    ssim_of_peak("ssim3d/r2-slices", truth, result, 1.0)
+}
+
+/// SSIM of a volume divided by `range`, slice by slice; `ssim3d/truth-range-slices`. Not in the paper, whose densities lie
+/// in [0, 1].
+///
+/// # Panics
+/// When the shapes differ.
+pub fn ssim_3d_range(truth: ArrayView3<f32>, result: ArrayView3<f32>, range: f64) -> Metric {
+    ssim_of_peak("ssim3d/truth-range-slices", truth, result, range)
+}
+
+fn ssim_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Metric {
     assert_eq!(truth.shape(), result.shape(), "SSIM of volumes of different shapes");
     let of_axis = |axis: Axis| {
         let slices = threads::map(truth.len_of(axis), |i| {
             let (truth, result) = (truth.index_axis(axis, i), result.index_axis(axis, i));
-            if largest(truth) > 0.0 { ssim(truth, result, 1.0, 1.0) } else { f64::NAN }
+            if largest(truth) > 0.0 { ssim(truth, result, peak, peak) } else { f64::NAN }
         });
         mean(&slices)
     };
     let axes = [0, 1, 2].map(|axis| of_axis(Axis(axis)));
-    Metric::new("ssim3d/r2-slices", mean(&axes), axes.to_vec())
+    Metric::new(definition, mean(&axes), axes.to_vec())
 }
 
 /// PSNR of projections, each divided by its own maximum; `psnr2d/selfmax`. Not in the paper: it names the metric,
@@ -296,6 +355,27 @@ mod tests {
     }
 
     #[test]
+    fn a_truth_whose_peak_is_not_near_1_is_measured_by_its_range_too() {
+        let volume = |values| Volume::new(Grid::cube(8), values).unwrap();
+        let (truth, result) = (phantom((8, 8, 8)), phantom((8, 8, 8)).mapv(|v| v * v));
+        let of = |k: f32| Metrics::compute(Some((&volume(&truth * k), &volume(&result * k))), None).unwrap();
+        let near = of(1.0);
+        assert_eq!(near.of_range(), [None, None]);
+        for k in [1.0 / 1024.0, 4096.0] {
+            let far = of(k);
+            let [psnr, ssim] = far.of_range().map(Option::unwrap);
+            assert_eq!(
+                (psnr.definition.as_str(), ssim.definition.as_str()),
+                ("psnr3d/truth-range", "ssim3d/truth-range-slices")
+            );
+            assert!((psnr.value - near.psnr_3d.as_ref().unwrap().value).abs() < 1e-9);
+            assert!((ssim.value - near.ssim_3d.as_ref().unwrap().value).abs() < 1e-9);
+            assert_ne!(far.psnr_3d, near.psnr_3d);
+        }
+        assert_eq!(of(0.0).of_range(), [None, None]);
+    }
+
+    #[test]
     fn equal_data_have_infinite_psnr_and_similarity_one() {
         let data = phantom((4, 5, 6));
         assert_eq!(psnr_3d(data.view(), data.view()).value, f64::INFINITY);
@@ -386,7 +466,7 @@ mod tests {
             psnr_3d: Some(Metric::new("psnr3d/peak1", 31.0349, Vec::new())),
             ssim_3d: Some(Metric::new("ssim3d/r2-slices", 0.87149, Vec::new())),
             psnr_2d: Some(Metric::new("psnr2d/selfmax", f64::NAN, Vec::new())),
-            ssim_2d: None,
+            ..Metrics::default()
         };
         assert_eq!(metrics.row(), ["31.03", "0.8715", "–", "–"]);
     }

@@ -194,9 +194,11 @@ impl Sizes {
 
     fn training(&self, config: &Config) -> Vec<Moment> {
         let (m, real, d) = (self.most, self.real, self.detector);
+        let in_units = config.density_unit.fixed() != Some(1.0);
         let lasting = |count: usize| {
             vec![
                 row("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
+                row("projections in units of density", if in_units { self.pixels } else { 0 }, F32),
                 // Raw values, two moments each, momentum, id, c, its target, pull and views.
                 row("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
             ]
@@ -226,6 +228,7 @@ impl Sizes {
         ];
         let working = |name, rows: &[Row]| with(name, m, &[&kept, rows].concat());
         let mut moments = vec![
+            Moment { name: "unit of density", rows: self.sart(config).rows },
             with("first volume", self.points, &start),
             working("iteration", &[]),
             working("checkpoint", &[row("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),

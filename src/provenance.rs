@@ -30,6 +30,9 @@ pub struct Provenance {
     /// Bytes of memory that the run was estimated to need at most, where there is an estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
+    /// Attenuation per scene unit that counted as 1 in the run, where its method asks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub density_unit: Option<f64>,
     /// The command line, program name first.
     pub command: Vec<String>,
     /// Every seed by its purpose.
@@ -51,6 +54,7 @@ impl Provenance {
             debug_assertions: cfg!(debug_assertions),
             threads,
             memory: None,
+            density_unit: None,
             command: command.into_iter().collect(),
             seeds: BTreeMap::new(),
             inputs: BTreeMap::new(),
@@ -68,6 +72,7 @@ impl Provenance {
             ("built for", format!("{}, {}", self.target, self.target_features.join(" "))),
             ("threads", self.threads.to_string()),
             ("memory, estimated", self.memory.map_or(String::new(), |bytes| ByteSize(bytes).to_string())),
+            ("unit of density", self.density_unit.map_or(String::new(), |unit| unit.to_string())),
             ("seeds", seeds.join(", ")),
         ];
         facts.into_iter().filter(|(_, value)| !value.is_empty()).map(|(label, value)| (label.into(), value)).collect()

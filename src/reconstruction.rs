@@ -1,7 +1,7 @@
 //! Any method on any dataset: from projections to a volume, and how good that is.
 
-use crate::classical::algebraic::{Pass, asd_pocs, cgls, sart};
-use crate::classical::{VoxelProjector, fdk};
+use crate::classical::algebraic::{AsdPocsSettings, Pass, asd_pocs, cgls, sart};
+use crate::classical::{VoxelProjector, density_unit, fdk};
 use crate::config::{Config, Method, Precision};
 use crate::error::Result;
 use crate::evaluation::Metrics;
@@ -25,6 +25,8 @@ pub struct Reconstruction {
     pub log: Vec<Record>,
     /// How the primitives became the volume; missing where the method has none.
     pub sampled: Option<Sampled>,
+    /// Attenuation per scene unit that counted as 1, where the method asks.
+    pub unit: Option<f64>,
 }
 
 /// How far a method has come.
@@ -58,30 +60,39 @@ pub fn reconstruct(
     checkpoints: Option<Checkpoints>,
     observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
 ) -> Result<Reconstruction> {
+    let mut unit = None;
     let volume = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
             let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
-            let train::Reconstruction { primitives, volume, sampled, log } =
-                train(dataset, config, checkpoints, &mut observe)?;
-            return Ok(Reconstruction { primitives: Some(primitives), volume, log, sampled: Some(sampled) });
+            let found = train(dataset, config, checkpoints, &mut observe)?;
+            let train::Reconstruction { primitives, volume, sampled, log, unit } = found;
+            let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
+            return Ok(Reconstruction { primitives, volume, log, sampled, unit });
         }
         (Method::Fdk, _) => fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?,
-        (_, Precision::F32) => algebraic::<f32>(dataset, config, observe)?,
-        (_, Precision::F64) => algebraic::<f64>(dataset, config, observe)?,
+        (_, Precision::F32) => algebraic::<f32>(dataset, config, &mut unit, observe)?,
+        (_, Precision::F64) => algebraic::<f64>(dataset, config, &mut unit, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None })
+    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None, unit })
 }
 
-/// The volume that an iterative method on voxels finds.
+/// The volume that an iterative method on voxels finds; `unit` becomes its unit of density, if it has one.
 fn algebraic<R: Real>(
     dataset: &Dataset,
     config: &Config,
+    unit: &mut Option<f64>,
     observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
 ) -> Result<Volume> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
     match config.method {
-        Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), &mut observe),
+        Method::AsdPocs => {
+            let found = || density_unit(&dataset.scanner, &dataset.train);
+            let settings =
+                AsdPocsSettings { unit: config.density_unit.fixed().map_or_else(found, Ok)?, ..config.asd_pocs() };
+            *unit = Some(settings.unit);
+            asd_pocs::<R>(&projector, &dataset.train, &settings, &mut observe)
+        }
         Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
         _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
     }

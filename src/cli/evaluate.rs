@@ -58,8 +58,20 @@ pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Answer {
         let reason = || format!("absent: {}", evaluation.absent[name]);
         [name.into(), value, metric.map_or_else(reason, |metric| metric.definition.clone())]
     });
+    let ranges = Metrics::RANGE_NAMES.into_iter().zip([2, 4]).zip(evaluation.metrics.of_range());
+    let ranges = ranges.filter_map(|((name, decimals), metric)| {
+        let metric = metric?;
+        Some([name.into(), format!("{:.decimals$}", metric.value), metric.definition.clone()])
+    });
+    let rows: Vec<_> = rows.chain(ranges).collect();
     if let (Some(context), Ok(Value::Object(metrics))) = (context.as_object_mut(), serde_json::to_value(evaluation)) {
         context.extend(metrics);
     }
-    Answer::table(&context, ["metric", "value", "definition"], rows)
+    let header = ["metric", "value", "definition"];
+    if rows.len() == Metrics::NAMES.len() {
+        return Answer::table(&context, header, rows);
+    }
+    let remark = "The largest value of the truth is not near 1, the peak of psnr_3d and ssim_3d; those of _range take the truth's \
+                  own range instead.";
+    Answer::judged_table(&context, header, rows, &[remark.into()], true)
 }

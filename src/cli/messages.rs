@@ -80,16 +80,17 @@ impl ProgressBar {
     /// The same for iterations on voxels.
     pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
         let Pass { iteration, iterations, residual } = *pass;
+        let shown = if (0.01..1e6).contains(&residual) { format!("{residual:.4}") } else { format!("{residual:.4e}") };
         if let Some(bar) = &self.bar {
             bar.set_position(iteration as u64);
-            bar.set_message(format!("residual {residual:.4}, "));
+            bar.set_message(format!("residual {shown}, "));
         } else {
             tracing::info!(
                 iteration,
                 iterations,
                 residual,
                 seconds,
-                "iteration {iteration} of {iterations}: residual {residual:.4}, {seconds:.1} s"
+                "iteration {iteration} of {iterations}: residual {shown}, {seconds:.1} s"
             );
         }
         go_on()

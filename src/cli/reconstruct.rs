@@ -192,14 +192,18 @@ pub(super) fn reconstruct(
             }
         };
         let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, log, sampled } = found;
+        let Reconstruction { primitives, volume, log, sampled, unit } = found;
         drop(bar);
+        if let Some(unit) = unit {
+            tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");
+        }
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
         if let Some(sampled) = &sampled {
             tracing::info!("{sampled}");
         }
-        let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation, sampled };
+        let method = config.method;
+        let outcome = Outcome { method, primitives, volume, log, passes, seconds, unit, evaluation, sampled };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

@@ -35,6 +35,8 @@ pub(super) struct Outcome {
     /// Of a method that fits voxels in iterations.
     pub(super) passes: Vec<TimedPass>,
     pub(super) seconds: f64,
+    /// Attenuation per scene unit that counted as 1.
+    pub(super) unit: Option<f64>,
     pub(super) evaluation: Evaluation,
     /// How primitives became the volume.
     pub(super) sampled: Option<Sampled>,
@@ -101,6 +103,7 @@ impl RunFolder {
         outcome: &Outcome,
         beside: Option<&Outcome>,
     ) -> Result<()> {
+        self.provenance.density_unit = outcome.unit;
         let staged = stage_folder(&self.folder)?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
@@ -157,6 +160,12 @@ fn page(
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
     facts.extend(outcome.sampled.iter().map(|sampled| ("Volume sampled".into(), sampled.to_string())));
+    if let Some(unit) = outcome.unit {
+        facts.push(("Density that counted as 1, per scene unit".into(), format!("{unit:.4e}")));
+    }
+    for metric in outcome.evaluation.metrics.of_range().into_iter().flatten() {
+        facts.push((metric.definition.clone(), format!("{:.4}", metric.value)));
+    }
     facts.extend(dataset.notes.iter().map(|note| ("Note".into(), note.clone())));
     if let Some(last) = outcome.passes.last() {
         facts.push(("Iterations".into(), last.pass.iteration.to_string()));

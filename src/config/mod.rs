@@ -147,6 +147,8 @@ pub struct Config {
     /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
+    /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
+    pub density_unit: Auto<f64>,
     /// Iterations between two reports.
     #[default = 100]
     pub report_every: usize,
@@ -211,7 +213,7 @@ pub struct InitialisationConfig {
     /// fdk, smoothed-fdk, sart, dataset (its init_*.npy) or random.
     #[default(Start::Fdk)]
     pub from: Start,
-    /// Voxels of the first reconstruction above this density can carry a primitive.
+    /// Voxels of the first reconstruction above this density, in units of density_unit, can carry a primitive.
     #[default = 0.05]
     pub threshold: f64,
     /// Measured density → density of the primitive, which overlaps its neighbours.
@@ -347,7 +349,7 @@ pub struct SghmcConfig {
     /// C afterwards: friction and noise.
     #[default = 50.0]
     pub friction: f64,
-    /// Density at which a primitive counts as fully there; below a hundredth of it a primitive is stirred.
+    /// Density (of density_unit) at which a primitive counts as fully there; below a hundredth of it one is stirred.
     #[default = 0.1]
     pub density_reference: f64,
     /// Of sghmc-textbook: the loss is divided by it to be an energy.
@@ -374,7 +376,7 @@ pub struct DensityControlConfig {
     /// Number of primitives that it does not lead beyond; adc may do so by one step. 0: 2 (voxels)^⅔, a primitive for 8 rays at most.
     #[default = 0]
     pub cap: usize,
-    /// ar: density below which a primitive is dead.
+    /// ar: density below which a primitive is dead, in units of density_unit.
     #[default = 5e-4]
     pub dead: f64,
     /// ar: largest fraction of all that is recycled in one step.
@@ -395,7 +397,7 @@ pub struct DensityControlConfig {
     /// adc: largest scale that is cloned and not split, as a fraction of the volume's longest side.
     #[default = 0.1]
     pub split_scale: f64,
-    /// adc: density below which a primitive is removed.
+    /// adc: density below which a primitive is removed, in units of density_unit.
     #[default = 1e-5]
     pub faint: f64,
 }
@@ -536,9 +538,10 @@ impl Config {
         }
     }
 
-    /// What ASD-POCS is told.
+    /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.
     pub fn asd_pocs(&self) -> AsdPocsSettings {
         let AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon } = self.asd_pocs;
-        AsdPocsSettings { sart: self.sart(), tv_steps, alpha, alpha_reduction, r_max, epsilon }
+        let unit = self.density_unit.or(1.0);
+        AsdPocsSettings { sart: self.sart(), tv_steps, alpha, alpha_reduction, r_max, epsilon, unit }
     }
 }

@@ -20,6 +20,9 @@ impl Config {
         require("iterations", self.iterations, own || self.iterations >= 1, "at least 1")?;
         require("seed", self.seed, i64::try_from(self.seed).is_ok(), "at most 2^63 - 1, the largest integer of TOML")?;
         require("cutoff", self.cutoff, (0.0..1.0).contains(&self.cutoff), "a number in [0, 1)")?;
+        if let Some(unit) = self.density_unit.fixed() {
+            require("density_unit", unit, unit > 0.0 && unit.is_finite(), "a positive number, or auto")?;
+        }
         for (key, period) in [
             ("report_every", self.report_every),
             ("checkpoint_every", self.checkpoint_every),

@@ -1,6 +1,6 @@
 //! The paper's experiments at another size: what is made smaller, and by how much.
 
-use crate::config::{Config, DensityControl, Sampling};
+use crate::config::{Auto, Config, DensityControl, Sampling};
 use crate::numeric::elementary::pow;
 
 /// Of the volume in the paper.
@@ -25,6 +25,7 @@ const PAPER_ITERATIONS: f64 = 30_000.0;
 /// | wavelet block, block of the total variation | 32³ | at most (N/4)³ |
 /// | passes of a method on voxels | its own | its own |
 /// | test views | 50 | 50 (N/256), at least 8 |
+/// | density that counts as 1 | 1 | 1: densities of the paper's scans lie from 0 to about 1 |
 ///
 /// Surfaces carry primitives, so they go with N². Iterations fall faster than that, which keeps a cell at 64³ under half
 /// a minute of one core; parts of a run that are stated as fractions stay where they were, and learning rates follow
@@ -48,6 +49,7 @@ impl Scale {
 
     /// Fits the settings of a method to the size.
     pub fn apply(self, config: &mut Config) {
+        config.density_unit = Auto::Fixed(1.0);
         if !config.method.fits_primitives() {
             return;
         }

@@ -61,6 +61,8 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
             }
             if high > 1.0 {
                 remarks.push("above 1, which PSNR takes as the peak".into());
+            } else if high > 0.0 && high < 0.5 {
+                remarks.push("far below 1, which PSNR takes as the peak".into());
             }
             rows.push(row("true values", span(low, mean, high), remarks.join("; ")));
             rows.push(agreement(&dataset.scanner, truth, &dataset.train)?);

@@ -21,6 +21,7 @@ pub use sampling::Sampled;
 pub use start::initial_primitives;
 pub use state::{Checkpoint, Checkpoints};
 
+use crate::classical::density_unit::{density_unit, in_unit};
 use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
 use crate::config::{Config, DensityControl, KernelName, Precision};
 use crate::density::{self, Successor, adc, ar};
@@ -52,7 +53,7 @@ pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a
 /// What a run ends with.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// Physical parameters.
+    /// Physical parameters, densities in attenuation per scene unit.
     pub primitives: Primitives,
     /// The field on the dataset's grid.
     pub volume: Volume,
@@ -60,10 +61,17 @@ pub struct Reconstruction {
     pub sampled: Sampled,
     /// All reports.
     pub log: Vec<Record>,
+    /// Attenuation per scene unit that counted as 1 in the run.
+    pub unit: f64,
 }
 
 /// Reconstructs a dataset by fitting primitives to its training views. With `checkpoints` the state is kept in a file
 /// from time to time, at the end and when `observe` stops the run; going on from it leads to the same bits.
+///
+/// The run works on projections divided by a unit of density U: `config.density_unit`, or where that is auto what
+/// [`density_unit`] finds. All densities in the configuration and all losses are in units of U; densities of initial points
+/// are divided by it, those of the result multiplied. So projections times k lead to densities times k: to the bit for a power
+/// of two; otherwise up to the rounding of the pixels, which a run with large learning rates magnifies.
 ///
 /// # Errors
 /// For a configuration that does not fit the data or the checkpoint, a value that is not finite, a checkpoint that
@@ -75,9 +83,13 @@ pub fn train(
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
     let config = &config.resolved(&dataset.scanner, dataset.train.len());
+    dataset.scanner.validate()?;
+    let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
+    let checkpoints = checkpoints.map(|checkpoints| (checkpoints, digest(dataset)));
+    let dataset = &*in_unit(dataset, unit);
     match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, config, checkpoints)?.run(observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, config, checkpoints)?.run(observe),
+        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(observe),
+        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(observe),
     }
 }
 
@@ -102,7 +114,9 @@ fn kernel(config: &Config) -> Kernel {
 
 /// The state of a run, and what follows from dataset and configuration.
 struct Trainer<'a, R: Kernels> {
+    /// In units of density.
     dataset: &'a Dataset,
+    unit: f64,
     config: &'a Config,
     activation: Activation,
     coverage: Coverage,
@@ -148,8 +162,13 @@ impl<R: Kernels> Derived<R> {
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
-    fn new(dataset: &'a Dataset, config: &'a Config, checkpoints: Option<Checkpoints>) -> Result<Self> {
-        dataset.scanner.validate()?;
+    /// Checkpoints go with the digest of the data as they were measured.
+    fn new(
+        dataset: &'a Dataset,
+        unit: f64,
+        config: &'a Config,
+        checkpoints: Option<(Checkpoints, String)>,
+    ) -> Result<Self> {
         let activation = Activation {
             kernel: kernel(config),
             scale: scales(&dataset.scanner.grid, config)?,
@@ -164,7 +183,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let ssim = Ssim::<R>::default();
         let image = |view| dataset.train.image(view).mapv(|value| real::<R>(f64::from(value)));
         let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();
-        let (checkpoint, from) = checkpoints.map_or((None, None), |c| (Some((c.file, digest(dataset))), c.from));
+        let (checkpoint, from) = checkpoints.map_or((None, None), |(c, data)| (Some((c.file, data)), c.from));
         let resumed = from.is_some();
         let state = match (from, &checkpoint) {
             (Some(from), Some((_, data))) => {
@@ -175,6 +194,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         };
         let mut trainer = Self {
             dataset,
+            unit,
             config,
             activation,
             coverage: Coverage::new(config.confidence.settings()),
@@ -224,10 +244,11 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             }
         }
         drop(derived);
-        let primitives = self.activation.forward(&self.state.raw);
+        let mut primitives = self.activation.forward(&self.state.raw);
+        primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let field = Field::<R>::new(&primitives, self.config.cutoff);
-        let (volume, sampled) = sampling::volume(&field, self.dataset, self.config.sampling, self.config.projection)?;
-        Ok(Reconstruction { primitives, volume, sampled, log: self.state.log })
+        let (volume, sampled) = sampling::volume(&field, self.dataset, self.unit, self.config)?;
+        Ok(Reconstruction { primitives, volume, sampled, log: self.state.log, unit: self.unit })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.

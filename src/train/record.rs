@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A report on the state of a run: means over the iterations since the last one.
+/// A report on the state of a run: means over the iterations since the last one. Losses are those of the projections and the
+/// volume divided by the run's unit of density.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Iterations done.

@@ -14,7 +14,7 @@
 //! is the part of what interpolation changes that the measurement confirms. Measured: 0.03 to 0.94 for scans of interpolated volumes, -0.12 to
 //! -0.29 for continuous objects (CHOICES.md). Not in the paper, which samples points.
 
-use crate::config::Sampling;
+use crate::config::{Config, Sampling};
 use crate::error::Result;
 use crate::numeric::{reduce, threads};
 use crate::projector::{Field, Kernels, Projection};
@@ -50,24 +50,25 @@ impl fmt::Display for Sampled {
     }
 }
 
-/// The volume of a field on the dataset's grid, attenuation per scene unit.
+/// The volume of a field on the dataset's grid, attenuation per scene unit; the projections of the dataset are in units of
+/// `unit`.
 ///
 /// # Errors
 /// When a value is not finite.
 pub fn volume<R: Kernels>(
     field: &Field<R>,
     dataset: &Dataset,
-    sampling: Sampling,
-    projection: Projection,
+    unit: f64,
+    config: &Config,
 ) -> Result<(Volume, Sampled)> {
-    let grid = dataset.scanner.grid;
+    let (grid, sampling) = (dataset.scanner.grid, config.sampling);
     let samples = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
     match sampling {
         Sampling::Point => Ok((samples, Sampled { sampling, share: None })),
         Sampling::Interpolant => Ok((interpolant(&samples), Sampled { sampling, share: None })),
         Sampling::Auto => {
             let interpolant = interpolant(&samples);
-            let share = confirmed_share(field, &interpolant, dataset, projection)?;
+            let share = confirmed_share(field, &interpolant, dataset, unit, config.projection)?;
             let (volume, sampling) = match share >= CONTRADICTED {
                 true => (interpolant, Sampling::Interpolant),
                 false => (samples, Sampling::Point),
@@ -84,6 +85,7 @@ fn confirmed_share<R: Kernels>(
     field: &Field<R>,
     interpolant: &Volume,
     dataset: &Dataset,
+    unit: f64,
     projection: Projection,
 ) -> Result<f64> {
     let train = &dataset.train;
@@ -94,7 +96,7 @@ fn confirmed_share<R: Kernels>(
         let measured = train.image(view);
         // A value of 0 is one that noise has taken below 0.
         let counts = measured.mapv(|value| if value > 0.0 { 1.0 } else { 0.0 });
-        let residual = (measured.mapv(f64::from) - &of_field) * &counts;
+        let residual = (measured.mapv(|value| unit * f64::from(value)) - &of_field) * &counts;
         let structure = (interpolated.image(view).mapv(f64::from) - &of_field) * &counts;
         let fine = [high_pass(&residual), high_pass(&structure)];
         [dot(&residual, &structure), dot(&structure, &structure), dot(&fine[0], &fine[1]), dot(&fine[1], &fine[1])]

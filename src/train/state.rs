@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Changes with the meaning of the file.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 /// What to do about a checkpoint of something else.
 const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 

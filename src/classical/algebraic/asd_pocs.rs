@@ -22,12 +22,15 @@ pub struct AsdPocsSettings {
     pub r_max: f64,
     /// Residual that is good enough, as a fraction of that of FDK.
     pub epsilon: f64,
+    /// The density that counts as 1 in the two constants that keep from division by 0: with a multiple of the projections and
+    /// of the unit the volume is that multiple.
+    pub unit: f64,
 }
 
 impl Default for AsdPocsSettings {
     fn default() -> Self {
         let sart = SartSettings { iterations: 10, reduction: 0.9999, ..SartSettings::default() };
-        Self { sart, tv_steps: 20, alpha: 0.002, alpha_reduction: 0.95, r_max: 0.94, epsilon: 0.15 }
+        Self { sart, tv_steps: 20, alpha: 0.002, alpha_reduction: 0.95, r_max: 0.94, epsilon: 0.15, unit: 1.0 }
     }
 }
 
@@ -35,6 +38,8 @@ impl Default for AsdPocsSettings {
 const LEAST_BETA: f64 = 0.005;
 /// SART and the descent pull against each other: nothing will change any more.
 const OPPOSITE: f64 = -0.99;
+/// Least product of two steps that a cosine is computed from, in squares of the unit of density.
+const LEAST_PRODUCT: f64 = 1e-6;
 
 /// The volume from zeros `[SP08]`; ends early when the residual is good enough and SART and descent are opposite.
 ///
@@ -44,7 +49,7 @@ const OPPOSITE: f64 = -0.99;
 /// # Errors
 /// As [`super::sart()`].
 ///
-/// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`.
+/// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`; units of density in `tests/units.rs`.
 pub fn asd_pocs<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,
@@ -59,6 +64,7 @@ pub fn asd_pocs<R: Real>(
         volume.values.iter().map(|&value| real(f64::from(value))).collect()
     };
     let enough = settings.epsilon * norm(&system.residual(&first_guess)?);
+    let square = settings.unit * settings.unit;
     let mut counter = Counter::new(settings.sart.iterations, observe);
     let (mut x, mut relaxation, mut step) = (system.empty(), settings.sart.relaxation, None);
     let mut beta = 1.0;
@@ -72,7 +78,7 @@ pub fn asd_pocs<R: Real>(
 
         let before = x.clone();
         for _ in 0..settings.tv_steps {
-            let direction = total_variation::gradient(&x, shape);
+            let direction = total_variation::gradient(&x, shape, square);
             let size = norm(&direction);
             if size > 0.0 {
                 add_scaled(&mut x, -length / size, &direction);
@@ -85,7 +91,7 @@ pub fn asd_pocs<R: Real>(
         beta *= settings.sart.reduction;
         relaxation *= settings.sart.factor();
         counter.done(iteration, residual)?;
-        let cosine = dot(&by_descent, &by_sart) / (descent * sart_step).max(1e-6);
+        let cosine = dot(&by_descent, &by_sart) / (descent * sart_step).max(LEAST_PRODUCT * square);
         if cosine < OPPOSITE && residual <= enough || beta < LEAST_BETA {
             break;
         }

@@ -2,25 +2,27 @@
 
 use crate::numeric::{Real, real, threads};
 
-/// Added to the squared differences: keeps the gradient finite where the volume is flat.
+/// Added to the squared differences, in squares of the unit of density: keeps the gradient finite where the volume is flat.
 const FLAT: f64 = 1e-7;
 
-/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7)`, backward differences, 0 across the border; `shape` is `[x, y, z]` `[SP08]`.
+/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7·square)`, backward differences, 0 across the border; `shape` is `[x, y, z]`, `square`
+/// the square of the unit of density `[SP08]`.
 ///
 /// Tests: `it_is_the_derivative`.
-pub(super) fn gradient<R: Real>(f: &[R], shape: [usize; 3]) -> Vec<R> {
+pub(super) fn gradient<R: Real>(f: &[R], shape: [usize; 3], square: f64) -> Vec<R> {
+    let flat: R = real(FLAT * square);
     let [nx, ny, nz] = shape;
     let strides = [ny * nz, nz, 1];
     // 1/√(|∇f|² + ε) of every voxel, then what it and its upper neighbours make of f_j.
     let inverse = over_slices(nx, ny * nz, |x, out| {
         for (i, out) in out.iter_mut().enumerate() {
             let (at, j) = ([x, i / nz, i % nz], x * ny * nz + i);
-            let mut square: R = real(FLAT);
+            let mut length: R = flat;
             for axis in 0..3 {
                 let d = if at[axis] > 0 { f[j] - f[j - strides[axis]] } else { R::ZERO };
-                square += d * d;
+                length += d * d;
             }
-            *out = R::ONE / square.sqrt();
+            *out = R::ONE / length.sqrt();
         }
     });
     over_slices(nx, ny * nz, |x, out| {
@@ -66,7 +68,7 @@ mod tests {
     fn it_is_the_derivative() {
         let shape = [3, 4, 5];
         let f: Vec<f64> = (0..60).map(|i| f64::from(i * 37 % 23) / 10.0).collect();
-        let exact = gradient(&f, shape);
+        let exact = gradient(&f, shape, 1.0);
         for j in 0..60 {
             let moved = |h: f64| {
                 let mut f = f.clone();
