@@ -206,7 +206,10 @@ impl Sizes {
         let with = |name, count: usize, rows: &[Row]| Moment { name, rows: [lasting(count), rows.to_vec()].concat() };
         let physical = row("physical values", m, NUMBERS * F64);
         let shapes = row("primitives, prepared", m, projector::bytes::FIELD);
-        let mut start = self.fdk("first volume", false).rows;
+        let mut start = match config.initialisation.from {
+            Start::Sart => self.sart(config).rows,
+            _ => self.fdk("first volume", false).rows,
+        };
         start.push(row("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
         let block = |side: usize| self.voxels.min(side * side * side);
         // What an iteration works in stays for the next one, whatever is due between them.

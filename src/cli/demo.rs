@@ -18,6 +18,9 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 /// The paper's experiment, a quarter as large in every direction.
 const SCALE: Scale = Scale { size: 64 };
 
+/// Fewer than by default, so that it is done within a minute.
+const ITERATIONS: usize = 1000;
+
 /// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
 #[derive(Args)]
 #[command(after_help = "Example:
@@ -49,9 +52,11 @@ impl Demo {
         interrupt::shielded(|| dataset.write(&source))?;
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
-            let mut config = Config { seed: self.seed, ..Config::of(method) };
-            SCALE.apply(&mut config);
-            config.report_every = 50;
+            let mut config = Config { seed: self.seed, report_every: 50, ..Config::of(method) };
+            if method.fits_primitives() {
+                config.iterations = ITERATIONS;
+            }
+            let config = config.resolved(&dataset.scanner, dataset.train.len());
             reconstruct(&source, &dataset, &config, folder, None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");

@@ -210,8 +210,8 @@ pub struct ModelConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct InitialisationConfig {
-    /// fdk, smoothed-fdk, sart, dataset (its init_*.npy) or random.
-    #[default(Start::Fdk)]
+    /// sart, fdk, smoothed-fdk, dataset (its init_*.npy) or random.
+    #[default(Start::Sart)]
     pub from: Start,
     /// Voxels of the first reconstruction above this density, in units of density_unit, can carry a primitive.
     #[default = 0.05]

@@ -1,6 +1,6 @@
 //! The paper's experiments at another size: what is made smaller, and by how much.
 
-use crate::config::{Auto, Config, DensityControl, Sampling};
+use crate::config::{Auto, Config, DensityControl, Sampling, Start};
 use crate::numeric::elementary::pow;
 
 /// Of the volume in the paper.
@@ -67,6 +67,9 @@ impl Scale {
         config.checkpoint_every = config.iterations;
         // As the paper and R²-Gaussian do, whatever the scan.
         config.sampling = Sampling::Point;
+        if config.initialisation.from == Start::Sart {
+            config.initialisation.from = Start::Fdk;
+        }
         // R²'s fraction of the side, at any size.
         config.model.smallest_scale = PAPER_SMALLEST_SCALE * self.size as f64;
         config.report_every = config.iterations;

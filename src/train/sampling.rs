@@ -124,3 +124,65 @@ fn high_pass(image: &Array2<f64>) -> Array2<f64> {
         image[[row, column]] - low
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::{Parameters, Primitives};
+    use crate::scene::simulate::{Object, Plan, simulate};
+    use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Projections, Scanner};
+
+    /// A few primitives hardly wider than a voxel, of which interpolation changes much.
+    fn primitives() -> Primitives {
+        Primitives::new(Parameters {
+            mean: vec![[0.21, -0.13, 0.05], [-0.34, 0.28, -0.22], [0.02, 0.41, 0.33]],
+            scale: vec![[0.09, 0.12, 0.1], [0.1, 0.08, 0.14], [0.11, 0.09, 0.08]],
+            quaternion: vec![[1.0, 0.2, -0.1, 0.3], [0.9, 0.0, 0.4, 0.1], [1.0, 0.0, 0.0, 0.0]],
+            density: vec![0.8, 0.5, 0.9],
+            nu: vec![8.0, 20.0, 5.0],
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn a_scan_of_an_interpolated_volume_is_told_from_one_of_a_continuous_object() {
+        let detector = Detector { rows: 36, columns: 40, pitch_v: 0.1, pitch_u: 0.1, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(20) };
+        let plan = Plan { views: 6, test_views: 1, noise: Noise::NONE, seed: 0 };
+        let phantom = Phantom::by_name("torso", 0).unwrap();
+        let mut dataset = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap();
+        let field = Field::<f64>::new(&primitives(), 0.0);
+        let samples = Volume::new(scanner.grid, field.voxels(&scanner.grid).mapv(|value| value as f32)).unwrap();
+        let angles = dataset.train.angles.clone();
+        let interpolated = trilinear::project(&interpolant(&samples), &scanner, &angles).unwrap();
+        let config = Config::default();
+        // A unit other than 1 scales the measurement alone.
+        let unit = 0.5;
+        for (confirmed, expected) in
+            [(0.8, Sampling::Interpolant), (0.0, Sampling::Interpolant), (-0.3, Sampling::Point)]
+        {
+            let mut images = interpolated.images.clone();
+            for (view, mut image) in images.outer_iter_mut().enumerate() {
+                let of_field = field.view(&scanner, angles[view], Projection::Exact).image();
+                image.zip_mut_with(&of_field, |value, &field| {
+                    *value = ((field + confirmed * (f64::from(*value) - field)) / unit) as f32;
+                });
+            }
+            dataset.train = Projections::new(angles.clone(), images).unwrap();
+            let (volume, sampled) = volume(&field, &dataset, unit, &config).unwrap();
+            assert!((sampled.share.unwrap() - confirmed).abs() < 0.02, "{confirmed}: {sampled:?}");
+            assert_eq!(sampled.sampling, expected);
+            assert_eq!(volume == samples, expected == Sampling::Point);
+        }
+    }
+
+    #[test]
+    fn the_high_pass_takes_away_what_is_even() {
+        assert!(high_pass(&Array2::from_elem((5, 7), 3.0)).iter().all(|value| value.abs() < 1e-14));
+        let single = high_pass(&Array2::from_shape_fn((9, 9), |at| if at == (4, 4) { 1.0 } else { 0.0 }));
+        assert!((single[[4, 4]] - (1.0 - 36.0 / 256.0)).abs() < 1e-15);
+        // One row is filtered along it alone.
+        let row = high_pass(&Array2::from_shape_fn((1, 9), |(_, u)| if u == 4 { 1.0 } else { 0.0 }));
+        assert!((row[[0, 4]] - (1.0 - 6.0 / 16.0)).abs() < 1e-15);
+    }
+}
