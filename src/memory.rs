@@ -79,6 +79,7 @@ impl Estimate {
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
+            Method::Tv => vec![sizes.tv()],
         };
         if scan.train > views {
             let all = row("all training projections, before the choice of views", scan.train * sizes.detector, F32);
@@ -271,6 +272,15 @@ impl Sizes {
         let rows = vec![
             row("projections, residual, image and pairs", self.pixels, 4 * self.real),
             row("volume, direction and gradient", self.voxels, 3 * self.real + F32),
+            row("sums of slices at work", self.slice, self.at_work(1)),
+        ];
+        Moment { name: "reconstruction", rows }
+    }
+
+    fn tv(&self) -> Moment {
+        let rows = vec![
+            row("projections, images of two volumes, residual and pairs", self.pixels, 6 * self.real + 1),
+            row("volumes, dual of the total variation, and as it is written", self.voxels, 10 * self.real + F32),
             row("sums of slices at work", self.slice, self.at_work(1)),
         ];
         Moment { name: "reconstruction", rows }

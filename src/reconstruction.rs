@@ -1,6 +1,6 @@
 //! Any method on any dataset: from projections to a volume, and how good that is.
 
-use crate::classical::algebraic::{Pass, asd_pocs, cgls, sart};
+use crate::classical::algebraic::{Pass, asd_pocs, cgls, sart, tv};
 use crate::classical::{VoxelProjector, fdk};
 use crate::config::{Config, Method, Precision};
 use crate::error::Result;
@@ -79,6 +79,7 @@ fn algebraic<R: Real>(
     let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
     match config.method {
         Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), &mut observe),
+        Method::Tv => tv::<R>(&projector, &dataset.train, &config.tv(), None, &mut observe),
         Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
         _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
     }

@@ -79,7 +79,7 @@ impl ProgressBar {
 
     /// The same for iterations on voxels.
     pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
-        let Pass { iteration, iterations, residual } = *pass;
+        let Pass { iteration, iterations, residual, .. } = *pass;
         if let Some(bar) = &self.bar {
             bar.set_position(iteration as u64);
             bar.set_message(format!("residual {residual:.4}, "));

@@ -64,6 +64,7 @@ impl Outcome {
             Method::OsSart => "OS-SART",
             Method::AsdPocs => "ASD-POCS",
             Method::Cgls => "CGLS",
+            Method::Tv => "TV",
         }
     }
 

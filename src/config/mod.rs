@@ -10,7 +10,7 @@ mod validate;
 
 pub use auto::Auto;
 
-use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings};
+use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettings};
 use crate::classical::{RayModel, Turn, Window};
 use crate::confidence;
 use crate::density::Relocation;
@@ -38,6 +38,8 @@ pub enum Method {
     AsdPocs,
     /// Conjugate gradients on the normal equations.
     Cgls,
+    /// Least squares without negative values, with total variation.
+    Tv,
 }
 
 /// Whose settings the classical methods start from.
@@ -155,6 +157,8 @@ pub struct Config {
     pub algebraic: AlgebraicConfig,
     /// What asd-pocs does beside SART.
     pub asd_pocs: AsdPocsConfig,
+    /// Least squares without negative values, with total variation.
+    pub tv: TvConfig,
 }
 
 /// What is fitted.
@@ -436,6 +440,20 @@ pub struct AsdPocsConfig {
     pub epsilon: f64,
 }
 
+/// Least squares without negative values, with total variation: the method tv.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct TvConfig {
+    /// Weight of the total variation, as a fraction of the largest backprojected value; auto: found on views held out.
+    pub weight: Auto<f64>,
+    /// It ends when a step is shorter than this fraction of the volume; 0: not before its last iteration.
+    #[default(TvSettings::default().tolerance)]
+    pub tolerance: f64,
+    /// Steps of the total variation in each iteration.
+    #[default(TvSettings::default().steps)]
+    pub steps: usize,
+}
+
 impl ConfidenceConfig {
     /// What the confidence is computed with.
     pub fn settings(&self) -> confidence::Settings {
@@ -481,6 +499,7 @@ impl Config {
                 let sart = AsdPocsSettings::default().sart;
                 (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
             }
+            Method::Tv => (config.iterations, config.checkpoint_every) = (TvSettings::default().iterations, 20),
         }
         config
     }
@@ -512,6 +531,12 @@ impl Config {
             tolerance,
             seed,
         }
+    }
+
+    /// What the reconstruction with total variation is told, with the default weight where that is to be found.
+    pub fn tv(&self) -> TvSettings {
+        let TvConfig { weight, tolerance, steps } = self.tv;
+        TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
     }
 
     /// What ASD-POCS is told.
