@@ -1,15 +1,19 @@
 //! Any method on any dataset: from projections to a volume, and how good that is.
 
-use crate::classical::algebraic::{Pass, asd_pocs, cgls, sart, tv};
-use crate::classical::{VoxelProjector, fdk};
+mod checkpoint;
+mod voxels;
+
+pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+
+use crate::classical::algebraic::{Choice, Pass, Trial};
+use crate::classical::fdk;
 use crate::config::{Config, Method, Precision};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::evaluation::Metrics;
-use crate::numeric::Real;
 use crate::primitives::Primitives;
 use crate::projector::forward;
 use crate::scene::{Dataset, Projections, Volume, trilinear};
-use crate::train::{self, Checkpoints, Record, train};
+use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -23,6 +27,8 @@ pub struct Reconstruction {
     pub volume: Volume,
     /// Of a method that fits primitives.
     pub log: Vec<Record>,
+    /// What was chosen by views held out, if anything was.
+    pub choice: Option<Choice>,
 }
 
 /// How far a method has come.
@@ -32,7 +38,12 @@ pub enum Progress<'a> {
     Iteration(usize, Option<&'a Record>),
     /// An iteration on voxels.
     Pass(&'a Pass),
+    /// A setting of this name is being chosen; now and then with a trial.
+    Choosing(&'a str, Option<&'a Trial>),
 }
+
+/// Called after every step; `Break` stops the run.
+pub type Observe<'a> = dyn FnMut(Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// The metrics of a reconstruction, and why others are missing.
 #[derive(Clone, Debug, Serialize)]
@@ -46,7 +57,7 @@ pub struct Evaluation {
 }
 
 /// Reconstructs a dataset with the method and the settings of `config`. Without `checkpoints` a run that is stopped
-/// leaves nothing; methods on voxels have none.
+/// leaves nothing; methods on voxels but tv have none.
 ///
 /// # Errors
 /// Those of the method, and [`crate::Error::Interrupted`] when `observe` breaks.
@@ -54,35 +65,33 @@ pub fn reconstruct(
     dataset: &Dataset,
     config: &Config,
     checkpoints: Option<Checkpoints>,
-    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
+    observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let volume = match (config.method, config.precision) {
+    let (volume, choice) = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
             let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
+            let checkpoints = checkpoints.map(of_training).transpose()?;
             let train::Reconstruction { primitives, volume, log } = train(dataset, config, checkpoints, &mut observe)?;
-            return Ok(Reconstruction { primitives: Some(primitives), volume, log });
+            return Ok(Reconstruction { primitives: Some(primitives), volume, log, choice: None });
         }
-        (Method::Fdk, _) => fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?,
-        (_, Precision::F32) => algebraic::<f32>(dataset, config, observe)?,
-        (_, Precision::F64) => algebraic::<f64>(dataset, config, observe)?,
+        (Method::Fdk, _) => (fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?, None),
+        (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
+        (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, log: Vec::new() })
+    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), choice })
 }
 
-/// The volume that an iterative method on voxels finds.
-fn algebraic<R: Real>(
-    dataset: &Dataset,
-    config: &Config,
-    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
-) -> Result<Volume> {
-    let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
-    match config.method {
-        Method::AsdPocs => asd_pocs::<R>(&projector, &dataset.train, &config.asd_pocs(), &mut observe),
-        Method::Tv => tv::<R>(&projector, &dataset.train, &config.tv(), None, &mut observe),
-        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
-        _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
-    }
+/// The checkpoints as training takes them.
+fn of_training(Checkpoints { file, from }: Checkpoints) -> Result<train::Checkpoints> {
+    let from = match from {
+        Some(Checkpoint::Primitives(from)) => Some(*from),
+        None => None,
+        Some(Checkpoint::Voxels(_)) => {
+            let remedy = "start again without --resume";
+            return Err(Error::invalid("checkpoint", "one of voxels", "one of primitives", remedy));
+        }
+    };
+    Ok(train::Checkpoints { file, from })
 }
 
 /// Evaluates a volume, and the projections of the primitives that it came from, or where there are none its own.

@@ -14,11 +14,13 @@ use trgs::config::{Config, Method, Precision, Preset};
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{self, Progress, Reconstruction, evaluate};
+use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
 use trgs::scene::Dataset;
 use trgs::scene::dataset::Survey;
-use trgs::train::{Checkpoint, Checkpoints};
 use trgs::{Error, Result};
+
+/// Passes that --auto may find, in passes of the method's default.
+const AUTO: usize = 10;
 
 /// Reconstruct the volume of a dataset
 #[derive(Args)]
@@ -28,6 +30,8 @@ use trgs::{Error, Result};
   trgs reconstruct data/torso --out out/torso
   trgs reconstruct data/torso --out out/fdk --method fdk
   trgs reconstruct data/torso --out out/sart --method sart --preset sax-nerf
+  trgs reconstruct data/torso --out out/tv --method tv
+  trgs reconstruct data/torso --out out/cgls --method cgls --auto
   trgs reconstruct data/torso --out out/r2 --method r2-gaussian
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
   trgs reconstruct data/torso --out out/torso --resume
@@ -61,6 +65,9 @@ pub(super) struct Reconstruct {
     /// Arithmetic of the pixel kernels
     #[arg(long, value_enum)]
     precision: Option<Precision>,
+    /// Find the number of passes of sart, os-sart and cgls on views held out, up to ten times the usual or --iterations
+    #[arg(long)]
+    auto: bool,
     /// All random choices follow from it
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
@@ -148,6 +155,9 @@ impl Reconstruct {
         if let (Some(preset), None) = (self.preset, checkpoint) {
             config.apply(preset);
         }
+        if self.auto {
+            (config.algebraic.auto, config.iterations) = (true, AUTO * config.iterations);
+        }
         config.iterations = self.iterations.unwrap_or(config.iterations);
         config.model.points = self.points.unwrap_or(config.model.points);
         config.projection = self.projection.unwrap_or(config.projection);
@@ -184,6 +194,7 @@ pub(super) fn reconstruct(
         let mut passes = Vec::new();
         let mut observe = |step: Progress| match step {
             Progress::Iteration(iteration, record) => bar.observe(iteration, record),
+            Progress::Choosing(key, trial) => bar.trial(key, trial),
             Progress::Pass(pass) => {
                 let seconds = began.elapsed().as_secs_f64();
                 passes.push(TimedPass { pass: pass.clone(), seconds });
@@ -191,11 +202,11 @@ pub(super) fn reconstruct(
             }
         };
         let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, log } = found;
+        let Reconstruction { primitives, volume, log, choice } = found;
         drop(bar);
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
-        let outcome = Outcome { method: config.method, primitives, volume, log, passes, seconds, evaluation };
+        let outcome = Outcome { method: config.method, primitives, volume, log, passes, choice, seconds, evaluation };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

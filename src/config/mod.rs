@@ -414,6 +414,8 @@ pub struct AlgebraicConfig {
     /// Negative values become 0 after every correction; not in cgls.
     #[default(SartSettings::default().non_negative)]
     pub non_negative: bool,
+    /// sart, os-sart and cgls find the number of passes on views held out; `iterations` is the most then.
+    pub auto: bool,
     /// SART ends when a pass lowers the residual by less than this fraction; 0: not before its last.
     #[default(SartSettings::default().tolerance)]
     pub tolerance: f64,

@@ -131,7 +131,7 @@ impl Cell {
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(Finding, Vec<u8>)> {
         let mut observe = |_: Progress<'_>| go_on();
-        let Reconstruction { primitives, volume, log } =
+        let Reconstruction { primitives, volume, log, .. } =
             reconstruction::reconstruct(dataset, &self.config, None, &mut observe)?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());

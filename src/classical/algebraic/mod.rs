@@ -17,6 +17,7 @@
 
 mod asd_pocs;
 mod cgls;
+mod held_out;
 mod order;
 mod sart;
 #[cfg(test)]
@@ -26,15 +27,19 @@ mod tv;
 
 pub use asd_pocs::{AsdPocsSettings, asd_pocs};
 pub use cgls::cgls;
+pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
 pub use sart::{SartSettings, sart};
 pub use tv::{TvRun, TvSettings, TvState, tv};
+
+use cgls::cgls_seen;
+use sart::sart_seen;
 
 use super::columns::Columns;
 use super::voxel_projector::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, Volume};
+use crate::scene::{Projections, View, Volume};
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -62,6 +67,9 @@ pub struct Pass {
 /// Is shown every iteration, and may stop the reconstruction, which is an error then.
 pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
 
+/// Is shown an iteration, its residual and the volume after it, and may end there.
+type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
+
 /// What is to be solved.
 struct System<'a, R> {
     projector: &'a VoxelProjector,
@@ -87,6 +95,14 @@ impl<'a, R: Real> System<'a, R> {
     /// Zeros on the grid.
     fn empty(&self) -> Vec<R> {
         vec![R::ZERO; self.projector.scanner().grid.voxels()]
+    }
+
+    /// Rays that meet less than half a voxel.
+    fn idle(&self, views: &[View]) -> Vec<bool> {
+        let grid = &self.projector.scanner().grid;
+        let lengths = self.projector.project(views, &vec![R::ONE; grid.voxels()]).values;
+        let least = real(0.5 * grid.spacing.min_element());
+        lengths.iter().map(|&length| length <= least).collect()
     }
 
     /// `p - A x`.

@@ -161,7 +161,12 @@ impl Fan {
     ) {
         let nz = slab.shape[2];
         if nz == 1 && shallow.len() == 1 {
-            return self.flat_adjoint(columns.map(|column| column[margin::<R>() + shallow.start]), shallow.start, slab, out);
+            return self.flat_adjoint(
+                columns.map(|column| column[margin::<R>() + shallow.start]),
+                shallow.start,
+                slab,
+                out,
+            );
         }
         for plane in self.planes(slab) {
             let rows = plane.heights.within(shallow, -1.0, nz as f64);

@@ -15,6 +15,8 @@
 
 mod proximal;
 mod state;
+#[cfg(test)]
+mod tests;
 
 pub use state::TvState;
 
@@ -128,17 +130,11 @@ impl<'a, R: Real> TvRun<'a, R> {
     }
 
     /// All but L and what follows from x.
-    fn prepared(
-        projector: &'a VoxelProjector,
-        projections: &'a Projections,
-        settings: &TvSettings,
-    ) -> Result<Self> {
+    fn prepared(projector: &'a VoxelProjector, projections: &'a Projections, settings: &TvSettings) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
         let views = projector.views(system.angles)?;
         let grid = &projector.scanner().grid;
-        let lengths = projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
-        let least = real(0.5 * grid.spacing.min_element());
-        let idle: Vec<bool> = lengths.iter().map(|&length| length <= least).collect();
+        let idle = system.idle(&views);
         let (x, empty) = (system.empty(), || system.empty());
         let (before, y, next) = (empty(), empty(), empty());
         let mut run = Self {
@@ -170,7 +166,8 @@ impl<'a, R: Real> TvRun<'a, R> {
         let counted: Vec<R> = counted.map(|(&p, &idle)| if idle { R::ZERO } else { p }).collect();
         let mut back = self.system.empty();
         self.system.projector.adjoin(&self.views, [&counted], &mut back, |out, [value]| *out = value);
-        let largest = back.iter().fold(R::ZERO, |largest, value| if value.abs() > largest { value.abs() } else { largest });
+        let largest =
+            back.iter().fold(R::ZERO, |largest, value| if value.abs() > largest { value.abs() } else { largest });
         self.lambda = self.settings.weight * largest.to_f64();
     }
 
@@ -259,7 +256,12 @@ impl<'a, R: Real> TvRun<'a, R> {
         let [moved, size, upwards] = self.compare(beta);
         self.change = if moved == 0.0 { 0.0 } else { (moved / size.max(f64::MIN_POSITIVE)).sqrt() };
         if !objective.is_finite() {
-            return Err(Error::NonFinite { stage: "objective", value: objective, index: Vec::new(), step: self.iteration });
+            return Err(Error::NonFinite {
+                stage: "objective",
+                value: objective,
+                index: Vec::new(),
+                step: self.iteration,
+            });
         }
         if objective <= self.objective {
             swap(&mut self.before, &mut self.x);
@@ -294,6 +296,11 @@ impl<'a, R: Real> TvRun<'a, R> {
             [0, 1, 2].map(|k| reduce::sum_by(CHUNK.min(x.len() - from), &|i| of(from + i)[k]))
         });
         [0, 1, 2].map(|k| reduce::sum_by(parts.len(), &|i| parts[i][k]))
+    }
+
+    /// The present volume, in the order of its array.
+    pub(super) fn values(&self) -> &[R] {
+        &self.x
     }
 
     /// F of the present volume.
