@@ -80,6 +80,7 @@ impl Estimate {
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
+            Method::Tv => vec![sizes.tv(config)],
         };
         if scan.train > views {
             let all = row("all training projections, before the choice of views", scan.train * sizes.detector, F32);
@@ -283,6 +284,20 @@ impl Sizes {
         Moment { name: "reconstruction", rows }
     }
 
+    fn tv(&self, config: &Config) -> Moment {
+        let rows = vec![
+            row("projections, images of two volumes, residual and pairs", self.pixels, 6 * self.real + 1),
+            row(
+                "views held out and the others",
+                if config.tv.weight.fixed().is_some() { 0 } else { self.pixels },
+                F32 + self.real,
+            ),
+            row("volumes, dual of the total variation, and as it is written", self.voxels, 10 * self.real + F32),
+            row("sums of slices at work", self.slice, self.at_work(1)),
+        ];
+        Moment { name: "reconstruction", rows }
+    }
+
     /// Bytes per voxel of a slice for what all workers sum up.
     fn at_work(&self, numbers: usize) -> usize {
         const SLICES: usize = 8;
@@ -331,9 +346,16 @@ mod tests {
 
     #[test]
     fn more_of_anything_needs_more() {
-        for method in
-            [Method::TrGs, Method::R2Gaussian, Method::Fdk, Method::Sart, Method::OsSart, Method::AsdPocs, Method::Cgls]
-        {
+        for method in [
+            Method::TrGs,
+            Method::R2Gaussian,
+            Method::Fdk,
+            Method::Sart,
+            Method::OsSart,
+            Method::AsdPocs,
+            Method::Cgls,
+            Method::Tv,
+        ] {
             let config = Config::of(method);
             let of = |scan: &Survey, views, config: &Config| Estimate::new(scan, views, config, 2).peak();
             let base = of(&scan(), 18, &config);

@@ -1,15 +1,19 @@
 //! Any method on any dataset: from projections to a volume, and how good that is.
 
-use crate::classical::algebraic::{AsdPocsSettings, Pass, asd_pocs, cgls, sart};
-use crate::classical::{VoxelProjector, density_unit, fdk};
+mod checkpoint;
+mod voxels;
+
+pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+
+use crate::classical::algebraic::{Choice, Pass, Trial};
+use crate::classical::fdk;
 use crate::config::{Config, Method, Precision};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::evaluation::Metrics;
-use crate::numeric::Real;
 use crate::primitives::Primitives;
 use crate::projector::forward;
 use crate::scene::{Dataset, Projections, Volume, trilinear};
-use crate::train::{self, Checkpoints, Record, Sampled, train};
+use crate::train::{self, Record, Sampled, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -27,6 +31,8 @@ pub struct Reconstruction {
     pub sampled: Option<Sampled>,
     /// Attenuation per scene unit that counted as 1, where the method asks.
     pub unit: Option<f64>,
+    /// What was chosen by views held out, if anything was.
+    pub choice: Option<Choice>,
 }
 
 /// How far a method has come.
@@ -36,7 +42,12 @@ pub enum Progress<'a> {
     Iteration(usize, Option<&'a Record>),
     /// An iteration on voxels.
     Pass(&'a Pass),
+    /// A setting of this name is being chosen; now and then with a trial.
+    Choosing(&'a str, Option<&'a Trial>),
 }
+
+/// Called after every step; `Break` stops the run.
+pub type Observe<'a> = dyn FnMut(Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// The metrics of a reconstruction, and why others are missing.
 #[derive(Clone, Debug, Serialize)]
@@ -50,7 +61,7 @@ pub struct Evaluation {
 }
 
 /// Reconstructs a dataset with the method and the settings of `config`. Without `checkpoints` a run that is stopped
-/// leaves nothing; methods on voxels have none.
+/// leaves nothing; methods on voxels but tv have none.
 ///
 /// # Errors
 /// Those of the method, and [`crate::Error::Interrupted`] when `observe` breaks.
@@ -58,44 +69,38 @@ pub fn reconstruct(
     dataset: &Dataset,
     config: &Config,
     checkpoints: Option<Checkpoints>,
-    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
+    observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let mut unit = None;
-    let volume = match (config.method, config.precision) {
+    let voxels::Found { volume, choice, unit } = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
             let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
+            let checkpoints = checkpoints.map(of_training).transpose()?;
             let found = train(dataset, config, checkpoints, &mut observe)?;
             let train::Reconstruction { primitives, volume, sampled, log, unit } = found;
             let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-            return Ok(Reconstruction { primitives, volume, log, sampled, unit });
+            return Ok(Reconstruction { primitives, volume, log, sampled, unit, choice: None });
         }
-        (Method::Fdk, _) => fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?,
-        (_, Precision::F32) => algebraic::<f32>(dataset, config, &mut unit, observe)?,
-        (_, Precision::F64) => algebraic::<f64>(dataset, config, &mut unit, observe)?,
+        (Method::Fdk, _) => {
+            let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;
+            voxels::Found { volume, choice: None, unit: None }
+        }
+        (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
+        (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None, unit })
+    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None, unit, choice })
 }
 
-/// The volume that an iterative method on voxels finds; `unit` becomes its unit of density, if it has one.
-fn algebraic<R: Real>(
-    dataset: &Dataset,
-    config: &Config,
-    unit: &mut Option<f64>,
-    observe: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
-) -> Result<Volume> {
-    let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
-    match config.method {
-        Method::AsdPocs => {
-            let found = || density_unit(&dataset.scanner, &dataset.train);
-            let settings =
-                AsdPocsSettings { unit: config.density_unit.fixed().map_or_else(found, Ok)?, ..config.asd_pocs() };
-            *unit = Some(settings.unit);
-            asd_pocs::<R>(&projector, &dataset.train, &settings, &mut observe)
+/// The checkpoints as training takes them.
+fn of_training(Checkpoints { file, from }: Checkpoints) -> Result<train::Checkpoints> {
+    let from = match from {
+        Some(Checkpoint::Primitives(from)) => Some(*from),
+        None => None,
+        Some(Checkpoint::Voxels(_)) => {
+            let remedy = "start again without --resume";
+            return Err(Error::invalid("checkpoint", "one of voxels", "one of primitives", remedy));
         }
-        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
-        _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
-    }
+    };
+    Ok(train::Checkpoints { file, from })
 }
 
 /// Evaluates a volume, and the projections of the primitives that it came from, or where there are none its own.

@@ -104,7 +104,7 @@ fn methods_on_voxels_need_what_was_said() {
     }
     let (small, views, voxels) =
         (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 512, 640, 40, 8)), with(&ball(224, 40, 48, 3, 1)));
-    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls"] {
+    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"] {
         let steps = if method == "fdk" { "" } else { "--iterations 1" };
         for (what, sandbox, dominated) in [("small", &small, false), ("views", &views, true), ("voxels", &voxels, true)]
         {

@@ -57,6 +57,32 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
     }
 }
 
+/// Total variation on voxels, whose weight is chosen before.
+#[test]
+fn total_variation_that_is_killed_ends_with_the_bits_of_an_undisturbed_run() {
+    const RUN: &str =
+        "reconstruct scan --method tv --iterations 600 --set tv.tolerance=0 --set checkpoint_every=3 --out";
+    let sandbox = Sandbox::with_scan();
+    let began = Instant::now();
+    sandbox.done(&format!("{RUN} calm"));
+    let duration = began.elapsed();
+    let results =
+        |run: &str| ["config.toml", "volume.npy", "metrics.json"].map(|file| sandbox.read(&format!("{run}/{file}")));
+    let storm = format!("{RUN} storm --resume");
+    for k in 0..4_u32 {
+        let mut child = spawn(&sandbox, &storm);
+        sleep(duration.mul_f64(0.3 + 0.1 * f64::from(k)));
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    sandbox.done(&storm);
+    assert!(results("storm") == results("calm"));
+    let log = |run: &str| sandbox.text(&format!("{run}/log.jsonl")).lines().count();
+    assert_eq!((log("storm"), log("calm")), (600, 600));
+    assert!(sandbox.text("calm/metrics.json").contains("tv.weight"));
+    assert!(sandbox.text("calm/report.html").contains("Choice of tv.weight"));
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupt_saves_the_state_and_says_how_to_go_on() {

@@ -12,7 +12,7 @@ use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::{FmtContext, fmt};
 use tracing_subscriber::registry::LookupSpan;
 use trgs::Error;
-use trgs::classical::algebraic::Pass;
+use trgs::classical::algebraic::{Pass, Trial};
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::train::Record;
@@ -79,7 +79,8 @@ impl ProgressBar {
 
     /// The same for iterations on voxels.
     pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
-        let Pass { iteration, iterations, residual } = *pass;
+        let Pass { iteration, iterations, residual, objective, change } = *pass;
+        let change = change.map_or(String::new(), |change| format!(", step {change:.1e} of the volume"));
         let shown = if (0.01..1e6).contains(&residual) { format!("{residual:.4}") } else { format!("{residual:.4e}") };
         if let Some(bar) = &self.bar {
             bar.set_position(iteration as u64);
@@ -89,9 +90,21 @@ impl ProgressBar {
                 iteration,
                 iterations,
                 residual,
+                objective,
                 seconds,
-                "iteration {iteration} of {iterations}: residual {shown}, {seconds:.1} s"
+                "iteration {iteration} of {iterations}: residual {shown}{change}, {seconds:.1} s"
             );
+        }
+        go_on()
+    }
+
+    /// The same for a setting that is being chosen.
+    pub(super) fn trial(&mut self, key: &str, trial: Option<&Trial>) -> ControlFlow<()> {
+        if let Some(Trial { value, error }) = trial {
+            match &self.bar {
+                Some(bar) => bar.set_message(format!("{key} {value:.3e}: held-out error {error:.5}, ")),
+                None => tracing::info!(key, value, error, "{key} {value:.3e}: held-out error {error:.5}"),
+            }
         }
         go_on()
     }

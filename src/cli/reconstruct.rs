@@ -14,11 +14,13 @@ use trgs::config::{Config, Method, Precision, Preset};
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{self, Progress, Reconstruction, evaluate};
+use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
 use trgs::scene::Dataset;
 use trgs::scene::dataset::Survey;
-use trgs::train::{Checkpoint, Checkpoints};
 use trgs::{Error, Result};
+
+/// Passes that --auto may find, in passes of the method's default.
+const AUTO: usize = 10;
 
 /// Reconstruct the volume of a dataset
 #[derive(Args)]
@@ -28,6 +30,8 @@ use trgs::{Error, Result};
   trgs reconstruct data/torso --out out/torso
   trgs reconstruct data/torso --out out/fdk --method fdk
   trgs reconstruct data/torso --out out/sart --method sart --preset sax-nerf
+  trgs reconstruct data/torso --out out/tv --method tv
+  trgs reconstruct data/torso --out out/cgls --method cgls --auto
   trgs reconstruct data/torso --out out/r2 --method r2-gaussian
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
   trgs reconstruct data/torso --out out/torso --resume
@@ -61,6 +65,9 @@ pub(super) struct Reconstruct {
     /// Arithmetic of the pixel kernels
     #[arg(long, value_enum)]
     precision: Option<Precision>,
+    /// Find the number of passes of sart, os-sart and cgls on views held out, up to ten times the usual or --iterations
+    #[arg(long)]
+    auto: bool,
     /// All random choices follow from it
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
@@ -150,6 +157,9 @@ impl Reconstruct {
         if let (Some(preset), None) = (self.preset, checkpoint) {
             config.apply(preset);
         }
+        if self.auto {
+            (config.algebraic.auto, config.iterations) = (true, AUTO * config.iterations);
+        }
         config.iterations = self.iterations.unwrap_or(config.iterations);
         config.model.points = self.points.unwrap_or(config.model.points);
         config.projection = self.projection.unwrap_or(config.projection);
@@ -185,6 +195,7 @@ pub(super) fn reconstruct(
         let mut passes = Vec::new();
         let mut observe = |step: Progress| match step {
             Progress::Iteration(iteration, record) => bar.observe(iteration, record),
+            Progress::Choosing(key, trial) => bar.trial(key, trial),
             Progress::Pass(pass) => {
                 let seconds = began.elapsed().as_secs_f64();
                 passes.push(TimedPass { pass: pass.clone(), seconds });
@@ -192,7 +203,7 @@ pub(super) fn reconstruct(
             }
         };
         let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, log, sampled, unit } = found;
+        let Reconstruction { primitives, volume, log, sampled, unit, choice } = found;
         drop(bar);
         if let Some(unit) = unit {
             tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");
@@ -203,7 +214,7 @@ pub(super) fn reconstruct(
             tracing::info!("{sampled}");
         }
         let method = config.method;
-        let outcome = Outcome { method, primitives, volume, log, passes, seconds, unit, evaluation, sampled };
+        let outcome = Outcome { method, primitives, volume, log, passes, choice, seconds, unit, evaluation, sampled };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

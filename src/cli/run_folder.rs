@@ -4,7 +4,7 @@ use serde::Serialize;
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use trgs::classical::algebraic::Pass;
+use trgs::classical::algebraic::{Choice, Pass};
 use trgs::config::{Config, Method};
 use trgs::numeric::threads;
 use trgs::output::{create_folder, stage_folder, write_atomically};
@@ -34,6 +34,8 @@ pub(super) struct Outcome {
     pub(super) log: Vec<Record>,
     /// Of a method that fits voxels in iterations.
     pub(super) passes: Vec<TimedPass>,
+    /// What was chosen by views held out.
+    pub(super) choice: Option<Choice>,
     pub(super) seconds: f64,
     /// Attenuation per scene unit that counted as 1.
     pub(super) unit: Option<f64>,
@@ -49,6 +51,15 @@ pub(super) struct TimedPass {
     pub(super) pass: Pass,
     /// Since the reconstruction began.
     pub(super) seconds: f64,
+}
+
+/// The content of `metrics.json`.
+#[derive(Serialize)]
+struct Results<'a> {
+    #[serde(flatten)]
+    evaluation: &'a Evaluation,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    choice: Option<&'a Choice>,
 }
 
 /// A run's folder under construction.
@@ -68,6 +79,7 @@ impl Outcome {
             Method::OsSart => "OS-SART",
             Method::AsdPocs => "ASD-POCS",
             Method::Cgls => "CGLS",
+            Method::Tv => "TV",
         }
     }
 
@@ -108,7 +120,8 @@ impl RunFolder {
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at("volume.npy"), outcome.volume.values.view())?;
-        write_text(&at("metrics.json"), &json(&outcome.evaluation))?;
+        let results = Results { evaluation: &outcome.evaluation, choice: outcome.choice.as_ref() };
+        write_text(&at("metrics.json"), &json(&results))?;
         if let Some(primitives) = &outcome.primitives {
             model::write(&at("model.npz"), &primitives.parameters)?;
         }
@@ -144,12 +157,20 @@ fn page(
         points: outcome.log.iter().map(|record| (record.iteration as f64, value(record))).collect(),
     };
     let passes = outcome.passes.iter().map(|TimedPass { pass, .. }| (pass.iteration as f64, pass.residual));
+    let of_passes = |name, value: fn(&Pass) -> Option<f64>| Curve {
+        name,
+        points: (outcome.passes.iter())
+            .filter_map(|TimedPass { pass, .. }| Some((pass.iteration as f64, value(pass)?)))
+            .collect(),
+    };
     let curves = [
         curve("total", |r| r.loss),
         curve("L1", |r| r.l1),
         curve("1-SSIM", |r| r.d_ssim),
         curve("TV", |r| r.tv),
         Curve { name: "residual", points: passes.collect() },
+        of_passes("objective", |pass| pass.objective),
+        of_passes("step", |pass| pass.change),
     ];
     let detector = &dataset.scanner.detector;
     let mut facts = vec![
@@ -170,6 +191,13 @@ fn page(
     if let Some(last) = outcome.passes.last() {
         facts.push(("Iterations".into(), last.pass.iteration.to_string()));
     }
+    if let Some(choice) = &outcome.choice {
+        let how = match choice.folds {
+            0 => "too few views to hold any out".into(),
+            _ => format!("by views held out, for {:.0} iterations over all views", choice.cost),
+        };
+        facts.push((choice.key.clone(), format!("{:.3e}, {how}", choice.value)));
+    }
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));
         facts.push(("Iterations".into(), config.iterations.to_string()));
@@ -187,6 +215,7 @@ fn page(
         methods: std::iter::once(outcome).chain(beside).map(Outcome::on_the_page).collect(),
         truth: dataset.truth.as_ref(),
         curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
+        choice: outcome.choice.as_ref(),
         facts,
         provenance: Some(provenance),
     })
@@ -204,13 +233,13 @@ fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(Error::write(folder, error)),
     };
-    let fits = method.fits_primitives();
+    let (fits, keeps) = (method.fits_primitives(), method.fits_primitives() || method == Method::Tv);
     let has = |file: &str| names.iter().any(|name| name == file);
     let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
     let got = match names.iter().find(foreign) {
         _ if names.is_empty() => return Ok(()),
         Some(name) => format!("a folder that holds {}", name.display()),
-        None if has(CHECKPOINTS) && !fits || has("provenance.json") && has("model.npz") != fits => {
+        None if has(CHECKPOINTS) && !keeps || has("provenance.json") && has("model.npz") != fits => {
             "a run of another method".into()
         }
         None if has("provenance.json") || names.len() == 1 && has(CHECKPOINTS) => return Ok(()),

@@ -11,7 +11,7 @@ mod validate;
 
 pub use auto::Auto;
 
-use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings};
+use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettings};
 use crate::classical::{RayModel, Turn, Window};
 use crate::confidence;
 use crate::density::Relocation;
@@ -39,6 +39,8 @@ pub enum Method {
     AsdPocs,
     /// Conjugate gradients on the normal equations.
     Cgls,
+    /// Least squares without negative values, with total variation.
+    Tv,
 }
 
 /// Whose settings the classical methods start from.
@@ -177,6 +179,8 @@ pub struct Config {
     pub algebraic: AlgebraicConfig,
     /// What asd-pocs does beside SART.
     pub asd_pocs: AsdPocsConfig,
+    /// Least squares without negative values, with total variation.
+    pub tv: TvConfig,
 }
 
 /// What is fitted.
@@ -435,6 +439,8 @@ pub struct AlgebraicConfig {
     /// Negative values become 0 after every correction; not in cgls.
     #[default(SartSettings::default().non_negative)]
     pub non_negative: bool,
+    /// sart, os-sart and cgls find the number of passes on views held out; `iterations` is the most then.
+    pub auto: bool,
     /// SART ends when a pass lowers the residual by less than this fraction; 0: not before its last.
     #[default(SartSettings::default().tolerance)]
     pub tolerance: f64,
@@ -459,6 +465,20 @@ pub struct AsdPocsConfig {
     /// Residual that is good enough, as a fraction of that of FDK.
     #[default(AsdPocsSettings::default().epsilon)]
     pub epsilon: f64,
+}
+
+/// Least squares without negative values, with total variation: the method tv.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct TvConfig {
+    /// Weight of the total variation, as a fraction of the largest backprojected value; auto: found on views held out.
+    pub weight: Auto<f64>,
+    /// It ends when a step is shorter than this fraction of the volume; 0: not before its last iteration.
+    #[default(TvSettings::default().tolerance)]
+    pub tolerance: f64,
+    /// Steps of the total variation in each iteration.
+    #[default(TvSettings::default().steps)]
+    pub steps: usize,
 }
 
 impl ConfidenceConfig {
@@ -505,6 +525,7 @@ impl Config {
                 let sart = AsdPocsSettings::default().sart;
                 (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
             }
+            Method::Tv => (config.iterations, config.checkpoint_every) = (TvSettings::default().iterations, 20),
         }
         config
     }
@@ -536,6 +557,12 @@ impl Config {
             tolerance,
             seed,
         }
+    }
+
+    /// What the reconstruction with total variation is told, with the default weight where that is to be found.
+    pub fn tv(&self) -> TvSettings {
+        let TvConfig { weight, tolerance, steps } = self.tv;
+        TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
     }
 
     /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.

@@ -2,7 +2,7 @@
 
 use super::{
     AlgebraicConfig, AsdPocsConfig, ConfidenceConfig, Config, DensityControlConfig, FdkConfig, InitialisationConfig,
-    LossConfig, Method, ModelConfig, OptimiserConfig, SghmcConfig, WaveletConfig,
+    LossConfig, Method, ModelConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
 use documented::{Documented, DocumentedFields};
@@ -14,7 +14,7 @@ use toml::{Table, Value};
 const FORMER_SCALE: &str = "model.scale_min";
 
 /// The tables: name, what it is for, its keys and what they are for.
-const TABLES: [(&str, &str, &[&str], &[&str]); 12] = [
+const TABLES: [(&str, &str, &[&str], &[&str]); 13] = [
     ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
     ("model", ModelConfig::DOCS, ModelConfig::FIELD_NAMES, ModelConfig::FIELD_DOCS),
     ("initialisation", InitialisationConfig::DOCS, InitialisationConfig::FIELD_NAMES, InitialisationConfig::FIELD_DOCS),
@@ -32,6 +32,7 @@ const TABLES: [(&str, &str, &[&str], &[&str]); 12] = [
     ("fdk", FdkConfig::DOCS, FdkConfig::FIELD_NAMES, FdkConfig::FIELD_DOCS),
     ("algebraic", AlgebraicConfig::DOCS, AlgebraicConfig::FIELD_NAMES, AlgebraicConfig::FIELD_DOCS),
     ("asd_pocs", AsdPocsConfig::DOCS, AsdPocsConfig::FIELD_NAMES, AsdPocsConfig::FIELD_DOCS),
+    ("tv", TvConfig::DOCS, TvConfig::FIELD_NAMES, TvConfig::FIELD_DOCS),
 ];
 
 impl Config {

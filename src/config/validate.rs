@@ -118,7 +118,7 @@ impl Config {
             let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
             require(key, friction, stable, &expected)?;
         }
-        let Self { algebraic, asd_pocs, .. } = self;
+        let Self { algebraic, asd_pocs, tv, .. } = self;
         let relaxation = algebraic.relaxation;
         require("algebraic.relaxation", relaxation, relaxation > 0.0 && relaxation < 2.0, "a number in (0, 2)")?;
         for (key, factor) in
@@ -127,13 +127,17 @@ impl Config {
             require(key, factor, factor > 0.0 && factor <= 1.0, "a number in (0, 1]")?;
         }
         fraction("algebraic.tolerance", algebraic.tolerance)?;
-        for (key, count) in [("algebraic.subset", algebraic.subset), ("asd_pocs.tv_steps", asd_pocs.tv_steps)] {
+        fraction("tv.tolerance", tv.tolerance)?;
+        for (key, count) in
+            [("algebraic.subset", algebraic.subset), ("asd_pocs.tv_steps", asd_pocs.tv_steps), ("tv.steps", tv.steps)]
+        {
             require(key, count, count >= 1, "at least 1")?;
         }
         for (key, value) in [
             ("asd_pocs.alpha", asd_pocs.alpha),
             ("asd_pocs.r_max", asd_pocs.r_max),
             ("asd_pocs.epsilon", asd_pocs.epsilon),
+            ("tv.weight", tv.weight.or(0.0)),
         ] {
             require(key, value, value >= 0.0 && value.is_finite(), "a number that is not negative")?;
         }

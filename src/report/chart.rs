@@ -7,6 +7,19 @@ use super::slice::short;
 use crate::numeric::elementary::{log10, pow};
 use std::fmt::Write;
 
+/// What goes to the right.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Axes<'a> {
+    /// What the chart shows, for those who cannot see it.
+    pub(super) label: &'a str,
+    /// What the x axis is.
+    pub(super) x: &'a str,
+    /// Whether it is logarithmic.
+    pub(super) is_logarithmic: bool,
+    /// Where a dashed line stands.
+    pub(super) mark: Option<f64>,
+}
+
 /// A quantity followed over the iterations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve<'a> {
@@ -26,18 +39,20 @@ const LINE_HEIGHT: f64 = 16.0;
 const COLOURS: usize = 6;
 
 /// The chart, or nothing when there is nothing to draw.
-pub(super) fn line_chart(curves: &[Curve]) -> Option<String> {
+pub(super) fn line_chart(curves: &[Curve], axes: &Axes<'_>) -> Option<String> {
+    let across = |x: f64| if axes.is_logarithmic { log10(x) } else { x };
     let visible = |&&(x, y): &&(f64, f64)| x.is_finite() && y.is_finite() && y > 0.0;
     let points = || curves.iter().flat_map(|curve| curve.points.iter().filter(visible));
-    let (x_min, x_max) = range(points().map(|p| p.0))?;
+    let (x_min, x_max) = range(points().map(|p| across(p.0)))?;
     let (y_min, y_max) = range(points().map(|p| log10(p.1)))?;
     let (y_min, y_max) = (y_min - 0.05, y_max + 0.05);
     let [left, right, top, bottom] = MARGIN;
-    let x = |value: f64| left + (value - x_min) / (x_max - x_min).max(1e-9) * (WIDTH - left - right);
+    let x = |value: f64| left + (across(value) - x_min) / (x_max - x_min).max(1e-9) * (WIDTH - left - right);
     let y = |log: f64| HEIGHT - bottom - (log - y_min) / (y_max - y_min) * (HEIGHT - top - bottom);
 
     let mut svg = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"Loss over the iterations\">"
+        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
+        escape(axes.label)
     );
     for value in logarithmic_ticks(y_min, y_max) {
         let (at, edge) = (y(log10(value)), WIDTH - right);
@@ -51,13 +66,18 @@ pub(super) fn line_chart(curves: &[Curve]) -> Option<String> {
         );
     }
     let floor = HEIGHT - bottom;
-    for value in linear_ticks(x_min, x_max) {
+    let ticks = if axes.is_logarithmic { logarithmic_ticks(x_min, x_max) } else { linear_ticks(x_min, x_max) };
+    for value in ticks {
         let at = x(value);
         let _ = write!(svg, "<path class=\"grid\" d=\"M{at:.1} {floor}v5\"/>");
-        let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{value}</text>", floor + 18.0);
+        let _ =
+            write!(svg, "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>", floor + 18.0, short(value));
     }
     let middle = (left + WIDTH - right) / 2.0;
-    let _ = write!(svg, "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">iteration</text>", HEIGHT - 4.0);
+    let _ = write!(svg, "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>", HEIGHT - 4.0, escape(axes.x));
+    if let Some(at) = axes.mark.map(x) {
+        let _ = write!(svg, "<path class=\"grid\" stroke-dasharray=\"4 4\" d=\"M{at:.1} {top}V{floor}\"/>");
+    }
 
     let mut names = Vec::new();
     for (number, curve) in curves.iter().enumerate() {
@@ -108,6 +128,8 @@ fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
 mod tests {
     use super::*;
 
+    const AXES: Axes<'static> = Axes { label: "", x: "", is_logarithmic: false, mark: None };
+
     #[test]
     fn ticks_are_round_numbers_inside_the_range() {
         assert_eq!(linear_ticks(0.0, 5000.0), [0., 1000., 2000., 3000., 4000., 5000.]);
@@ -119,7 +141,7 @@ mod tests {
     #[test]
     fn a_line_falls_as_its_values_do_and_bears_its_name() {
         let curves = [Curve { name: "L1 & more", points: vec![(0.0, 1.0), (50.0, 0.1), (100.0, 0.0), (200.0, 0.01)] }];
-        let svg = line_chart(&curves).unwrap();
+        let svg = line_chart(&curves, &AXES).unwrap();
         assert!(svg.contains("L1 &amp; more</text>"));
         let line = svg.split("class=\"line c0\" d=\"M").nth(1).unwrap().split('"').next().unwrap();
         let heights: Vec<f64> = line.split('L').map(|p| p.split(' ').nth(1).unwrap().parse().unwrap()).collect();
@@ -130,7 +152,7 @@ mod tests {
     #[test]
     fn names_of_lines_that_end_together_do_not_overlap() {
         let curve = |name| Curve { name, points: vec![(0.0, 1.0), (1.0, 0.5)] };
-        let svg = line_chart(&[curve("a"), curve("b")]).unwrap();
+        let svg = line_chart(&[curve("a"), curve("b")], &AXES).unwrap();
         let heights: Vec<f64> = svg
             .split("class=\"name")
             .skip(1)
@@ -141,7 +163,7 @@ mod tests {
 
     #[test]
     fn nothing_to_draw_gives_no_chart() {
-        assert_eq!(line_chart(&[]), None);
-        assert_eq!(line_chart(&[Curve { name: "zero", points: vec![(1.0, 0.0), (2.0, f64::NAN)] }]), None);
+        assert_eq!(line_chart(&[], &AXES), None);
+        assert_eq!(line_chart(&[Curve { name: "zero", points: vec![(1.0, 0.0), (2.0, f64::NAN)] }], &AXES), None);
     }
 }

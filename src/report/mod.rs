@@ -6,8 +6,10 @@ mod chart;
 mod gallery;
 pub mod slice;
 
+use chart::Axes;
 pub use chart::Curve;
 
+use crate::classical::algebraic::Choice;
 use crate::error::Result;
 use crate::evaluation::Metrics;
 use crate::provenance::Provenance;
@@ -29,6 +31,8 @@ pub struct Report<'a> {
     pub truth: Option<&'a Volume>,
     /// Losses over the iterations, the total first.
     pub curves: Vec<Curve<'a>>,
+    /// What was chosen by views held out.
+    pub choice: Option<&'a Choice>,
     /// What else is worth knowing: (label, value).
     pub facts: Vec<(String, String)>,
     /// Where it comes from.
@@ -54,6 +58,10 @@ const METRICS: [(&str, &str, &str); 4] = [
     ("SSIM 2D", "", "of the same projections"),
 ];
 
+/// Of the chart of losses.
+const LOSSES: Axes<'static> =
+    Axes { label: "Loss over the iterations", x: "iteration", is_logarithmic: false, mark: None };
+
 /// Lets the page load nothing, whatever it contains.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
 
@@ -68,6 +76,7 @@ pub fn render(report: &Report) -> Result<String> {
         headline(&report.methods),
         gallery.map_or(String::new(), |gallery| gallery.html()),
         losses(&report.curves),
+        report.choice.map_or(String::new(), choice),
         metrics_table(&report.methods),
         facts(&report.facts),
         report.provenance.map_or(String::new(), provenance),
@@ -110,7 +119,7 @@ fn headline(methods: &[Method]) -> String {
 }
 
 fn losses(curves: &[Curve]) -> String {
-    let Some(chart) = chart::line_chart(curves) else { return String::new() };
+    let Some(chart) = chart::line_chart(curves, &LOSSES) else { return String::new() };
     let ends = curves.first().and_then(|curve| Some((escape(curve.name), curve.points.first()?, curve.points.last()?)));
     let summary = ends.map_or(String::new(), |(name, first, last)| {
         let (from, to) = (short(first.1), short(last.1));
@@ -120,6 +129,25 @@ fn losses(curves: &[Curve]) -> String {
         )
     });
     section("Loss", &format!("{summary}{chart}\n"))
+}
+
+/// The error of views held out over the values of a setting.
+fn choice(choice: &Choice) -> String {
+    let points = choice.curve.iter().map(|trial| (trial.value, trial.error)).collect();
+    let axes = Axes {
+        label: "Error of views held out",
+        x: &choice.key,
+        is_logarithmic: choice.key != "passes",
+        mark: Some(choice.value),
+    };
+    let Some(chart) = chart::line_chart(&[Curve { name: "error", points }], &axes) else { return String::new() };
+    let (key, value) = (escape(&choice.key), short(choice.value));
+    let text = format!(
+        "<p>Residual of views held out, as a fraction of what was measured: {key} = {value} was chosen, the dashed line. \
+         That took as much work as {:.0} iterations over all views.</p>\n",
+        choice.cost
+    );
+    section(&format!("Choice of {key}"), &format!("{text}{chart}\n"))
 }
 
 /// All metrics of all methods; the best of each column in bold.

@@ -33,6 +33,7 @@ fn page() -> String {
         curves: vec![Curve { name: "total", points: vec![(0.0, 1.0), (100.0, 0.1)] }],
         facts: vec![("views".into(), "18".into())],
         provenance: Some(&provenance),
+        ..Report::default()
     })
     .unwrap();
     for (metric, id) in of_good

@@ -148,7 +148,7 @@ mod tests {
     fn a_scan_of_an_interpolated_volume_is_told_from_one_of_a_continuous_object() {
         let detector = Detector { rows: 36, columns: 40, pitch_v: 0.1, pitch_u: 0.1, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(20) };
-        let plan = Plan { views: 6, test_views: 1, noise: Noise::NONE, seed: 0 };
+        let plan = Plan { views: 6, test_views: 1, noise: Noise::None, seed: 0 };
         let phantom = Phantom::by_name("torso", 0).unwrap();
         let mut dataset = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap();
         let field = Field::<f64>::new(&primitives(), 0.0);

@@ -1,10 +1,11 @@
 //! Conjugate gradients on the normal equations. Not in the paper.
 
-use super::{Counter, Observe, System, add_scaled, dot, norm};
+use super::{Counter, Observe, See, System, add_scaled, dot, norm};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
 use crate::numeric::{Real, real};
 use crate::scene::{Projections, Volume};
+use std::ops::ControlFlow;
 
 /// The volume with the least `‖A x - p‖` in the Krylov space of so many dimensions, from zeros `[HS52]`.
 ///
@@ -21,6 +22,19 @@ pub fn cgls<R: Real>(
     iterations: usize,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
+    let mut counter = Counter::new(iterations, observe);
+    cgls_seen::<R>(projector, projections, iterations, &mut |iteration, residual, _| {
+        counter.done(iteration, residual).map(|()| ControlFlow::Continue(()))
+    })
+}
+
+/// [`cgls()`] for those who look at the volume after every iteration.
+pub(super) fn cgls_seen<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    iterations: usize,
+    see: &mut See<'_, R>,
+) -> Result<Volume> {
     let system = System::<R>::new(projector, projections)?;
     let views = projector.views(system.angles)?;
     let adjoint = |values: &[R]| {
@@ -28,7 +42,6 @@ pub fn cgls<R: Real>(
         projector.adjoin(&views, [values], &mut out, |out, [value]| *out = value);
         out
     };
-    let mut counter = Counter::new(iterations, observe);
     let mut x = system.empty();
     let mut residual = system.measured.clone();
     let mut direction = adjoint(&residual);
@@ -42,7 +55,9 @@ pub fn cgls<R: Real>(
         let step = gamma / size;
         add_scaled(&mut x, step, &direction);
         add_scaled(&mut residual, -step, &image);
-        counter.done(iteration, norm(&residual))?;
+        if see(iteration, norm(&residual), &x)?.is_break() {
+            break;
+        }
         let gradient = adjoint(&residual);
         let next = dot(&gradient, &gradient);
         let factor: R = real(next / gamma);

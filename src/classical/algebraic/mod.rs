@@ -5,6 +5,7 @@
 //! | [`sart()`] | for each set of views: `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1`, then `x ≥ 0` | `[SART84]`; sets of more than one view: OS-SART |
 //! | [`asd_pocs()`] | one of SART, then steps down the total variation, as long as SART's was | `[SP08]` |
 //! | [`cgls()`] | the best x for `‖A x - p‖` in one more dimension | `[HS52]` on the normal equations |
+//! | [`tv()`] | a step of FISTA for `½‖A x - p‖² + λ·TV(x)`, `x ≥ 0` | `[BT09]` |
 //!
 //! All sums of squares run over a tree of fixed shape in f64: the same bits from any number of threads. Not in the paper,
 //! which compares with the first two.
@@ -16,22 +17,29 @@
 
 mod asd_pocs;
 mod cgls;
+mod held_out;
 mod order;
 mod sart;
 #[cfg(test)]
 mod tests;
 mod total_variation;
+mod tv;
 
 pub use asd_pocs::{AsdPocsSettings, asd_pocs};
 pub use cgls::cgls;
+pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
 pub use sart::{SartSettings, sart};
+pub use tv::{TvRun, TvSettings, TvState, tv};
+
+use cgls::cgls_seen;
+use sart::sart_seen;
 
 use super::columns::Columns;
 use super::voxel_projector::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, Volume};
+use crate::scene::{Projections, View, Volume};
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -48,10 +56,19 @@ pub struct Pass {
     pub iterations: usize,
     /// `‖A x - p‖`, scene units of length × density; of [`sart()`] each view counts as it was when its turn came.
     pub residual: f64,
+    /// What [`tv()`] minimises.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub objective: Option<f64>,
+    /// Length of the last step of [`tv()`] as a fraction of the volume's: its fixed-point residual.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change: Option<f64>,
 }
 
 /// Is shown every iteration, and may stop the reconstruction, which is an error then.
 pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
+
+/// Is shown an iteration, its residual and the volume after it, and may end there.
+type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 
 /// What is to be solved.
 struct System<'a, R> {
@@ -78,6 +95,14 @@ impl<'a, R: Real> System<'a, R> {
     /// Zeros on the grid.
     fn empty(&self) -> Vec<R> {
         vec![R::ZERO; self.projector.scanner().grid.voxels()]
+    }
+
+    /// Rays that meet less than half a voxel.
+    fn idle(&self, views: &[View]) -> Vec<bool> {
+        let grid = &self.projector.scanner().grid;
+        let lengths = self.projector.project(views, &vec![R::ONE; grid.voxels()]).values;
+        let least = real(0.5 * grid.spacing.min_element());
+        lengths.iter().map(|&length| length <= least).collect()
     }
 
     /// `p - A x`.
@@ -110,10 +135,15 @@ impl<'a, 'b> Counter<'a, 'b> {
         if !residual.is_finite() {
             return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
         }
-        match (self.observe)(&Pass { iteration, iterations: self.iterations, residual }) {
+        self.show(&Pass { iteration, iterations: self.iterations, residual, objective: None, change: None })
+    }
+
+    fn show(&mut self, pass: &Pass) -> Result<()> {
+        match (self.observe)(pass) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => {
-                Err(Error::Interrupted { step: iteration, remedy: "nothing was written; start it again".into() })
+                let remedy = "nothing was written; start it again".into();
+                Err(Error::Interrupted { step: pass.iteration, remedy })
             }
         }
     }

@@ -1,10 +1,11 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::{CHUNK, Counter, Observe, Order, System};
+use super::{CHUNK, Counter, Observe, Order, See, System};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
 use crate::numeric::{Real, real, reduce, threads};
 use crate::scene::{Projections, View, Volume};
+use std::ops::ControlFlow;
 
 /// What SART and OS-SART are told.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,13 +67,27 @@ pub fn sart<R: Real>(
     settings: &SartSettings,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
+    let mut counter = Counter::new(settings.iterations, observe);
+    sart_seen::<R>(projector, projections, settings, &mut |iteration, residual, _| {
+        counter.done(iteration, residual).map(|()| ControlFlow::Continue(()))
+    })
+}
+
+/// [`sart()`] for those who look at the volume after every pass.
+pub(super) fn sart_seen<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &SartSettings,
+    see: &mut See<'_, R>,
+) -> Result<Volume> {
     let system = System::<R>::new(projector, projections)?;
     let sweeps = Sweeps::new(&system, settings)?;
-    let mut counter = Counter::new(settings.iterations, observe);
     let (mut x, mut relaxation, mut before) = (system.empty(), settings.relaxation, f64::INFINITY);
     for iteration in 1..=settings.iterations {
         let residual = sweeps.pass(&mut x, relaxation);
-        counter.done(iteration, residual)?;
+        if see(iteration, residual, &x)?.is_break() {
+            break;
+        }
         if before - residual < settings.tolerance * before && before.is_finite() {
             break;
         }

@@ -92,6 +92,10 @@ impl Fan {
         profile: &mut Vec<R>,
     ) {
         let nz = slab.shape[2];
+        if nz == 1 && rows.len() == 1 {
+            out[rows.start] = self.flat_forward(volume, slab, rows.start) * self.steps::<R>(rows.clone())[0];
+            return;
+        }
         profile.clear();
         // From height -1 on; places reach up to nz, where rounding may end them.
         profile.resize(nz + 2 + margin::<R>(), R::ZERO);
@@ -119,6 +123,34 @@ impl Fan {
         }
     }
 
+    /// [`Self::joseph_forward`] of one ray through a volume of one slice, before its step: lines of one voxel.
+    fn flat_forward<R: Real>(&self, volume: &[R], slab: &Slab, row: usize) -> R {
+        let mut sum = R::ZERO;
+        for plane in self.planes(slab) {
+            let weight = 1.0 - plane.heights.at(row).abs();
+            if weight > 0.0 {
+                for (line, share) in plane.lines.into_iter().zip(plane.shares) {
+                    sum += line.map_or(R::ZERO, |line| real::<R>(weight * share) * volume[line]);
+                }
+            }
+        }
+        sum
+    }
+
+    /// The transpose of [`Self::flat_forward`].
+    fn flat_adjoint<R: Real, const N: usize>(&self, values: [R; N], row: usize, slab: &Slab, out: &mut [Vec<R>; N]) {
+        for plane in self.planes(slab) {
+            let weight = 1.0 - plane.heights.at(row).abs();
+            if weight > 0.0 {
+                for (line, share) in plane.lines.into_iter().zip(plane.shares) {
+                    let Some(line) = line else { continue };
+                    let weight: R = real(weight * share);
+                    out.iter_mut().zip(values).for_each(|(out, value)| out[line] += weight * value);
+                }
+            }
+        }
+    }
+
     /// Adds what the shallow rays with the [`Self::weighted`] values `columns` give to the voxels of the slab, in their order.
     pub(super) fn joseph_adjoint<R: Real, const N: usize>(
         &self,
@@ -128,6 +160,14 @@ impl Fan {
         out: &mut [Vec<R>; N],
     ) {
         let nz = slab.shape[2];
+        if nz == 1 && shallow.len() == 1 {
+            return self.flat_adjoint(
+                columns.map(|column| column[margin::<R>() + shallow.start]),
+                shallow.start,
+                slab,
+                out,
+            );
+        }
         for plane in self.planes(slab) {
             let rows = plane.heights.within(shallow, -1.0, nz as f64);
             if rows.is_empty() {

@@ -36,8 +36,9 @@ use serde::{Deserialize, Serialize};
 
 /// Columns that are projected by one piece of work: neighbours meet the same voxels.
 const COLUMNS: usize = 8;
-/// Slices in x that get what they get from one piece of work.
+/// Slices in x that get what they get from one piece of work, and more of small ones: so many voxels.
 const SLICES: usize = 4;
+const VOXELS: usize = 1 << 13;
 
 /// How a ray weighs the voxels on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -170,8 +171,9 @@ impl VoxelProjector {
             }
             RayModel::Siddon => Vec::new(),
         });
-        threads::for_each_chunk(volume, SLICES * ny * nz, |chunk, volume| {
-            let slab = Slab { shape: [nx, ny, nz], x: chunk * SLICES..(chunk * SLICES + volume.len() / (ny * nz)) };
+        let slices = SLICES.max(VOXELS / (ny * nz));
+        threads::for_each_chunk(volume, slices * ny * nz, |chunk, volume| {
+            let slab = Slab { shape: [nx, ny, nz], x: chunk * slices..(chunk * slices + volume.len() / (ny * nz)) };
             let mut sums = images.map(|_| vec![R::ZERO; volume.len()]);
             let add = |sums: &mut [Vec<R>; N], at: usize, pixel: usize, weight: f64| {
                 let weight: R = real(weight);

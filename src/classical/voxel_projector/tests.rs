@@ -13,11 +13,14 @@ fn scanner(beam: Beam) -> Scanner {
     Scanner { beam, detector, grid }
 }
 
-/// Cone, parallel, and a cone so close that its outer rays rise more than a voxel per voxel.
-fn scanners() -> [Scanner; 3] {
+/// Cone, parallel, a cone so close that its outer rays rise more than a voxel per voxel, and one row through one slice.
+fn scanners() -> [Scanner; 4] {
+    let mut flat = scanner(Beam::Cone { dso: 4.0, dsd: 6.0 });
+    flat.detector = Detector { rows: 1, columns: 150, pitch_u: 0.023, offset_v: 0.01, ..flat.detector };
+    flat.grid = Grid::new([23, 19, 1], DVec3::new(-0.8, -0.9, -0.04), DVec3::new(0.95, 0.7, 0.05)).unwrap();
     let mut close = scanner(Beam::Cone { dso: 1.6, dsd: 2.2 });
     (close.detector.pitch_v, close.grid.spacing.z) = (0.16, 0.1);
-    [scanner(Beam::Cone { dso: 4.0, dsd: 6.0 }), scanner(Beam::Parallel { dso: 4.0 }), close]
+    [scanner(Beam::Cone { dso: 4.0, dsd: 6.0 }), scanner(Beam::Parallel { dso: 4.0 }), close, flat]
 }
 
 /// Multiples of a right angle too, where rays run along planes of voxels.

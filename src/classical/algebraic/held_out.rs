@@ -1,0 +1,347 @@
+//! Settings chosen by views held out: what a reconstruction from the others says about them. Not in the paper.
+//!
+//! ```text
+//! error² = Σ_f ‖A_f x_f - p_f‖² / Σ_f ‖p_f‖²      x_f: from all views but those of fold f
+//! ```
+//!
+//! Views are sorted by their angle, and every k-th belongs to one fold. Views of parallel rays that see the same from the
+//! other side stay together, for the one would give the other away. All of it is deterministic.
+
+use super::{SartSettings, System, TvRun, TvSettings, cgls_seen, dot, sart_seen};
+use crate::classical::VoxelProjector;
+use crate::error::{Error, Result};
+use crate::numeric::Real;
+use crate::numeric::elementary::{log, pow};
+use crate::scene::{Beam, Projections, View};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+use std::ops::ControlFlow;
+
+/// Folds for a weight, all of which are held out in turn.
+const WEIGHT_FOLDS: usize = 3;
+/// Weights: the first, and the factor from one to the next.
+const FIRST: f64 = 1.0 / 64.0;
+const FACTOR: f64 = 4.0;
+/// Weights that are tried in each direction at most.
+const MOST_WEIGHTS: usize = 7;
+/// Iterations for the first weight of a fold, and for the next, which go on from there.
+const ITERATIONS: [usize; 2] = [30, 15];
+/// Folds for a number of passes, of which one is held out.
+const PASS_FOLDS: usize = 4;
+/// The search for a number of passes ends when the best is so far behind.
+const PATIENCE: f64 = 1.2;
+
+/// A setting and the error of the views held out with it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// Of the setting.
+    pub value: f64,
+    /// Residual of the views held out, as a fraction of what was measured.
+    pub error: f64,
+}
+
+/// What was chosen, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// `tv.weight` or `passes`.
+    pub key: String,
+    /// What was chosen.
+    pub value: f64,
+    /// Everything that was tried, by value; empty where there are too few views to hold any out.
+    pub curve: Vec<Trial>,
+    /// Reconstructions without some of the views.
+    pub folds: usize,
+    /// Work of the choice in iterations or passes over all views.
+    pub cost: f64,
+}
+
+/// Is shown the name of a setting all the time, and each trial; may stop the choice, which is an error then.
+pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
+
+/// How a number of passes is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Passes {
+    /// Of SART or OS-SART, at most those of the settings.
+    Sart(SartSettings),
+    /// Of CGLS, so many at most.
+    Cgls(usize),
+}
+
+/// Not in the paper: the weight of [`super::tv()`] with the least error of views held out, a third of them at a time.
+///
+/// Weights go by factors of four until the error rises, each from the volume of the one before, then a parabola through
+/// the three around the best in the logarithm of the weight. With two views or fewer the weight of `settings` stays.
+///
+/// # Errors
+/// As [`super::tv()`].
+///
+/// Tests: `the_weight_is_near_the_best_of_a_grid`, `two_views_are_too_few_to_choose`.
+pub fn choose_weight<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &TvSettings,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "tv.weight";
+    let folds = folds(projector, projections, WEIGHT_FOLDS);
+    if folds.len() < WEIGHT_FOLDS {
+        return Ok(Choice { key: KEY.into(), value: settings.weight, curve: Vec::new(), folds: 0, cost: 0.0 });
+    }
+    let mut weights: Vec<f64> = Vec::new();
+    let mut sums: Vec<[f64; 2]> = Vec::new();
+    let mut work = 0;
+    let settings = TvSettings { weight: FIRST, iterations: usize::MAX, tolerance: 0.0, ..*settings };
+    for (number, [train, held]) in folds.iter().enumerate() {
+        let (train, held) = (projections.select(train), projections.select(held));
+        let held = Held::<R>::new(projector, &held)?;
+        let mut run = TvRun::<R>::new(projector, &train, &settings, None)?;
+        let mut try_weight = |run: &mut TvRun<'_, R>, weight: f64, iterations: usize| {
+            run.reweigh(weight);
+            for _ in 0..iterations {
+                run.step()?;
+                go_on(observe(KEY, None))?;
+            }
+            work += iterations * train.len();
+            let error = held.error(run.values());
+            if number == 0 {
+                go_on(observe(KEY, Some(&Trial { value: weight, error: (error[0] / error[1]).sqrt() })))?;
+            }
+            Ok::<_, Error>(error)
+        };
+        if number > 0 {
+            for (i, &weight) in weights.iter().enumerate() {
+                let error = try_weight(&mut run, weight, ITERATIONS[usize::from(i > 0)])?;
+                (0..2).for_each(|k| sums[i][k] += error[k]);
+            }
+            continue;
+        }
+        // The first fold decides which weights are tried: from the first one down, and up if that is the best.
+        let rises = |sums: &[[f64; 2]]| sums.len() > 1 && sums[sums.len() - 1][0] > sums[sums.len() - 2][0];
+        for i in 0..MOST_WEIGHTS {
+            let weight = FIRST / pow(FACTOR, i as f64);
+            sums.push(try_weight(&mut run, weight, ITERATIONS[usize::from(i > 0)])?);
+            weights.push(weight);
+            if rises(&sums) {
+                break;
+            }
+        }
+        if sums.len() == 2 && rises(&sums) {
+            for i in 1..MOST_WEIGHTS {
+                let weight = FIRST * pow(FACTOR, i as f64);
+                sums.insert(0, try_weight(&mut run, weight, ITERATIONS[0])?);
+                weights.insert(0, weight);
+                if sums[0][0] > sums[1][0] {
+                    break;
+                }
+            }
+        }
+    }
+    let trial = |(&value, [error, size]): (&f64, &[f64; 2])| Trial { value, error: (error / size).sqrt() };
+    let mut curve: Vec<Trial> = weights.iter().zip(&sums).map(trial).collect();
+    curve.reverse();
+    let value = least(&curve);
+    Ok(Choice { key: KEY.into(), value, curve, folds: folds.len(), cost: work as f64 / projections.len() as f64 })
+}
+
+/// Not in the paper: the number of passes after which views held out, one of four, have the least error.
+///
+/// The search ends a fifth beyond the best, so it costs about as much as the passes that it finds. With two views or
+/// fewer the number stays as it is.
+///
+/// # Errors
+/// As [`super::sart()`].
+///
+/// Tests: `the_number_of_passes_is_where_the_error_of_the_volume_is_small`, `two_views_are_too_few_to_choose`.
+pub fn choose_passes<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    passes: Passes,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "passes";
+    let most = match passes {
+        Passes::Sart(settings) => settings.iterations,
+        Passes::Cgls(most) => most,
+    };
+    let folds = folds(projector, projections, PASS_FOLDS);
+    let Some([train, held]) = folds.get(1).filter(|_| projections.len() > 2) else {
+        return Ok(Choice { key: KEY.into(), value: most as f64, curve: Vec::new(), folds: 0, cost: 0.0 });
+    };
+    let (train, held) = (projections.select(train), projections.select(held));
+    let share = train.len() as f64 / projections.len() as f64;
+    let held = Held::<R>::new(projector, &held)?;
+    let mut curve: Vec<Trial> = Vec::new();
+    let mut best = Trial { value: 0.0, error: f64::INFINITY };
+    let mut see = |iteration: usize, _: f64, x: &[R]| {
+        let [error, size] = held.error(x);
+        let trial = Trial { value: iteration as f64, error: (error / size).sqrt() };
+        curve.push(trial);
+        if trial.error < best.error {
+            best = trial;
+        }
+        go_on(observe(KEY, Some(&trial)))?;
+        let ends = trial.value >= (best.value * PATIENCE).max(best.value + 1.0);
+        Ok(if ends { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    };
+    match passes {
+        Passes::Sart(settings) => sart_seen::<R>(projector, &train, &settings, &mut see)?,
+        Passes::Cgls(most) => cgls_seen::<R>(projector, &train, most, &mut see)?,
+    };
+    let cost = curve.len() as f64 * share;
+    Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost })
+}
+
+fn go_on(flow: ControlFlow<()>) -> Result<()> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => {
+            Err(Error::Interrupted { step: 0, remedy: "nothing was written; start it again".into() })
+        }
+    }
+}
+
+/// Views that were left out.
+struct Held<'a, R> {
+    system: System<'a, R>,
+    views: Vec<View>,
+    idle: Vec<bool>,
+}
+
+impl<'a, R: Real> Held<'a, R> {
+    fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let views = projector.views(system.angles)?;
+        let idle = system.idle(&views);
+        Ok(Self { system, views, idle })
+    }
+
+    /// `‖A x - p‖²` and `‖p‖²` over the rays that count.
+    fn error(&self, x: &[R]) -> [f64; 2] {
+        let seen = self.system.projector.project(&self.views, x).values;
+        let counted = |values: &mut Vec<R>| {
+            values.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
+        };
+        let mut measured = self.system.measured.clone();
+        let mut residual: Vec<R> = seen.iter().zip(&measured).map(|(&seen, &p)| seen - p).collect();
+        counted(&mut residual);
+        counted(&mut measured);
+        [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)]
+    }
+}
+
+/// For each fold the views that it leaves and those that it takes; fewer folds than k where there are fewer views.
+fn folds(projector: &VoxelProjector, projections: &Projections, k: usize) -> Vec<[Vec<usize>; 2]> {
+    /// Angles (radians) that are one.
+    const SAME: f64 = 1e-6;
+    let turn = if matches!(projector.scanner().beam, Beam::Parallel { .. }) { PI } else { TAU };
+    // A little below 0 and a little below a turn are one, too.
+    let angle = |view: usize| (projections.angles[view] + SAME).rem_euclid(turn);
+    let mut order: Vec<usize> = (0..projections.len()).collect();
+    order.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+    let mut rank = vec![0; order.len()];
+    for pair in order.windows(2) {
+        rank[pair[1]] = rank[pair[0]] + usize::from(angle(pair[1]) - angle(pair[0]) > SAME);
+    }
+    let k = k.min(rank.iter().max().map_or(0, |last| last + 1));
+    let of = |fold: usize| (0..rank.len()).partition(|&view| rank[view] % k != fold);
+    (0..k)
+        .map(of)
+        .map(|(train, held): (Vec<usize>, Vec<usize>)| [train, held])
+        .filter(|[train, _]| !train.is_empty())
+        .collect()
+}
+
+/// The value of the least error, between those that were tried: a parabola in the logarithm of the value.
+fn least(curve: &[Trial]) -> f64 {
+    let best =
+        (0..curve.len()).min_by(|&a, &b| curve[a].error.total_cmp(&curve[b].error)).expect("something was tried");
+    if best == 0 || best + 1 == curve.len() {
+        return curve[best].value;
+    }
+    let [low, middle, high] = [best - 1, best, best + 1].map(|i| log(curve[i].error));
+    let bend = low - 2.0 * middle + high;
+    let shift = if bend > 0.0 { 0.5 * (low - high) / bend } else { 0.0 };
+    curve[best].value * pow(FACTOR, shift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::classical::RayModel;
+    use crate::classical::algebraic::{sart, tv};
+    use crate::evaluation::psnr_3d;
+    use crate::scene::simulate::{Object, Plan, simulate};
+    use crate::scene::{Dataset, Detector, Grid, Noise, Phantom, Scanner};
+
+    fn scan(views: usize, beam: Beam) -> Dataset {
+        let detector = Detector { rows: 32, columns: 32, pitch_v: 0.12, pitch_u: 0.12, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam, detector, grid: Grid::cube(24) };
+        let plan = Plan { views, test_views: 0, noise: Noise::MEDIUM, seed: 3 };
+        simulate("torso", Object::Phantom(&Phantom::by_name("torso", 0).unwrap()), &scanner, &plan).unwrap()
+    }
+
+    const CONE: Beam = Beam::Cone { dso: 5.0, dsd: 7.0 };
+
+    #[test]
+    fn the_weight_is_near_the_best_of_a_grid() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let choice = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let psnr = |weight: f64| {
+            let settings = TvSettings { weight, ..TvSettings::default() };
+            let volume =
+                tv::<f32>(&projector, &scan.train, &settings, None, &mut |_| ControlFlow::Continue(())).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let best = (0..7).map(|i| psnr(0.03 / pow(2.0, f64::from(i)))).fold(0.0, f64::max);
+        let found = psnr(choice.value);
+        eprintln!("weight {:.5}: {found:.2} dB, best {best:.2} dB, {choice:?}", choice.value);
+        assert!(found > best - 0.3, "{found} dB, best {best} dB: {choice:?}");
+        assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.folds == 3);
+    }
+
+    #[test]
+    fn the_number_of_passes_is_where_the_error_of_the_volume_is_small() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let settings = SartSettings { iterations: 60, ..SartSettings::default() };
+        let choice = choose_passes::<f32>(&projector, &scan.train, Passes::Sart(settings), &mut quiet).unwrap();
+        let psnr = |iterations: usize| {
+            let settings = SartSettings { iterations, ..settings };
+            let volume = sart::<f32>(&projector, &scan.train, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let best = [1, 2, 3, 4, 6, 8, 12, 20, 40, 60].map(psnr).into_iter().fold(0.0, f64::max);
+        let found = psnr(choice.value as usize);
+        eprintln!("{} passes: {found:.2} dB, best {best:.2} dB", choice.value);
+        assert!(found > best - 0.3, "{found} dB after {} passes, best {best} dB", choice.value);
+    }
+
+    #[test]
+    fn two_views_are_too_few_to_choose() {
+        let scan = scan(2, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let weight = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        assert!(weight.curve.is_empty() && weight.value == TvSettings::default().weight);
+        let passes = choose_passes::<f32>(&projector, &scan.train, Passes::Cgls(7), &mut quiet).unwrap();
+        assert!(passes.curve.is_empty() && passes.value == 7.0);
+    }
+
+    #[test]
+    fn folds_share_all_views_and_opposite_parallel_views_stay_together() {
+        let scan = scan(8, Beam::Parallel { dso: 5.0 });
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let folds = folds(&projector, &scan.train, 3);
+        let mut all: Vec<usize> = folds.iter().flat_map(|[_, held]| held.clone()).collect();
+        all.sort_unstable();
+        assert_eq!(all, [0, 1, 2, 3, 4, 5, 6, 7]);
+        for [_, held] in folds {
+            assert!(held.iter().all(|&view| held.contains(&((view + 4) % 8))), "{held:?}");
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! What a stopped run goes on from: primitives of training, or voxels with total variation.
+
+use crate::classical::algebraic::{Choice, Pass, TvState};
+use crate::config::Config;
+use crate::error::{Error, Result};
+use crate::output::{create_folder, write_atomically};
+use crate::provenance::digest_parts;
+use crate::scene::Dataset;
+use crate::train;
+use bytemuck::cast_slice;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Changes with the meaning of the file.
+const FORMAT: u32 = 1;
+/// What to do about a checkpoint of something else.
+const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
+
+/// Where a run keeps its state, and what it goes on from.
+#[derive(Debug)]
+pub struct Checkpoints {
+    /// The file; its folder is created.
+    pub file: PathBuf,
+    /// What was read from it.
+    pub from: Option<Checkpoint>,
+}
+
+/// The state of a run of any method that has one.
+#[derive(Clone, Debug)]
+pub enum Checkpoint {
+    /// Of a method that fits primitives.
+    Primitives(Box<train::Checkpoint>),
+    /// Of the method tv.
+    Voxels(Box<VoxelCheckpoint>),
+}
+
+/// The state of a run with total variation, with what it belongs to.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct VoxelCheckpoint {
+    format: u32,
+    /// All keys, TOML.
+    config: String,
+    /// Digest of scanner, angles and training projections.
+    data: String,
+    pub(super) choice: Option<Choice>,
+    /// What was shown before.
+    pub(super) passes: Vec<Pass>,
+    pub(super) state: TvState,
+}
+
+impl Checkpoint {
+    /// Reads the one or the other.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Format`] for what is none.
+    pub fn read(path: &Path) -> Result<Self> {
+        let refused = match train::Checkpoint::read(path) {
+            Ok(checkpoint) => return Ok(Self::Primitives(Box::new(checkpoint))),
+            Err(error) => error,
+        };
+        let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        match rmp_serde::from_slice::<VoxelCheckpoint>(&bytes) {
+            Ok(checkpoint) if checkpoint.format == FORMAT => Ok(Self::Voxels(Box::new(checkpoint))),
+            _ => Err(refused),
+        }
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> usize {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.iteration(),
+            Self::Voxels(checkpoint) => checkpoint.state.iteration(),
+        }
+    }
+
+    /// The configuration of its run.
+    ///
+    /// # Errors
+    /// When it is not one of this version.
+    pub fn config(&self) -> Result<Config> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.config(),
+            Self::Voxels(checkpoint) => checkpoint.config(),
+        }
+    }
+
+    /// Refuses another configuration.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the first key that differs.
+    pub fn check_config(&self, config: &Config) -> Result<()> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.check_config(config),
+            Self::Voxels(checkpoint) => checkpoint.check_config(config),
+        }
+    }
+}
+
+impl VoxelCheckpoint {
+    /// Without a state yet.
+    pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>, state: TvState) -> Self {
+        let (config, data) = (config.to_toml(), digest(dataset));
+        Self { format: FORMAT, config, data, choice, passes: Vec::new(), state }
+    }
+
+    /// Writes it as a whole or not at all.
+    pub(super) fn write(&self, path: &Path) -> Result<()> {
+        path.parent().map_or(Ok(()), create_folder)?;
+        write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
+    }
+
+    fn config(&self) -> Result<Config> {
+        Config::from_toml(&self.config).map_err(|message| {
+            let remedy = "use the version of trgs that wrote it";
+            Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
+        })
+    }
+
+    fn check_config(&self, config: &Config) -> Result<()> {
+        let Some((key, now, then)) = config.difference(&self.config()?) else { return Ok(()) };
+        Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
+    }
+
+    /// Refuses another configuration and other data.
+    pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
+        self.check_config(config)?;
+        if self.data != digest(dataset) {
+            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", GO_ON));
+        }
+        Ok(())
+    }
+}
+
+/// Digest of all that a run takes from its dataset.
+fn digest(dataset: &Dataset) -> String {
+    let projections = dataset.train.images.as_standard_layout();
+    let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
+    digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
+}
