@@ -1,13 +1,14 @@
 //! Any method on any dataset: from projections to a volume, and how good that is.
 
 mod checkpoint;
+mod finish;
 mod voxels;
 
 pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Config, Method, Precision};
+use crate::config::{Config, Finish, Method, Precision};
 use crate::error::{Error, Result};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
@@ -25,6 +26,8 @@ pub struct Reconstruction {
     pub primitives: Option<Primitives>,
     /// Density on the dataset's grid, attenuation per scene unit of length.
     pub volume: Volume,
+    /// That of the primitives, where `volume` is finished on voxels.
+    pub unfinished: Option<Volume>,
     /// Of a method that fits primitives.
     pub log: Vec<Record>,
     /// How the primitives became the volume; missing where the method has none.
@@ -73,12 +76,18 @@ pub fn reconstruct(
 ) -> Result<Reconstruction> {
     let voxels::Found { volume, choice, unit } = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
-            let mut observe = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
+            let observe_all = observe;
+            let mut observe = |iteration, record: Option<&Record>| observe_all(Progress::Iteration(iteration, record));
             let checkpoints = checkpoints.map(of_training).transpose()?;
             let found = train(dataset, config, checkpoints, &mut observe)?;
             let train::Reconstruction { primitives, volume, sampled, log, unit } = found;
             let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-            return Ok(Reconstruction { primitives, volume, log, sampled, unit, choice: None });
+            let fitted = Reconstruction { primitives, volume, unfinished: None, log, sampled, unit, choice: None };
+            return if config.finish == Finish::Tv {
+                finished(fitted, dataset, config, observe_all)
+            } else {
+                Ok(fitted)
+            };
         }
         (Method::Fdk, _) => {
             let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;
@@ -87,7 +96,21 @@ pub fn reconstruct(
         (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
         (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, log: Vec::new(), sampled: None, unit, choice })
+    Ok(Reconstruction { primitives: None, volume, unfinished: None, log: Vec::new(), sampled: None, unit, choice })
+}
+
+/// The reconstruction with its volume finished on voxels.
+fn finished(
+    fitted: Reconstruction,
+    dataset: &Dataset,
+    config: &Config,
+    observe: &mut Observe<'_>,
+) -> Result<Reconstruction> {
+    let (volume, choice) = match config.precision {
+        Precision::F32 => finish::finish::<f32>(dataset, &fitted.volume, config, observe)?,
+        Precision::F64 => finish::finish::<f64>(dataset, &fitted.volume, config, observe)?,
+    };
+    Ok(Reconstruction { volume, choice, unfinished: Some(fitted.volume), ..fitted })
 }
 
 /// The checkpoints as training takes them.

@@ -12,11 +12,10 @@ use trgs::config::{Auto, Config, Method, Start};
 use trgs::evaluation::{psnr_3d_range, range};
 use trgs::numeric::elementary::log10;
 use trgs::primitives::Group;
-use trgs::reconstruction::{Progress, Reconstruction, reconstruct};
+use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, reconstruct};
 use trgs::scene::phantom::PHANTOMS;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, volume_file};
-use trgs::train::{Checkpoint, Checkpoints};
 
 /// Powers of two, -20, -6 and 20: nothing is rounded.
 const EXACT: [f64; 3] = [1.0 / 1_048_576.0, 1.0 / 64.0, 1_048_576.0];

@@ -11,12 +11,13 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use trgs::config::{Config, Method, Precision, Preset};
+use trgs::evaluation::Metrics;
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
 use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
-use trgs::scene::Dataset;
 use trgs::scene::dataset::Survey;
+use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
 
 /// Passes that --auto may find, in passes of the method's default.
@@ -203,18 +204,21 @@ pub(super) fn reconstruct(
             }
         };
         let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, log, sampled, unit, choice } = found;
+        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = found;
         drop(bar);
         if let Some(unit) = unit {
             tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");
         }
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
+        let metrics = |volume: &Volume| Metrics::compute(dataset.truth.as_ref().map(|truth| (truth, volume)), None);
+        let unfinished = unfinished.map(|volume| metrics(&volume).map(|metrics| (volume, metrics))).transpose()?;
         if let Some(sampled) = &sampled {
             tracing::info!("{sampled}");
         }
         let method = config.method;
-        let outcome = Outcome { method, primitives, volume, log, passes, choice, seconds, unit, evaluation, sampled };
+        let outcome =
+            Outcome { method, primitives, volume, unfinished, log, passes, choice, seconds, unit, evaluation, sampled };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

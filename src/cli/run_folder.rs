@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use trgs::classical::algebraic::{Choice, Pass};
 use trgs::config::{Config, Method};
+use trgs::evaluation::Metrics;
 use trgs::numeric::threads;
 use trgs::output::{create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
@@ -31,6 +32,8 @@ pub(super) struct Outcome {
     /// Missing where the method has none.
     pub(super) primitives: Option<Primitives>,
     pub(super) volume: Volume,
+    /// That of the primitives, where `volume` is finished on voxels.
+    pub(super) unfinished: Option<(Volume, Metrics)>,
     pub(super) log: Vec<Record>,
     /// Of a method that fits voxels in iterations.
     pub(super) passes: Vec<TimedPass>,
@@ -60,6 +63,9 @@ struct Results<'a> {
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<&'a Choice>,
+    /// Of the primitives' volume, where volume.npy is finished on voxels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unfinished: Option<&'a Metrics>,
 }
 
 /// A run's folder under construction.
@@ -83,8 +89,16 @@ impl Outcome {
         }
     }
 
-    fn on_the_page(&self) -> report::Method<'_> {
-        report::Method { name: self.name(), volume: Some(&self.volume), metrics: Some(&self.evaluation.metrics) }
+    /// Its volume, and that before the finish.
+    fn on_the_page(&self) -> impl Iterator<Item = report::Method<'_>> {
+        let found =
+            report::Method { name: self.name(), volume: Some(&self.volume), metrics: Some(&self.evaluation.metrics) };
+        let before = self.unfinished.iter().map(|(volume, metrics)| report::Method {
+            name: "before the finish",
+            volume: Some(volume),
+            metrics: Some(metrics),
+        });
+        std::iter::once(found).chain(before)
     }
 }
 
@@ -120,7 +134,11 @@ impl RunFolder {
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at("volume.npy"), outcome.volume.values.view())?;
-        let results = Results { evaluation: &outcome.evaluation, choice: outcome.choice.as_ref() };
+        let results = Results {
+            evaluation: &outcome.evaluation,
+            choice: outcome.choice.as_ref(),
+            unfinished: outcome.unfinished.as_ref().map(|(_, metrics)| metrics),
+        };
         write_text(&at("metrics.json"), &json(&results))?;
         if let Some(primitives) = &outcome.primitives {
             model::write(&at("model.npz"), &primitives.parameters)?;
@@ -189,7 +207,8 @@ fn page(
     }
     facts.extend(dataset.notes.iter().map(|note| ("Note".into(), note.clone())));
     if let Some(last) = outcome.passes.last() {
-        facts.push(("Iterations".into(), last.pass.iteration.to_string()));
+        let what = if outcome.unfinished.is_some() { "Iterations of the finish on voxels" } else { "Iterations" };
+        facts.push((what.into(), last.pass.iteration.to_string()));
     }
     if let Some(choice) = &outcome.choice {
         let how = match choice.folds {
@@ -212,7 +231,7 @@ fn page(
     report::render(&Report {
         title: &format!("{} from {}", outcome.name(), dataset.name),
         subtitle: &format!("Reconstructed from {} projections", dataset.train.len()),
-        methods: std::iter::once(outcome).chain(beside).map(Outcome::on_the_page).collect(),
+        methods: outcome.on_the_page().chain(beside.into_iter().flat_map(Outcome::on_the_page)).collect(),
         truth: dataset.truth.as_ref(),
         curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
         choice: outcome.choice.as_ref(),

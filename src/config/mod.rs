@@ -90,6 +90,16 @@ pub enum Sampling {
     Interpolant,
 }
 
+/// What is done to the volume of fitted primitives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Finish {
+    /// Nothing, as in the paper.
+    None,
+    /// A few steps of least squares with total variation on its voxels.
+    Tv,
+}
+
 /// The profile of the primitives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -149,6 +159,9 @@ pub struct Config {
     /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
+    /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels) or none, as in the paper.
+    #[default(Finish::None)]
+    pub finish: Finish,
     /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
     pub density_unit: Auto<f64>,
     /// Iterations between two reports.
@@ -479,6 +492,9 @@ pub struct TvConfig {
     /// Steps of the total variation in each iteration.
     #[default(TvSettings::default().steps)]
     pub steps: usize,
+    /// Iterations where finish = tv.
+    #[default = 20]
+    pub finish_iterations: usize,
 }
 
 impl ConfidenceConfig {
@@ -561,7 +577,7 @@ impl Config {
 
     /// What the reconstruction with total variation is told, with the default weight where that is to be found.
     pub fn tv(&self) -> TvSettings {
-        let TvConfig { weight, tolerance, steps } = self.tv;
+        let TvConfig { weight, tolerance, steps, .. } = self.tv;
         TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
     }
 

@@ -128,9 +128,12 @@ impl Config {
         }
         fraction("algebraic.tolerance", algebraic.tolerance)?;
         fraction("tv.tolerance", tv.tolerance)?;
-        for (key, count) in
-            [("algebraic.subset", algebraic.subset), ("asd_pocs.tv_steps", asd_pocs.tv_steps), ("tv.steps", tv.steps)]
-        {
+        for (key, count) in [
+            ("algebraic.subset", algebraic.subset),
+            ("asd_pocs.tv_steps", asd_pocs.tv_steps),
+            ("tv.finish_iterations", self.tv.finish_iterations),
+            ("tv.steps", tv.steps),
+        ] {
             require(key, count, count >= 1, "at least 1")?;
         }
         for (key, value) in [

@@ -81,7 +81,7 @@ fn the_step_of_total_variation_is_the_plain_one() {
         let tau = 0.13;
         let mut q = [0, 1, 2].map(|_| Array3::<f64>::zeros(shape));
         let primal = |q: &[Array3<f64>; 3]| {
-            let adjoint = (0..3).fold(Array3::zeros(shape), |sum, axis| sum + transposed(&grid, &q[axis], axis));
+            let adjoint = (0..3).fold(Array3::<f64>::zeros(shape), |sum, axis| sum + transposed(&grid, &q[axis], axis));
             (&z - &(adjoint * tau)).mapv(|value: f64| value.max(0.0))
         };
         for _ in 0..6000 {
