@@ -149,7 +149,7 @@ impl RunFolder {
         }
         // The run's last state takes the place of those before it together with the results.
         let last = checkpoint_file(&self.folder);
-        if outcome.primitives.is_some() && last.exists() {
+        if last.exists() {
             let kept = checkpoint_file(staged.path());
             create_folder(&at(CHECKPOINTS))?;
             std::fs::copy(&last, &kept).map_err(|source| Error::write(&kept, source))?;

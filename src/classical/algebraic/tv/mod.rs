@@ -171,10 +171,13 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.lambda = self.settings.weight * largest.to_f64();
     }
 
-    /// Takes another weight, and goes on from where it is.
-    pub fn reweigh(&mut self, weight: f64) {
+    /// Begins again at zeros with another weight.
+    pub fn restart(&mut self, weight: f64) {
         self.settings.weight = weight;
         self.set_lambda();
+        self.proximal = Proximal::new(&self.system.projector.scanner().grid);
+        self.x.fill(R::ZERO);
+        self.iteration = 0;
         self.begin();
     }
 
