@@ -5,7 +5,7 @@
 //!
 //! Tests: `tests/memory.rs` holds it against the largest resident set of runs.
 
-use crate::config::{Config, DensityControl, Method, Precision, Start};
+use crate::config::{Config, DensityControl, Finish, Method, Precision, Start};
 use crate::error::{Error, Result};
 use crate::projector;
 use crate::scene::dataset::Survey;
@@ -244,9 +244,16 @@ impl Sizes {
                     shapes,
                     row("primitives on the grid", m, projector::bytes::GRID),
                     row("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
+                    row("interpolant, while it is solved for and as it is", self.voxels, F64 + 2 * F32),
+                    row("projections of the interpolant", self.pixels, F32),
                 ],
             ),
         ];
+        if config.finish == Finish::Tv {
+            let mut rows = self.tv(config).rows;
+            rows.push(row("volume of the primitives", self.voxels, F32));
+            moments.push(Moment { name: "finish", rows });
+        }
         if config.density_control.method != DensityControl::None {
             // The next population beside the last one: successors, raw and physical values, moments.
             let next = row("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
@@ -373,7 +380,7 @@ mod tests {
     #[test]
     fn populations_grow_as_far_as_their_settings_let_them() {
         let mut config = Config::of(Method::TrGs);
-        config.density_control.cap = 1000;
+        (config.iterations, config.density_control.every, config.density_control.cap) = (5000, 100, 1000);
         assert_eq!(most_primitives(500, &config), 1000);
         (config.iterations, config.density_control.every) = (20, 10);
         let once = 500 + (500.0 * config.density_control.growth) as usize;

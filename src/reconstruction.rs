@@ -106,9 +106,10 @@ fn finished(
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
+    let sampling = fitted.sampled.map_or(config.sampling, |sampled| sampled.sampling);
     let (volume, choice) = match config.precision {
-        Precision::F32 => finish::finish::<f32>(dataset, &fitted.volume, config, observe)?,
-        Precision::F64 => finish::finish::<f64>(dataset, &fitted.volume, config, observe)?,
+        Precision::F32 => finish::finish::<f32>(dataset, &fitted.volume, sampling, config, observe)?,
+        Precision::F64 => finish::finish::<f64>(dataset, &fitted.volume, sampling, config, observe)?,
     };
     Ok(Reconstruction { volume, choice, unfinished: Some(fitted.volume), ..fitted })
 }

@@ -26,7 +26,8 @@ const COMMANDS: [&str; 11] = [
 ];
 const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
 /// A run that takes no time.
-const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4";
+const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4 --set density_control.every=100 \
+                     --set tv.weight=1e-3";
 
 fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()

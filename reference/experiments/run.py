@@ -75,6 +75,9 @@ def run(program, experiment, cell, arguments, out):
     last = json.loads(log.read_text().splitlines()[-1]) if log.exists() else {}
     result = {metric: found[metric]["value"] for metric in METRICS}
     result |= {"seconds": found["seconds"], "primitives": last.get("primitives"), "spearman": last.get("spearman")}
+    before = json.loads((target / "metrics.json").read_text()).get("unfinished", {}).get("psnr_3d")
+    if before:
+        result["unfinished"] = before["value"]
     for path in sorted(target.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
     target.rmdir()

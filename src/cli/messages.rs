@@ -98,6 +98,17 @@ impl ProgressBar {
         go_on()
     }
 
+    /// The same for an iteration of the finish on voxels: the bar stays full.
+    pub(super) fn finish(&mut self, pass: &Pass) -> ControlFlow<()> {
+        let Pass { iteration, iterations, .. } = *pass;
+        match &self.bar {
+            Some(bar) => bar.set_message(format!("finishing on voxels, {iteration} of {iterations}, ")),
+            None if iteration == iterations => tracing::info!("finished on voxels in {iterations} iterations"),
+            None => {}
+        }
+        go_on()
+    }
+
     /// The same for a setting that is being chosen.
     pub(super) fn trial(&mut self, key: &str, trial: Option<&Trial>) -> ControlFlow<()> {
         if let Some(Trial { value, error }) = trial {

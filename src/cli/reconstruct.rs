@@ -13,6 +13,7 @@ use std::time::Instant;
 use trgs::config::{Config, Method, Precision, Preset};
 use trgs::evaluation::Metrics;
 use trgs::memory::Estimate;
+use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
 use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
@@ -106,7 +107,12 @@ impl Reconstruct {
         }
         // Again, for what only reading tells.
         self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
-        let config = config.resolved(&dataset.scanner, dataset.train.len());
+        let asked = config;
+        let config = asked.resolved(&dataset.scanner, dataset.train.len());
+        if asked.wavelet.enabled && asked.method.fits_primitives() && !config.wavelet.enabled {
+            let shape = dataset.scanner.grid.shape;
+            tracing::warn!("wavelets are left out: a volume of {shape:?} voxels is too thin for their blocks");
+        }
         checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check_config(&config))?;
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
@@ -167,6 +173,10 @@ impl Reconstruct {
         config.precision = self.precision.unwrap_or(config.precision);
         config.seed = self.seed.unwrap_or(config.seed);
         self.set.iter().try_for_each(|setting| config.set(setting))?;
+        // One from a file is compared when it is complete.
+        if let (Some(checkpoint), None) = (checkpoint, &self.config) {
+            checkpoint.check_config(&config)?;
+        }
         config.validate()?;
         Ok(config)
     }
@@ -193,10 +203,14 @@ pub(super) fn reconstruct(
         }
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
-        let mut passes = Vec::new();
+        let (mut passes, mut pace) = (Vec::new(), Pace::default());
         let mut observe = |step: Progress| match step {
-            Progress::Iteration(iteration, record) => bar.observe(iteration, record),
+            Progress::Iteration(iteration, record) => {
+                pace.tell(iteration, config);
+                bar.observe(iteration, record)
+            }
             Progress::Choosing(key, trial) => bar.trial(key, trial),
+            Progress::Pass(pass) if config.method.fits_primitives() => bar.finish(pass),
             Progress::Pass(pass) => {
                 let seconds = began.elapsed().as_secs_f64();
                 passes.push(TimedPass { pass: pass.clone(), seconds });
@@ -222,6 +236,32 @@ pub(super) fn reconstruct(
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })
+}
+
+/// The time that the first iterations took, from which that of all follows.
+#[derive(Default)]
+struct Pace {
+    from: Option<Instant>,
+}
+
+impl Pace {
+    /// Between these iterations it is measured.
+    const MEASURED: [usize; 2] = [10, 40];
+    /// Time of an iteration goes with this power of the number of primitives.
+    const POWER: f64 = 0.8;
+
+    /// Says once, as soon as it can be known, how long a run that fits primitives will take.
+    fn tell(&mut self, iteration: usize, config: &Config) {
+        let [from, to] = Self::MEASURED;
+        if iteration == from {
+            self.from = Some(Instant::now());
+        }
+        let Some(began) = self.from.filter(|_| iteration == to) else { return };
+        let points = config.model.points as f64;
+        let growth = pow(config.mean_population(config.model.points) / points, Self::POWER);
+        let seconds = began.elapsed().as_secs_f64() / (to - from) as f64 * growth * config.iterations as f64;
+        tracing::info!(seconds, "{} iterations will take about {seconds:.0} s", config.iterations);
+    }
 }
 
 /// Bytes of memory of this machine, where the system says it in a file.

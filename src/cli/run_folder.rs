@@ -207,8 +207,7 @@ fn page(
     }
     facts.extend(dataset.notes.iter().map(|note| ("Note".into(), note.clone())));
     if let Some(last) = outcome.passes.last() {
-        let what = if outcome.unfinished.is_some() { "Iterations of the finish on voxels" } else { "Iterations" };
-        facts.push((what.into(), last.pass.iteration.to_string()));
+        facts.push(("Iterations".into(), last.pass.iteration.to_string()));
     }
     if let Some(choice) = &outcome.choice {
         let how = match choice.folds {

@@ -160,7 +160,7 @@ pub struct Config {
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
     /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels) or none, as in the paper.
-    #[default(Finish::None)]
+    #[default(Finish::Tv)]
     pub finish: Finish,
     /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
     pub density_unit: Auto<f64>,
@@ -527,6 +527,7 @@ impl Config {
         match method {
             Method::TrGs | Method::Fdk => {}
             Method::R2Gaussian => {
+                config.finish = Finish::None;
                 config.projection = Projection::Affine;
                 config.model.kernel = KernelName::Gaussian;
                 config.confidence.enabled = false;

@@ -10,6 +10,7 @@
 //! | `density_control.every` | iterations/60, 1 to 100 | the population is at its cap after a third of any run |
 //! | `confidence.every` | iterations/12, 1 to 500 | twelve times a run |
 //!
+//! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
 use super::{Config, DensityControl};
@@ -43,7 +44,32 @@ impl Config {
         fill(&mut config.density_control.cap, if adaptive { cap * 4 / 5 } else { cap });
         fill(&mut config.density_control.every, (config.iterations / 60).clamp(1, 100));
         fill(&mut config.confidence.every, (config.iterations / 12).clamp(1, 500));
+        config.wavelet.enabled &= scanner.grid.shape.into_iter().all(|n| n >= 1 << config.wavelet.levels);
         config
+    }
+}
+
+impl Config {
+    /// Mean number of primitives over a run that starts from `points`, as far as the settings tell; keys must be resolved.
+    pub fn mean_population(&self, points: usize) -> f64 {
+        let control = &self.density_control;
+        let cap = control.cap.max(points) as f64;
+        match control.method {
+            DensityControl::None => points as f64,
+            // How many are split depends on the scan.
+            DensityControl::Adc => (points as f64 + cap) / 2.0,
+            DensityControl::Ar => {
+                let (mut population, mut sum) = (points as f64, 0.0);
+                for iteration in 1..=self.iterations {
+                    let part = iteration as f64 / self.iterations as f64;
+                    if iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop {
+                        population = (population * (1.0 + control.growth)).min(cap);
+                    }
+                    sum += population;
+                }
+                sum / self.iterations as f64
+            }
+        }
     }
 }
 
@@ -81,6 +107,14 @@ mod tests {
     }
 
     #[test]
+    fn a_single_slice_has_no_wavelets() {
+        let mut flat = scanner(64, 128);
+        assert!(Config::of(Method::TrGs).resolved(&flat, 18).wavelet.enabled);
+        flat.grid.shape[2] = 1;
+        assert!(!Config::of(Method::TrGs).resolved(&flat, 18).wavelet.enabled);
+    }
+
+    #[test]
     fn what_was_set_stays() {
         let mut config = Config::of(Method::TrGs);
         config.set("density_control.cap=777").unwrap();
@@ -88,6 +122,15 @@ mod tests {
         let resolved = config.resolved(&scanner(64, 128), 18);
         assert_eq!((resolved.iterations, resolved.density_control.cap, resolved.density_control.every), (30, 777, 1));
         assert_eq!(resolved.resolved(&scanner(16, 16), 3), resolved);
+    }
+
+    #[test]
+    fn the_mean_population_lies_between_start_and_cap() {
+        let mut config = Config::of(Method::TrGs).resolved(&scanner(64, 128), 18);
+        let mean = config.mean_population(3072);
+        assert!(mean > 5000.0 && mean < 8192.0, "{mean}");
+        config.density_control.method = DensityControl::None;
+        assert_eq!(config.mean_population(3072), 3072.0);
     }
 
     #[test]

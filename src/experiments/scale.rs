@@ -1,6 +1,6 @@
 //! The paper's experiments at another size: what is made smaller, and by how much.
 
-use crate::config::{Auto, Config, DensityControl, Sampling, Start};
+use crate::config::{Auto, Config, DensityControl, Finish, Sampling, Start};
 use crate::numeric::elementary::pow;
 
 /// Of the volume in the paper.
@@ -66,7 +66,7 @@ impl Scale {
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
         config.checkpoint_every = config.iterations;
         // As the paper and R²-Gaussian do, whatever the scan.
-        config.sampling = Sampling::Point;
+        (config.sampling, config.finish) = (Sampling::Point, Finish::None);
         if config.initialisation.from == Start::Sart {
             config.initialisation.from = Start::Fdk;
         }

@@ -174,12 +174,6 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             scale: scales(&dataset.scanner.grid, config)?,
             nu: Interval { min: config.model.nu_min, max: config.model.nu_max },
         };
-        let (smallest, multiple) = (dataset.scanner.grid.shape.into_iter().min(), 1 << config.wavelet.levels);
-        if config.wavelet.enabled && smallest < Some(multiple) {
-            let expected = format!("2^levels = {multiple} voxels or more a side");
-            let remedy = "set wavelet.enabled=false";
-            return Err(Error::invalid("volume", format!("{:?}", dataset.scanner.grid.shape), expected, remedy));
-        }
         let ssim = Ssim::<R>::default();
         let image = |view| dataset.train.image(view).mapv(|value| real::<R>(f64::from(value)));
         let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();

@@ -51,10 +51,12 @@ impl fmt::Display for Sampled {
 }
 
 /// The volume of a field on the dataset's grid, attenuation per scene unit; the projections of the dataset are in units of
-/// `unit`.
+/// `unit`. Not in the paper.
 ///
 /// # Errors
 /// When a value is not finite.
+///
+/// Tests: `a_scan_of_an_interpolated_volume_is_told_from_one_of_a_continuous_object`.
 pub fn volume<R: Kernels>(
     field: &Field<R>,
     dataset: &Dataset,
@@ -79,8 +81,6 @@ pub fn volume<R: Kernels>(
 }
 
 /// The share of the [module's](self) formula; 0 where the projections of both are the same.
-///
-/// Tests: `a_scan_of_an_interpolated_volume_is_told_from_one_of_a_continuous_object`.
 fn confirmed_share<R: Kernels>(
     field: &Field<R>,
     interpolant: &Volume,

@@ -193,12 +193,16 @@ impl Checkpoint {
         })
     }
 
-    /// Refuses another configuration.
+    /// Refuses another configuration. What is done with the primitives after training may differ: `sampling`, `finish` and
+    /// the table `tv`.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the first key that differs.
     pub fn check_config(&self, config: &Config) -> Result<()> {
-        let Some((key, now, then)) = config.difference(&self.config()?) else { return Ok(()) };
+        let afterwards = (config.sampling, config.finish, config.tv.clone());
+        let mut saved = self.config()?;
+        (saved.sampling, saved.finish, saved.tv) = afterwards;
+        let Some((key, now, then)) = config.difference(&saved) else { return Ok(()) };
         Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
     }
 

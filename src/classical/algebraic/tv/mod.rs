@@ -224,7 +224,7 @@ impl<'a, R: Real> TvRun<'a, R> {
             }
             norm_before = value;
             let scale: R = real(1.0 / norm(&x));
-            x.iter_mut().for_each(|x| *x = *x * scale);
+            x.iter_mut().for_each(|x| *x *= scale);
         }
         SAFETY * norm_before
     }

@@ -1,0 +1,57 @@
+//! What the shortest command gives: three default runs at 32³ against their committed quality.
+//!
+//! The same figures come from `trgs simulate … --size 32 --detector 64 --noise low` and `trgs reconstruct SCAN --out RUN`.
+//! Bits may change with the method; a change of more than a tenth of a decibel has to be meant, and is then written here.
+
+use std::ops::ControlFlow;
+use trgs::config::{Config, Method, Sampling};
+use trgs::evaluation::psnr_3d;
+use trgs::reconstruction::reconstruct;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+
+/// What may change without a word, dB.
+const BAND: f64 = 0.1;
+
+/// A scan, and what the default run on it gives.
+struct Case {
+    phantom: &'static str,
+    /// Whether the voxels of the phantom are scanned, by interpolation, or the phantom itself.
+    interpolated: bool,
+    views: usize,
+    /// PSNR_3D of volume.npy and of the volume before the finish, dB.
+    expected: [f64; 2],
+}
+
+const CASES: [Case; 3] = [
+    Case { phantom: "torso", interpolated: false, views: 18, expected: [0.0, 0.0] },
+    Case { phantom: "engine", interpolated: true, views: 12, expected: [0.0, 0.0] },
+    Case { phantom: "bonsai", interpolated: true, views: 25, expected: [0.0, 0.0] },
+];
+
+#[test]
+fn default_runs_are_as_good_as_they_were() {
+    let detector = Detector { rows: 64, columns: 64, pitch_v: 0.0625, pitch_u: 0.0625, offset_u: 0.0, offset_v: 0.0 };
+    let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(32) };
+    let mut wrong = Vec::new();
+    for Case { phantom, interpolated, views, expected } in CASES {
+        let plan = Plan { views, test_views: 1, noise: Noise::LOW, seed: 0 };
+        let object = Phantom::by_name(phantom, 0).unwrap();
+        let mut scan = simulate(phantom, Object::Phantom(&object), &scanner, &plan).unwrap();
+        if interpolated {
+            let volume = scan.truth.take().unwrap();
+            scan = simulate(phantom, Object::Volume(&volume), &scanner, &plan).unwrap();
+        }
+        let found = reconstruct(&scan, &Config::of(Method::TrGs), None, &mut |_| ControlFlow::Continue(())).unwrap();
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let volumes = [&found.volume, found.unfinished.as_ref().unwrap()];
+        let psnr = volumes.map(|volume| psnr_3d(truth, volume.values.view()).value);
+        let sampled = found.sampled.unwrap();
+        eprintln!("{phantom}, {views} views: {psnr:.2?} dB, expected {expected:.2?}; {sampled}");
+        assert_eq!(sampled.sampling == Sampling::Interpolant, interpolated, "{phantom}: {sampled:?}");
+        if (0..2).any(|k| (psnr[k] - expected[k]).abs() > BAND) {
+            wrong.push(format!("{phantom}: {psnr:.3?} dB, expected {expected:.3?}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
