@@ -202,7 +202,7 @@ fn pixels_and_voxels_that_are_not_there() {
 fn configurations_that_cannot_be() {
     let sandbox = Sandbox::with_scan();
     for (text, expected) in [
-        ("iterations = 0", "at least 1"),
+        ("report_every = 0", "at least 1"),
         ("iteration = 5", "did you mean iterations?"),
         ("[loss]\nd_sim = 1", "did you mean loss.d_ssim?"),
         ("iterations = \"many\"", "iterations"),

@@ -29,3 +29,8 @@ pub(super) fn seed(text: &str) -> Result<u64, String> {
 pub(super) fn cutoff(text: &str) -> Result<f64, String> {
     finite(text).ok().filter(|value| (0.0..1.0).contains(value)).ok_or_else(|| "expected a number in [0, 1)".into())
 }
+
+/// Parses a number of things, of which there must be some.
+pub(super) fn positive(text: &str) -> Result<usize, String> {
+    text.trim().parse().ok().filter(|value| *value >= 1).ok_or_else(|| "expected a positive integer".into())
+}

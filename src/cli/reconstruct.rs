@@ -1,6 +1,6 @@
 //! `trgs reconstruct`: from the projections of a dataset to a volume, with everything that belongs to a run.
 
-use super::arguments::seed;
+use super::arguments::{positive, seed};
 use super::evaluate::answer;
 use super::messages::ProgressBar;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
@@ -55,11 +55,11 @@ pub(super) struct Reconstruct {
     /// Use only so many of the training views, evenly spaced
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Training steps
-    #[arg(long, value_name = "N")]
+    /// Training steps, by default 140 a view
+    #[arg(long, value_name = "N", value_parser = positive)]
     iterations: Option<usize>,
-    /// Primitives at the start
-    #[arg(long, value_name = "N")]
+    /// Primitives at the start, by default as many as the volume's surface needs
+    #[arg(long, value_name = "N", value_parser = positive)]
     points: Option<usize>,
     /// Rays through a primitive: exact, or affine as in the paper
     #[arg(long, value_enum)]
