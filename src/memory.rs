@@ -249,7 +249,7 @@ impl Sizes {
                 ],
             ),
         ];
-        if config.finish == Finish::Tv {
+        if config.finish != Finish::None {
             let mut rows = self.tv(config).rows;
             rows.push(row("volume of the primitives", self.voxels, F32));
             moments.push(Moment { name: "finish", rows });

@@ -8,7 +8,7 @@ pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Config, Finish, Method, Precision};
+use crate::config::{Config, Finish, Method, Precision, Sampling};
 use crate::error::{Error, Result};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
@@ -83,11 +83,12 @@ pub fn reconstruct(
             let train::Reconstruction { primitives, volume, sampled, log, unit } = found;
             let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
             let fitted = Reconstruction { primitives, volume, unfinished: None, log, sampled, unit, choice: None };
-            return if config.finish == Finish::Tv {
-                finished(fitted, dataset, config, observe_all)
-            } else {
-                Ok(fitted)
+            let wanted = match config.finish {
+                Finish::Auto => fitted.sampled.is_some_and(|sampled| sampled.sampling == Sampling::Interpolant),
+                Finish::Tv => true,
+                Finish::None => false,
             };
+            return if wanted { finished(fitted, dataset, config, observe_all) } else { Ok(fitted) };
         }
         (Method::Fdk, _) => {
             let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;

@@ -57,7 +57,7 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
     assert_eq!(scan["volume"], serde_json::json!([32, 32, 32]));
     assert_eq!((&scan["train_views"], &scan["test_views"]), (&6.into(), &4.into()));
 
-    let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5");
+    let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5 --set finish=none --set sampling=point");
     assert_eq!(keys(&run), BTreeSet::from_iter(["run", "method", "seconds", "report"].into_iter().chain(METRICS)));
     let mut files = vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json"];
     files.extend(["model.npz", "provenance.json", "report.html", "volume.npy"]);

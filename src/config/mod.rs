@@ -94,6 +94,8 @@ pub enum Sampling {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finish {
+    /// As [`Finish::Tv`] where the volume is an interpolant, else as [`Finish::None`].
+    Auto,
     /// Nothing, as in the paper.
     None,
     /// A few steps of least squares with total variation on its voxels.
@@ -159,8 +161,8 @@ pub struct Config {
     /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
-    /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels) or none, as in the paper.
-    #[default(Finish::Tv)]
+    /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels), none, as in the paper, or auto (tv where it is an interpolant).
+    #[default(Finish::Auto)]
     pub finish: Finish,
     /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
     pub density_unit: Auto<f64>,
