@@ -19,7 +19,7 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 const SCALE: Scale = Scale { size: 64 };
 
 /// Fewer than by default, so that it is done within a minute.
-const ITERATIONS: usize = 1000;
+const ITERATIONS: usize = 500;
 
 /// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
 #[derive(Args)]
