@@ -299,7 +299,7 @@ impl Sizes {
                 if config.tv.weight.fixed().is_some() { 0 } else { self.pixels },
                 F32 + self.real,
             ),
-            row("volumes, dual of the total variation, and as it is written", self.voxels, 10 * self.real + F32),
+            row("volumes, dual of the total variation, and as it is written", self.voxels, 12 * self.real + F32),
             row("sums of slices at work", self.slice, self.at_work(1)),
         ];
         Moment { name: "reconstruction", rows }

@@ -126,14 +126,16 @@ fn training_needs_what_was_said() {
     let (small, views) = (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 512, 640, 40, 4)));
     let many = with(&ball(72, 64, 64, 6, 2));
     for method in ["tr-gs", "r2-gaussian"] {
-        let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2 --set tv.weight=1e-3 --set tv.finish_iterations=1";
-        assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {cap}"), false);
+        let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2";
+        let finished = format!("{cap} --set finish=tv --set tv.weight=1e-3 --set tv.finish_iterations=1");
+        assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {finished}"), false);
+        let cap = format!("{cap} --set finish=none --set initialisation.from=fdk");
         assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
         // ADC may double them in a step, and hardly ever does: here it may not.
         let most = if method == "tr-gs" { 95_000 } else { 90_000 };
         let crowd = format!(
             "--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap={most} \
-                 --set tv.weight=1e-3 --set tv.finish_iterations=1"
+                 --set finish=none --set initialisation.from=fdk"
         );
         assert_honest(&many, &format!("{method}-many"), &format!("--method {method} {crowd}"), true);
     }
