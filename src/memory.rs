@@ -3,7 +3,7 @@
 //! The estimate is an upper end: populations are taken as large as their settings let them become, and what the allocator
 //! keeps between two uses is given room. It knows sizes alone, so a run can be refused before a projection is read.
 //!
-//! Tests: `tests/memory.rs` holds it against the largest resident set of runs.
+//! Tests: `tests/cli/memory.rs` holds it against the largest resident set of runs.
 
 use crate::config::{Config, DensityControl, Finish, Method, Precision, Start};
 use crate::error::{Error, Result};

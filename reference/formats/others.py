@@ -1,4 +1,4 @@
-"""Files as other programs see and write them, for tests/formats.rs. It judges nothing.
+"""Files as other programs see and write them, for tests/cli/formats.rs. It judges nothing.
 
     others.py see FILE...    JSON: what SimpleITK, nibabel, plyfile and NumPy read in each file
     others.py make FOLDER    writes files of many kinds, and expected.json with what is in them

@@ -22,7 +22,7 @@ import tomllib
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 # Asked in turn of what the vectors do not notice. The first failure counts.
-TESTS = [["--test", "lanes"], ["--lib"], ["--test", "parity"], ["--test", "determinism"]]
+TESTS = [["--test", "contracts", "lanes::"], ["--lib"], ["--test", "contracts", "parity::"], ["--test", "cli", "determinism::"]]
 
 
 def run(*command, folder, target):
@@ -37,7 +37,7 @@ def built(*arguments, folder, target):
 
 
 def wrong_answer(folder, target):
-    """The program's first answer to the vectors that its own check refuses: what tests/analytic.rs and tests/gradients.rs ask."""
+    """The program's first answer to the vectors that its own check refuses: what tests/contracts/analytic.rs and tests/contracts/gradients.rs ask."""
     built("build", "--bin", "trgs", folder=folder, target=target)
     trgs = str(target / "mutants" / "trgs")
     for precision in ["f64", "f32"]:

@@ -24,7 +24,7 @@ const FACTOR: f64 = 1.06;
 /// # Errors
 /// As [`sart`].
 ///
-/// Tests: `it_follows_the_projections_and_is_1_of_nothing`, `any_scanner_has_one`, `tests/units.rs`.
+/// Tests: `it_follows_the_projections_and_is_1_of_nothing`, `any_scanner_has_one`, `tests/cli/units.rs`.
 pub fn density_unit(scanner: &Scanner, projections: &Projections) -> Result<f64> {
     let projector = VoxelProjector::new(scanner, RayModel::Joseph)?;
     let settings = SartSettings { iterations: PASSES, ..SartSettings::default() };

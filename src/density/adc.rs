@@ -31,7 +31,7 @@ pub struct Settings {
 /// A clone shares the density with its origin, `ρ/2` each, at the same place. A split primitive gives way to two parts
 /// of density ρ/2 and scales s/1.6, drawn from the normal distribution with its mean and covariance. Then all below
 /// `faint` and all with a centre outside of the box go. The others stay in order, clones follow, then the parts.
-/// Not in the paper: R²-Gaussian's rules. Tests: below, and `tests/invariance.rs`.
+/// Not in the paper: R²-Gaussian's rules. Tests: below, and `tests/contracts/invariance.rs`.
 ///
 /// # Panics
 /// If `pull` does not have one number per primitive.

@@ -27,7 +27,7 @@ pub struct Settings {
 /// nothing is recycled; if all densities are 0, nothing is added.
 ///
 /// With [`Relocation::Exact`] field and projections change by the recycled primitives' own parts alone.
-/// Not in the paper: it names 3D Student Splatting, whose rule this is. Tests: below, and `tests/invariance.rs`.
+/// Not in the paper: it names 3D Student Splatting, whose rule this is. Tests: below, and `tests/contracts/invariance.rs`.
 pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<Successor> {
     let (p, m) = (&primitives.parameters, primitives.len());
     let mut next: Vec<_> = (0..m).map(|i| Successor::same(p, i)).collect();

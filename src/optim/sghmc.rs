@@ -77,7 +77,7 @@ impl Sghmc {
     /// | burn-in | `x += η·(-η·ĝ + Σ·(gate·z))`, z of variance 2ηC |
     /// | sampling | `p = gate·(1-ηC)·p - η·ĝ + gate·z`, `x += η·p`; p = 0 before the first such step |
     ///
-    /// Not in the paper: it names the method. Tests: `tests/statistics.rs`, and those below.
+    /// Not in the paper: it names the method. Tests: `tests/contracts/statistics.rs`, and those below.
     ///
     /// # Panics
     /// If the lengths differ.

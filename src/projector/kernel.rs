@@ -15,7 +15,7 @@
 //! | Gaussian | 2 ln 2 | `root·2^-x` | its limit |
 //!
 //! Accuracy: the profile is within 1.5e-7 (f32) and 5e-16 (f64) of its peak for every ν from 1 to 10⁴.
-//! Tests: `numeric::lanes`, `tests/analytic.rs`, `tests/parity.rs`, `tests/gradients.rs`.
+//! Tests: `numeric::lanes`, `tests/contracts/analytic.rs`, `tests/contracts/parity.rs`, `tests/contracts/gradients.rs`.
 
 use super::column::Column;
 use super::plane::{Plane, all};

@@ -175,7 +175,7 @@ impl<R: Kernels> Field<R> {
 
 /// Projections `[view, v, u]` of all primitives `[Eq. 4]`, `[X1]`.
 ///
-/// `cutoff`: relative to each primitive's peak, 0 for the untruncated truth. Tests: `tests/analytic.rs`, `tests/parity.rs`.
+/// `cutoff`: relative to each primitive's peak, 0 for the untruncated truth. Tests: `tests/contracts/analytic.rs`, `tests/contracts/parity.rs`.
 pub fn forward<R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,
@@ -193,7 +193,7 @@ pub fn forward<R: Kernels>(
 
 /// Gradient of `Σ cotangent·projection` to the physical parameters; `cotangent` is `[view, v, u]`.
 ///
-/// Tests: `tests/gradients.rs`, `tests/parity.rs`.
+/// Tests: `tests/contracts/gradients.rs`, `tests/contracts/parity.rs`.
 pub fn vjp<R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,

@@ -49,7 +49,7 @@ const LEAST_PRODUCT: f64 = 1e-6;
 /// # Errors
 /// As [`super::sart()`].
 ///
-/// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`; units of density in `tests/units.rs`.
+/// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`; units of density in `tests/cli/units.rs`.
 pub fn asd_pocs<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,

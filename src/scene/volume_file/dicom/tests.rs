@@ -1,4 +1,4 @@
-#[path = "../../../../tests/common/damage.rs"]
+#[path = "../../../../tests/contracts/damage.rs"]
 mod damage;
 
 use super::*;

@@ -1,11 +1,9 @@
 //! Damaged, impossible and hostile input, full disks, places that cannot be written to: always exit code 2, one clear
 //! line, and not a byte of any file changed.
 
-mod program;
-
+use crate::program::Sandbox;
 use assert_cmd::Command;
 use ndarray::{Array, Array1, Array2, Array3};
-use program::Sandbox;
 use serde_json::{Value, json};
 use trgs::scene::npy;
 use trgs::scene::npz::{self, Entry};

@@ -1,11 +1,8 @@
 //! Same input, same bits: for any number of threads, and when run twice, in one process and in several. `.ci/builds`
 //! does the same for three instruction sets.
 
-mod common;
-mod program;
-
-use common::scenes;
-use program::Sandbox;
+use crate::common::scenes;
+use crate::program::Sandbox;
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use trgs::classical::{Turn, Window, fdk};

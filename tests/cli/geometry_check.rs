@@ -1,10 +1,8 @@
 //! The check of a scan's geometry finds what was done to a scan on purpose, and knows what it cannot find.
 
-mod program;
-
+use crate::program::{Sandbox, stderr};
 use glam::DVec3;
 use ndarray::Axis;
-use program::{Sandbox, stderr};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::ControlFlow;
 use trgs::classical::check_geometry;

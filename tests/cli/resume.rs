@@ -1,8 +1,6 @@
 //! A run that is stopped, however, and gone on with ends with the same bits as one that was left alone.
 
-mod program;
-
-use program::{Sandbox, stderr};
+use crate::program::{Sandbox, stderr};
 use std::fs;
 use std::process::{Child, Command, Stdio};
 use std::thread::sleep;

@@ -1,10 +1,8 @@
 //! The same field can be written down in many ways: primitives in any order, split in parts, with quaternions of any sign
 //! and length and with axes in any order. What is computed may differ by rounding only, and often not at all.
 
-mod common;
-
-use common::precision::{REPRESENTATION_F32, REPRESENTATION_F64};
-use common::scenes;
+use crate::common::precision::{REPRESENTATION_F32, REPRESENTATION_F64};
+use crate::common::scenes;
 use glam::{DMat3, DQuat};
 use ndarray::Array3;
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};

@@ -1,8 +1,6 @@
 //! What stands in for something else says so: phantoms for the paper's scans, FDK of all views for an unknown truth.
 
-mod program;
-
-use program::Sandbox;
+use crate::program::Sandbox;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use trgs::scene::npy;
@@ -21,9 +19,9 @@ fn a_scan_of_a_stand_in_says_what_it_is_wherever_it_is_used() {
     assert!(notes(&sandbox.done("inspect scan")).contains("stand-in"));
     sandbox.done("convert scan copy");
     assert!(notes(&sandbox.done("inspect copy")).contains("stand-in"));
-    let said = program::stderr(&sandbox.run("reconstruct scan --out run --method fdk"));
+    let said = crate::program::stderr(&sandbox.run("reconstruct scan --out run --method fdk"));
     assert!(said.contains("stand-in") && sandbox.text("run/report.html").contains("stand-in"), "{said}");
-    assert!(program::stderr(&sandbox.run("evaluate run --against scan")).contains("stand-in"));
+    assert!(crate::program::stderr(&sandbox.run("evaluate run --against scan")).contains("stand-in"));
     let help = String::from_utf8(sandbox.run("simulate --help").stdout).unwrap();
     let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(words.contains("stand-ins, which share only their names with the scans of the paper"), "{words}");
@@ -86,6 +84,6 @@ fn views_that_cannot_be_chosen_are_refused() {
     }
     for arguments in ["convert scan few --test-views 2", "convert scan few --seed 2"] {
         let output = sandbox.run(arguments);
-        assert!(output.status.code() == Some(2) && program::stderr(&output).contains("--views"), "{arguments}");
+        assert!(output.status.code() == Some(2) && crate::program::stderr(&output).contains("--views"), "{arguments}");
     }
 }

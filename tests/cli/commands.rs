@@ -1,9 +1,7 @@
 //! The program as its users and other programs see it: commands, files, results, messages and exit codes.
 
-mod program;
-
+use crate::program::{Sandbox, stderr};
 use ndarray::{Array2, Array3};
-use program::{Sandbox, stderr};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use trgs::numeric::elementary::exp;

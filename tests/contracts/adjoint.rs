@@ -5,10 +5,8 @@
 //! of the fitted factor ⟨Ax,y⟩/⟨x,Aᵀy⟩ and of the residual relative to ‖Ax‖·‖y‖: a wrong factor and a wrong
 //! entry look different there.
 
-mod common;
-
-use common::precision::{ADJOINT_ENTRY_F64, ADJOINT_F32, ADJOINT_F64, DIRECTIONAL_DERIVATIVE};
-use common::scenes;
+use crate::common::precision::{ADJOINT_ENTRY_F64, ADJOINT_F32, ADJOINT_F64, DIRECTIONAL_DERIVATIVE};
+use crate::common::scenes;
 use ndarray::Array3;
 use trgs::numeric::Real;
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};

@@ -3,10 +3,8 @@
 //! Needs Python with these (`reference/formats/requirements.txt`): `python3`, or what `TRGS_PYTHON` says. Without them
 //! nothing is checked, which the output says aloud; a build server must have them.
 
-mod program;
-
+use crate::program::Sandbox;
 use glam::{DMat3, DVec3};
-use program::Sandbox;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
@@ -235,7 +233,7 @@ fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
     let sandbox = Sandbox::new();
     model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
     let output = sandbox.run("convert model.npz cloud.npz --r2");
-    assert!(program::stderr(&output).contains("does not know nu"), "{}", program::stderr(&output));
+    assert!(crate::program::stderr(&output).contains("does not know nu"), "{}", crate::program::stderr(&output));
     let back = model::read(&sandbox.path("cloud.npz")).unwrap();
     assert_eq!((back.kernel, back.parameters.nu), (Kernel::StudentT, primitives().parameters.nu));
     sandbox.done("voxelize cloud.npz --grid 4,5,6 --out v.npy");

@@ -1,10 +1,8 @@
 //! What must not change, or must change in a known way, when the whole scene is turned, mirrored, enlarged or moved:
 //! each test computes the same thing twice, in two places of the geometry page.
 
-mod common;
-
-use common::precision::{FAR_SOURCE_RATE, INVARIANCE_F64, LARGE_NU_RATE};
-use common::scenes;
+use crate::common::precision::{FAR_SOURCE_RATE, INVARIANCE_F64, LARGE_NU_RATE};
+use crate::common::scenes;
 use glam::{DQuat, DVec3};
 use ndarray::{Array3, ArrayView3, Axis, Slice};
 use trgs::density::{Relocation, Successor, adc, ar, succeed};

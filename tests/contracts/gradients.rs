@@ -1,10 +1,8 @@
 //! Every gradient against 50-digit central differences.
 
-mod common;
-
-use common::precision::GRADIENT_RAW_AGAINST_DIFFERENCES;
-use common::scenes;
-use common::vectors::assert_conformance;
+use crate::common::precision::GRADIENT_RAW_AGAINST_DIFFERENCES;
+use crate::common::scenes;
+use crate::common::vectors::assert_conformance;
 use trgs::config::Precision;
 use trgs::oracle::Format;
 use trgs::primitives::activation::Interval;

@@ -1,9 +1,7 @@
 //! The fast path against the naive twin: every kernel, projection and beam, with and without a cutoff.
 
-mod common;
-
-use common::precision::{FAST_AGAINST_NAIVE_F64, GRADIENT_FAST_AGAINST_NAIVE_F64};
-use common::scenes;
+use crate::common::precision::{FAST_AGAINST_NAIVE_F64, GRADIENT_FAST_AGAINST_NAIVE_F64};
+use crate::common::scenes;
 use ndarray::Array3;
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};
 use trgs::projector::{self, Projection, naive};

@@ -1,9 +1,7 @@
 //! `trgs confidence` as its users and other programs see it: file, result and refusals.
 
-mod program;
-
+use crate::program::{Sandbox, stderr};
 use ndarray::{ArrayD, Ix0, Ix1, array};
-use program::{Sandbox, stderr};
 use trgs::confidence::{Coverage, Settings, nu_target};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::model;

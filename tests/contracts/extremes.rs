@@ -1,12 +1,10 @@
 //! Extreme but allowed numbers: whatever primitives are given, images, volumes and gradients are finite and nothing panics;
 //! and in the ordinary range the fast path is the naive one.
 //!
-//! proptest with a fixed seed; bytes of files are in `tests/robustness.rs`.
+//! proptest with a fixed seed; bytes of files are in `tests/contracts/robustness.rs`.
 
-mod common;
-
-use common::precision::RANDOM_FAST_AGAINST_NAIVE_F64;
-use common::scenes;
+use crate::common::precision::RANDOM_FAST_AGAINST_NAIVE_F64;
+use crate::common::scenes;
 use ndarray::Array3;
 use proptest::collection::vec;
 use proptest::prelude::*;

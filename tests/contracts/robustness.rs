@@ -2,12 +2,9 @@
 //! error of one clear line, and no memory for what a header merely claims.
 //!
 //! `cargo fuzz` would look further, but needs a nightly compiler; this is proptest on bytes with a fixed seed, see
-//! `tests/common/damage.rs`. DICOM is in `src/scene/volume_file/dicom`, extreme numbers are in `tests/extremes.rs`.
+//! `tests/contracts/damage.rs`. DICOM is in `src/scene/volume_file/dicom`, extreme numbers are in `tests/contracts/extremes.rs`.
 
-#[path = "common/damage.rs"]
-mod damage;
-
-use damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
+use crate::damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
 use proptest::collection::vec;
@@ -89,7 +86,7 @@ const ASCII_PLY: &[u8] = b"ply\nformat ascii 1.0\nelement edge 1\nproperty list 
     1 2 3 0.5 0.25 4 1 0 0 -1 0.125 5 7\n0.1 0.2 0.3 0.5 0.25 4 1 0 0 -1 0.125 50 255\n";
 
 /// R²-Gaussian's.
-const POINT_CLOUD: &[u8] = include_bytes!("data/point_cloud.pickle");
+const POINT_CLOUD: &[u8] = include_bytes!("../data/point_cloud.pickle");
 
 /// A small scan in a folder that disappears.
 fn scan() -> TempDir {

@@ -1,10 +1,8 @@
 //! Any unit of density: projections times k give densities times k, by every method, to the bit for powers of two.
 
-mod program;
-
+use crate::program::Sandbox;
 use clap::ValueEnum;
 use ndarray::{Array2, Array3};
-use program::Sandbox;
 use std::ops::ControlFlow;
 use trgs::classical::algebraic::{SartSettings, sart};
 use trgs::classical::{RayModel, Turn, VoxelProjector, Window, density_unit, fdk};

@@ -1,8 +1,6 @@
 //! Values against 50-digit truth, element by element, skirts included: this program's answers to the vectors.
 
-mod common;
-
-use common::vectors::assert_conformance;
+use crate::common::vectors::assert_conformance;
 use trgs::config::Precision;
 use trgs::oracle::Format;
 

@@ -3,11 +3,9 @@
 //! A build without wide registers emulates the lanes, one with them does not: both are the plain arithmetic of
 //! `common::plain`, or the bits of the project would depend on the build. The bits of a NaN are the one thing left open.
 
-mod common;
-
-use common::plain::{Plain32, Plain64};
-use common::precision::{OTHER_WIDTH_F32, OTHER_WIDTH_F64};
-use common::scenes;
+use crate::common::plain::{Plain32, Plain64};
+use crate::common::precision::{OTHER_WIDTH_F32, OTHER_WIDTH_F64};
+use crate::common::scenes;
 use ndarray::Array3;
 use rand::RngExt;
 use trgs::classical::{RayModel, VoxelProjector};

@@ -1,9 +1,7 @@
 //! The wavelet loss as training takes it: through the voxels of a block to every parameter of the primitives.
 
-mod common;
-
-use common::precision::GRADIENT_AGAINST_DIFFERENCES;
-use common::scenes;
+use crate::common::precision::GRADIENT_AGAINST_DIFFERENCES;
+use crate::common::scenes;
 use glam::DVec3;
 use trgs::numeric::threads;
 use trgs::primitives::{Group, Kernel, Parameters, Primitives};

@@ -1,9 +1,7 @@
 //! `trgs oracle` and `trgs compare` as authors of backends see them: files, results and exit codes.
 
-mod program;
-
+use crate::program::{Sandbox, stderr};
 use ndarray::{Array2, Array3};
-use program::{Sandbox, stderr};
 use trgs::scene::npy;
 
 #[test]

@@ -1,7 +1,5 @@
 //! The sampler samples: from a known density its positions have the known mean and covariance.
 
-mod common;
-
 use glam::{DMat3, DVec3};
 use rand::RngExt;
 use rand_distr::StandardNormal;

@@ -1,8 +1,6 @@
 //! The register `reference/equations.md` has no gap, in any direction: equation, statement, function, test, vectors.
 
-mod common;
-
-use common::vectors::vectors;
+use crate::common::vectors::vectors;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,10 +4,8 @@
 //! A wrong gradient shows at the smallest step, a wrong difference (a kink, a step lost to rounding) as another
 //! order than the second. Steps are fractions of a parameter's own size, those of quaternions run along great circles.
 
-mod common;
-
-use common::precision::{DIFFERENCE_ROUNDING, GRADIENT_AGAINST_DIFFERENCES, RADIAL_DERIVATIVE, SECOND_ORDER};
-use common::scenes;
+use crate::common::precision::{DIFFERENCE_ROUNDING, GRADIENT_AGAINST_DIFFERENCES, RADIAL_DERIVATIVE, SECOND_ORDER};
+use crate::common::scenes;
 use ndarray::{Array2, Array3, Axis};
 use std::f64::consts::FRAC_PI_4;
 use trgs::loss::{Ssim, SsimTarget, image_loss, l1, tv};

@@ -1,8 +1,6 @@
 //! The oracle's machinery: vectors as they should be, answers handed in whole, wrong, late or not at all.
 
-mod common;
-
-use common::vectors::{answer, judge, vectors};
+use crate::common::vectors::{answer, judge, vectors};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,5 @@
 //! Training as a whole: every method, every pair of density control and position optimiser, every variant.
 
-mod common;
-
 use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;

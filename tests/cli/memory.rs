@@ -3,10 +3,8 @@
 //! The resident set is Linux's `VmHWM`, watched while the program runs; elsewhere nothing is measured, which the output
 //! says aloud.
 
-mod program;
-
+use crate::program::{Sandbox, stderr};
 use ndarray::Array3;
-use program::{Sandbox, stderr};
 use serde_json::Value;
 use std::io::Write;
 use std::process::{Command, Stdio};

@@ -4,9 +4,7 @@
 //! Needs Python with NumPy: `python3`, or what `TRGS_PYTHON` says. Without it nothing is checked, which the output says
 //! aloud; a build server must have it.
 
-mod common;
-
-use common::vectors::vectors;
+use crate::common::vectors::vectors;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,6 @@
 //! The paper's tables at a toy size: cells are run once, whoever runs them, and always find the same.
 
-mod program;
-
-use program::Sandbox;
+use crate::program::Sandbox;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -183,7 +181,7 @@ fn what_cannot_be_run_is_refused_in_one_line() {
         ("table volume --out out --measured", vec!["--data"]),
     ] {
         let output = sandbox.run(arguments);
-        let error = program::stderr(&output);
+        let error = crate::program::stderr(&output);
         assert_eq!(output.status.code(), Some(2), "{arguments}: {error}");
         assert!(words.iter().all(|word| error.contains(word)), "{arguments}: {error}");
     }

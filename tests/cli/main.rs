@@ -1,0 +1,30 @@
+//! The contracts of the program, one module each.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod program;
+
+// Errors for bad input.
+mod bad_input;
+// Commands, files, messages and exit codes.
+mod commands;
+// `trgs confidence`.
+mod confidence_cli;
+// Same input, same bits.
+mod determinism;
+// Tables at toy size.
+mod experiments;
+// Files exchanged with other programs.
+mod formats;
+// The check of a geometry.
+mod geometry_check;
+// Estimates of memory.
+mod memory;
+// `trgs oracle` and `trgs compare`.
+mod oracle_cli;
+// Stopped and resumed runs.
+mod resume;
+// Stand-ins are named as such.
+mod stand_ins;
+// Units of density.
+mod units;
