@@ -55,4 +55,9 @@ pub mod scene;
 pub mod train;
 pub mod wavelet;
 
+pub use config::{Config, Method};
 pub use error::{Error, Result};
+pub use primitives::Primitives;
+pub use projector::{Field, Projection};
+pub use reconstruction::{evaluate, reconstruct};
+pub use scene::{Dataset, Grid, Projections, Scanner, Volume};

@@ -5,7 +5,7 @@
 //!
 //! Tests: `tests/cli/memory.rs` holds it against the largest resident set of runs.
 
-use crate::config::{Config, DensityControl, Finish, Method, Precision, Start};
+use crate::config::{Config, DensityControl, Finish, Method, Precision, Sampling, Start};
 use crate::error::{Error, Result};
 use crate::projector;
 use crate::scene::dataset::Survey;
@@ -140,6 +140,7 @@ impl fmt::Display for Estimate {
 }
 
 /// The sizes that everything follows from.
+#[derive(Clone)]
 struct Sizes {
     /// Pixels of a view, and its rows.
     detector: usize,
@@ -147,6 +148,8 @@ struct Sizes {
     /// Pixels of all views that are used.
     pixels: usize,
     voxels: usize,
+    /// Voxels with one more along each axis.
+    voxels_beyond: usize,
     /// Voxels of a slice across x.
     slice: usize,
     slices: usize,
@@ -164,7 +167,7 @@ impl Sizes {
     fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
         let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
         let points = match config.initialisation.from {
-            Start::Fdk | Start::SmoothedFdk | Start::Sart => config.model.points.min(grid.voxels()),
+            Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => config.model.points.min(grid.voxels()),
             Start::Random => config.model.points,
             Start::Dataset => scan.points,
         };
@@ -173,6 +176,7 @@ impl Sizes {
             rows: scan.scanner.detector.rows,
             pixels: views * detector,
             voxels: grid.voxels(),
+            voxels_beyond: grid.shape.iter().map(|&n| if n > 1 { n + 1 } else { n }).product(),
             slice: grid.shape[1] * grid.shape[2],
             slices: grid.shape[0],
             points,
@@ -244,14 +248,25 @@ impl Sizes {
                     shapes,
                     row("primitives on the grid", m, projector::bytes::GRID),
                     row("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
-                    row("interpolant, while it is solved for and as it is", self.voxels, F64 + 2 * F32),
-                    row("projections of the interpolant", self.pixels, F32),
                 ],
             ),
         ];
+        if config.sampling != Sampling::Point {
+            let volumes = row("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
+            let projections = row("projections of the primitives and of the interpolant", self.pixels, 2 * F32);
+            moments.push(Moment { name: "sampling", rows: vec![volumes, projections] });
+        }
+        if config.sampling == Sampling::Auto {
+            let mut moved = self.clone();
+            moved.voxels = self.voxels_beyond;
+            let mut rows = moved.tv(&Config::default()).rows;
+            rows.push(row("volume of the primitives, and its interpolant", self.voxels, 2 * F32));
+            moments.push(Moment { name: "choice of the sampling", rows });
+        }
         if config.finish != Finish::None {
             let mut rows = self.tv(config).rows;
             rows.push(row("volume of the primitives", self.voxels, F32));
+            rows.push(row("corrected projections", self.pixels, F32));
             moments.push(Moment { name: "finish", rows });
         }
         if config.density_control.method != DensityControl::None {

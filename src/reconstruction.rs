@@ -2,19 +2,21 @@
 
 mod checkpoint;
 mod finish;
+mod sampling;
 mod voxels;
 
 pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+pub use sampling::{Evidence, Sampled};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Config, Finish, Method, Precision, Sampling};
+use crate::config::{Config, Finish, Method, Precision};
 use crate::error::{Error, Result};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
 use crate::projector::forward;
 use crate::scene::{Dataset, Projections, Volume, trilinear};
-use crate::train::{self, Record, Sampled, train};
+use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -76,19 +78,11 @@ pub fn reconstruct(
 ) -> Result<Reconstruction> {
     let voxels::Found { volume, choice, unit } = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
-            let observe_all = observe;
-            let mut observe = |iteration, record: Option<&Record>| observe_all(Progress::Iteration(iteration, record));
+            let keeps = checkpoints.is_some();
             let checkpoints = checkpoints.map(of_training).transpose()?;
-            let found = train(dataset, config, checkpoints, &mut observe)?;
-            let train::Reconstruction { primitives, volume, sampled, log, unit } = found;
-            let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-            let fitted = Reconstruction { primitives, volume, unfinished: None, log, sampled, unit, choice: None };
-            let wanted = match config.finish {
-                Finish::Auto => fitted.sampled.is_some_and(|sampled| sampled.sampling == Sampling::Interpolant),
-                Finish::Tv => true,
-                Finish::None => false,
-            };
-            return if wanted { finished(fitted, dataset, config, observe_all) } else { Ok(fitted) };
+            let mut watch = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
+            let found = train(dataset, config, checkpoints, &mut watch)?;
+            return after_training(found, dataset, config, observe).map_err(|error| say_how_to_go_on(error, keeps));
         }
         (Method::Fdk, _) => {
             let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;
@@ -100,19 +94,39 @@ pub fn reconstruct(
     Ok(Reconstruction { primitives: None, volume, unfinished: None, log: Vec::new(), sampled: None, unit, choice })
 }
 
-/// The reconstruction with its volume finished on voxels.
-fn finished(
-    fitted: Reconstruction,
+/// The volume of trained primitives, sampled and finished as `config` has it.
+fn after_training(
+    found: train::Reconstruction,
     dataset: &Dataset,
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let sampling = fitted.sampled.map_or(config.sampling, |sampled| sampled.sampling);
-    let (volume, choice) = match config.precision {
-        Precision::F32 => finish::finish::<f32>(dataset, &fitted.volume, sampling, config, observe)?,
-        Precision::F64 => finish::finish::<f64>(dataset, &fitted.volume, sampling, config, observe)?,
+    let train::Reconstruction { primitives, volume, log, unit } = found;
+    let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
+    let (mut volume, sampled) = sampling::volume(&primitives, volume, dataset, config, &mut watch)?;
+    let (mut unfinished, mut choice) = (None, None);
+    if config.finish == Finish::Tv {
+        let (finished, chosen) = match config.precision {
+            Precision::F32 => finish::finish::<f32>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
+            Precision::F64 => finish::finish::<f64>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
+        };
+        unfinished = Some(std::mem::replace(&mut volume, finished));
+        choice = chosen;
+    }
+    let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
+    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice })
+}
+
+/// The error of a run that was stopped after its training.
+fn say_how_to_go_on(error: Error, keeps: bool) -> Error {
+    let remedy = match keeps {
+        true => "the primitives are saved; the same command with --resume goes on from there",
+        false => "nothing was written; start it again",
     };
-    Ok(Reconstruction { volume, choice, unfinished: Some(fitted.volume), ..fitted })
+    match error {
+        Error::Interrupted { step, .. } => Error::Interrupted { step, remedy: remedy.into() },
+        other => other,
+    }
 }
 
 /// The checkpoints as training takes them.

@@ -100,11 +100,16 @@ impl ProgressBar {
 
     /// The same for an iteration of the finish on voxels: the bar stays full.
     pub(super) fn finish(&mut self, pass: &Pass) -> ControlFlow<()> {
-        let Pass { iteration, iterations, .. } = *pass;
+        let Pass { iteration, iterations, residual, .. } = *pass;
+        let objective = pass.objective.unwrap_or_default();
         match &self.bar {
             Some(bar) => bar.set_message(format!("finishing on voxels, {iteration} of {iterations}, ")),
-            None if iteration == iterations => tracing::info!("finished on voxels in {iterations} iterations"),
-            None => {}
+            None => tracing::info!(
+                finish = iteration,
+                residual,
+                objective,
+                "finish on voxels, iteration {iteration} of {iterations}: residual {residual:.5e}, objective {objective:.5e}"
+            ),
         }
         go_on()
     }

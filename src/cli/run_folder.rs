@@ -12,9 +12,10 @@ use trgs::output::{create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::reconstruction::Evaluation;
+use trgs::reconstruction::Sampled;
 use trgs::report::{self, Curve, Report};
 use trgs::scene::{Dataset, Volume, npy};
-use trgs::train::{Record, Sampled};
+use trgs::train::Record;
 use trgs::{Error, Result};
 
 /// Where a run that fits primitives keeps its state.
@@ -63,6 +64,9 @@ struct Results<'a> {
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<&'a Choice>,
+    /// How the primitives became a volume.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sampled: Option<&'a Sampled>,
     /// Of the primitives' volume, where volume.npy is finished on voxels.
     #[serde(skip_serializing_if = "Option::is_none")]
     unfinished: Option<&'a Metrics>,
@@ -137,6 +141,7 @@ impl RunFolder {
         let results = Results {
             evaluation: &outcome.evaluation,
             choice: outcome.choice.as_ref(),
+            sampled: outcome.sampled.as_ref(),
             unfinished: outcome.unfinished.as_ref().map(|(_, metrics)| metrics),
         };
         write_text(&at("metrics.json"), &json(&results))?;

@@ -72,6 +72,8 @@ pub enum Start {
     SmoothedFdk,
     /// On bright voxels after five passes of SART.
     Sart,
+    /// On bright voxels of a reconstruction with total variation.
+    Tv,
     /// On the initial points that come with the dataset.
     Dataset,
     /// Anywhere in the volume.
@@ -82,7 +84,7 @@ pub enum Start {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampling {
-    /// As the projections say: see [`crate::train::sampling`].
+    /// As the projections say: see [`crate::classical::algebraic::alignment()`].
     Auto,
     /// The field at the voxel centres, the paper's and R²-Gaussian's.
     Point,
@@ -94,8 +96,6 @@ pub enum Sampling {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finish {
-    /// As [`Finish::Tv`] where the volume is an interpolant, else as [`Finish::None`].
-    Auto,
     /// Nothing, as in the paper.
     None,
     /// A few steps of least squares with total variation on its voxels.
@@ -162,7 +162,7 @@ pub struct Config {
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
     /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels), none, as in the paper, or auto (tv where it is an interpolant).
-    #[default(Finish::Auto)]
+    #[default(Finish::Tv)]
     pub finish: Finish,
     /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
     pub density_unit: Auto<f64>,
@@ -229,7 +229,7 @@ pub struct ModelConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct InitialisationConfig {
-    /// sart, fdk, smoothed-fdk, dataset (its init_*.npy) or random.
+    /// sart, tv, fdk, smoothed-fdk, dataset (its init_*.npy) or random.
     #[default(Start::Sart)]
     pub from: Start,
     /// Voxels of the first reconstruction above this density, in units of density_unit, can carry a primitive.
@@ -494,9 +494,8 @@ pub struct TvConfig {
     /// Steps of the total variation in each iteration.
     #[default(TvSettings::default().steps)]
     pub steps: usize,
-    /// Iterations where finish = tv.
-    #[default = 20]
-    pub finish_iterations: usize,
+    /// Iterations where finish = tv; auto: 20, or as few as 10 where point samples gain no more by them.
+    pub finish_iterations: Auto<usize>,
 }
 
 impl ConfidenceConfig {

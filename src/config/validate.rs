@@ -131,7 +131,7 @@ impl Config {
         for (key, count) in [
             ("algebraic.subset", algebraic.subset),
             ("asd_pocs.tv_steps", asd_pocs.tv_steps),
-            ("tv.finish_iterations", self.tv.finish_iterations),
+            ("tv.finish_iterations", tv.finish_iterations.or(1)),
             ("tv.steps", tv.steps),
         ] {
             require(key, count, count >= 1, "at least 1")?;

@@ -11,13 +11,11 @@
 
 mod optimiser;
 mod record;
-pub mod sampling;
 mod start;
 mod state;
 mod views;
 
 pub use record::Record;
-pub use sampling::Sampled;
 pub use start::initial_primitives;
 pub use state::{Checkpoint, Checkpoints};
 
@@ -55,10 +53,8 @@ pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a
 pub struct Reconstruction {
     /// Physical parameters, densities in attenuation per scene unit.
     pub primitives: Primitives,
-    /// The field on the dataset's grid.
+    /// The field at the voxel centres of the dataset's grid.
     pub volume: Volume,
-    /// How the field became the volume.
-    pub sampled: Sampled,
     /// All reports.
     pub log: Vec<Record>,
     /// Attenuation per scene unit that counted as 1 in the run.
@@ -241,8 +237,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let mut primitives = self.activation.forward(&self.state.raw);
         primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let field = Field::<R>::new(&primitives, self.config.cutoff);
-        let (volume, sampled) = sampling::volume(&field, self.dataset, self.unit, self.config)?;
-        Ok(Reconstruction { primitives, volume, sampled, log: self.state.log, unit: self.unit })
+        let grid = self.dataset.scanner.grid;
+        let volume = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
+        Ok(Reconstruction { primitives, volume, log: self.state.log, unit: self.unit })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.

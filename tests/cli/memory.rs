@@ -127,7 +127,7 @@ fn training_needs_what_was_said() {
         let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2";
         let finished = format!("{cap} --set finish=tv --set tv.weight=1e-3 --set tv.finish_iterations=1");
         assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {finished}"), false);
-        let cap = format!("{cap} --set finish=none --set initialisation.from=fdk");
+        let cap = format!("{cap} --set finish=none --set sampling=point --set initialisation.from=fdk");
         assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
         // ADC may double them in a step, and hardly ever does: here it may not.
         let most = if method == "tr-gs" { 95_000 } else { 90_000 };

@@ -85,8 +85,8 @@ pub fn choose_weight<R: Real>(
     observe: &mut ObserveChoice<'_>,
 ) -> Result<Choice> {
     const KEY: &str = "tv.weight";
-    let folds = folds(projector, projections, WEIGHT_FOLDS);
-    if folds.len() < FEWEST_FOLDS {
+    let used = weight_folds(projector, projections);
+    if used.is_empty() {
         return Ok(Choice { key: KEY.into(), value: settings.weight, curve: Vec::new(), folds: 0, cost: 0.0 });
     }
     // Power of the factor → sums over the folds of the squares of the residual and of what was measured.
@@ -94,7 +94,6 @@ pub fn choose_weight<R: Real>(
     let mut work = 0;
     let settings = TvSettings { weight: FIRST, iterations: usize::MAX, tolerance: 0.0, ..*settings };
     let weight = |power: i32| FIRST * pow(FACTOR, f64::from(power));
-    let used: Vec<&[Vec<usize>; 2]> = folds.iter().step_by(2).collect();
     for (number, [train, held]) in used.iter().enumerate() {
         let (train, held) = (projections.select(train), projections.select(held));
         let held = Held::<R>::new(projector, &held)?;
@@ -186,7 +185,7 @@ pub fn choose_passes<R: Real>(
     Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost })
 }
 
-fn go_on(flow: ControlFlow<()>) -> Result<()> {
+pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
     match flow {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => {
@@ -196,14 +195,14 @@ fn go_on(flow: ControlFlow<()>) -> Result<()> {
 }
 
 /// Views that were left out.
-struct Held<'a, R> {
+pub(super) struct Held<'a, R> {
     system: System<'a, R>,
     views: Vec<View>,
     idle: Vec<bool>,
 }
 
 impl<'a, R: Real> Held<'a, R> {
-    fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
+    pub(super) fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
         let views = projector.views(system.angles)?;
         let idle = system.idle(&views);
@@ -211,7 +210,7 @@ impl<'a, R: Real> Held<'a, R> {
     }
 
     /// `‖A x - p‖²` and `‖p‖²` over the rays that count.
-    fn error(&self, x: &[R]) -> [f64; 2] {
+    pub(super) fn error(&self, x: &[R]) -> [f64; 2] {
         let seen = self.system.projector.project(&self.views, x).values;
         let counted = |values: &mut Vec<R>| {
             values.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
@@ -222,6 +221,12 @@ impl<'a, R: Real> Held<'a, R> {
         counted(&mut measured);
         [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)]
     }
+}
+
+/// The folds that are held out for a weight; none where there are too few views.
+pub(super) fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
+    let folds = folds(projector, projections, WEIGHT_FOLDS);
+    if folds.len() < FEWEST_FOLDS { Vec::new() } else { folds.into_iter().step_by(2).collect() }
 }
 
 /// For each fold the views that it leaves and those that it takes; fewer folds than k where there are fewer views.
