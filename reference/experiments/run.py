@@ -75,9 +75,12 @@ def run(program, experiment, cell, arguments, out):
     last = json.loads(log.read_text().splitlines()[-1]) if log.exists() else {}
     result = {metric: found[metric]["value"] for metric in METRICS}
     result |= {"seconds": found["seconds"], "primitives": last.get("primitives"), "spearman": last.get("spearman")}
-    before = json.loads((target / "metrics.json").read_text()).get("unfinished", {}).get("psnr_3d")
-    if before:
-        result["unfinished"] = before["value"]
+    written = json.loads((target / "metrics.json").read_text())
+    if "unfinished" in written:
+        result["unfinished"] = written["unfinished"]["psnr_3d"]["value"]
+    if "evidence" in written.get("sampled", {}):
+        evidence = written["sampled"]["evidence"]
+        result |= {"sampling": written["sampled"]["sampling"], "evidence": sum(evidence.values())}
     for path in sorted(target.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
     target.rmdir()
