@@ -4,16 +4,13 @@ use crate::program::Sandbox;
 use clap::ValueEnum;
 use ndarray::{Array2, Array3};
 use std::ops::ControlFlow;
-use trgs::classical::algebraic::{SartSettings, sart};
-use trgs::classical::{RayModel, Turn, VoxelProjector, Window, density_unit, fdk};
+use trgs::classical::density_unit;
 use trgs::config::{Auto, Config, Method, Start};
 use trgs::evaluation::{psnr_3d_range, range};
-use trgs::numeric::elementary::log10;
 use trgs::primitives::Group;
 use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, reconstruct};
-use trgs::scene::phantom::PHANTOMS;
 use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, volume_file};
+use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 
 /// Powers of two, -20, -6 and 20: nothing is rounded.
 const EXACT: [f64; 3] = [1.0 / 1_048_576.0, 1.0 / 64.0, 1_048_576.0];
@@ -203,72 +200,4 @@ fn the_program_takes_scans_in_any_unit_and_judges_them_by_the_range_of_the_truth
 
     let message = sandbox.refused(&format!("reconstruct water --out again {run} --set density_unit=1"));
     assert!(message.contains("voxels above it"), "{message}");
-}
-
-/// The value that a share of the values does not exceed.
-fn percentile(values: &Array3<f32>, share: f64) -> f64 {
-    let mut values: Vec<f32> = values.iter().copied().collect();
-    values.sort_by(f32::total_cmp);
-    f64::from(values[((values.len() as f64 * share).ceil() as usize).saturating_sub(1)])
-}
-
-/// What the unit could be, each over the 99.9th percentile of the truth.
-fn candidates(scan: &Dataset) -> Vec<(String, f64)> {
-    let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
-    let passes = |iterations| {
-        let settings = SartSettings { iterations, ..SartSettings::default() };
-        sart::<f32>(&projector, &scan.train, &settings, &mut |_| ControlFlow::Continue(())).unwrap().values
-    };
-    let filtered = fdk(&scan.scanner, &scan.train, Window::RamLak, Turn::Full).unwrap().values;
-    let truth = percentile(&scan.truth.as_ref().unwrap().values, 0.999);
-    let mut found = vec![("largest projection".to_owned(), percentile(&scan.train.images, 1.0) / truth)];
-    for (name, volume) in [("FDK", filtered), ("SART, 1 pass", passes(1)), ("SART, 2 passes", passes(2))] {
-        let shares = [0.99, 0.995, 0.999];
-        found.extend(shares.map(|share| (format!("{name}, {share}"), percentile(&volume, share) / truth)));
-    }
-    found
-}
-
-/// The table of `reference/CHOICES.md`: the spread of the candidates over 30 scans of real volumes and 60 of stand-ins.
-#[test]
-#[ignore = "a table to look at, which takes a minute"]
-fn spread_of_the_candidates_for_the_unit() {
-    let scanner = |pixels: usize, grid: Grid| {
-        let pitch = 4.0 / pixels as f64;
-        let detector =
-            Detector { rows: pixels, columns: pixels, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
-        Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid }
-    };
-    let data = std::env::var("TRGS_DATA").unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data").into());
-    let mut ratios: Vec<Vec<(String, f64)>> = Vec::new();
-    for name in ["abdomen_ts", "aorta_ts", "bonsai", "chest_fnndsc", "engine", "head_phantom", "teapot"] {
-        let values = volume_file::read(&std::path::Path::new(&data).join(format!("{name}_64.npy"))).unwrap().values;
-        let shape = <[usize; 3]>::from(values.dim());
-        let corner = glam::DVec3::from_array(shape.map(|n| n as f64));
-        let corner = corner / corner.max_element();
-        let volume = Volume::new(Grid::new(shape, -corner, corner).unwrap(), values).unwrap();
-        for (views, pixels) in [(12, 64), (18, 64), (25, 64), (12, 128), (18, 128), (25, 128)] {
-            let plan = Plan { views, test_views: 0, noise: Noise::LOW, seed: 1 };
-            let scan = simulate(name, Object::Volume(&volume), &scanner(pixels, volume.grid), &plan).unwrap();
-            ratios.push(candidates(&scan));
-        }
-    }
-    for phantom in PHANTOMS.into_iter().filter(|phantom| phantom.group.is_some()) {
-        let phantom = Phantom::by_name(phantom.name, 0).unwrap();
-        for (views, pixels) in [(12, 48), (25, 48), (12, 96), (25, 96)] {
-            let plan = Plan { views, test_views: 0, noise: Noise::LOW, seed: 1 };
-            let scanner = scanner(pixels, Grid::cube(48));
-            ratios.push(candidates(&simulate("phantom", Object::Phantom(&phantom), &scanner, &plan).unwrap()));
-        }
-    }
-    for (column, (name, _)) in ratios[0].iter().enumerate() {
-        let mut values: Vec<f64> = ratios.iter().map(|row| row[column].1).collect();
-        values.sort_by(f64::total_cmp);
-        let n = values.len() as f64;
-        let logs: Vec<f64> = values.iter().map(|&value| log10(value) * std::f64::consts::LN_10).collect();
-        let mean = logs.iter().sum::<f64>() / n;
-        let spread = (logs.iter().map(|log| (log - mean) * (log - mean)).sum::<f64>() / n).sqrt();
-        let (median, low, high) = (values[values.len() / 2], values[0], values[values.len() - 1]);
-        println!("| {name} | {median:.3} | {spread:.3} | {low:.2} to {high:.2} |");
-    }
 }

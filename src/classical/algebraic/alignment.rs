@@ -86,7 +86,10 @@ pub fn alignment<R: Real>(
         }
     }
     // An object that is fitted exactly, such as an empty one, says nothing.
-    let half_log_ratio = |[first, moved]: [f64; 2]| if first > 0.0 { 0.5 * log(moved / first) } else { 0.0 };
+    let half_log_ratio = |[first, moved]: [f64; 2]| match first > 0.0 && moved > 0.0 {
+        true => 0.5 * log(moved / first),
+        false => 0.0,
+    };
     Ok(Alignment { fitted: half_log_ratio(fitted), held_out: half_log_ratio(held_out) })
 }
 
@@ -132,6 +135,21 @@ mod tests {
             scaled.images *= 0.25;
             assert_eq!(of(&scaled), interpolated);
         }
+    }
+
+    #[test]
+    fn nothing_and_few_views_say_little_but_something_finite() {
+        let detector = Detector { rows: 12, columns: 12, pitch_v: 0.3, pitch_u: 0.3, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(8) };
+        let plan = Plan { views: 2, test_views: 0, noise: Noise::None, seed: 2 };
+        let phantom = Phantom::by_name("torso", 0).unwrap();
+        let mut scan = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap().train;
+        let mut quiet = |_: &str, _: Option<&_>| ControlFlow::Continue(());
+        let found = alignment::<f32>(&scanner, &scan, &TvSettings::default(), &mut quiet).unwrap();
+        assert!(found.fitted.is_finite() && found.fitted != 0.0 && found.held_out == 0.0, "{found:?}");
+        scan.images.fill(0.0);
+        let found = alignment::<f32>(&scanner, &scan, &TvSettings::default(), &mut quiet).unwrap();
+        assert_eq!(found, Alignment { fitted: 0.0, held_out: 0.0 });
     }
 
     #[test]
