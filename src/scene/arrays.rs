@@ -1,10 +1,10 @@
-//! What is measured and what is made of it: projections and volumes with their geometry.
+//! Projections and volumes, each with its geometry.
 
 use super::geometry::Grid;
 use crate::error::{Error, Result};
 use ndarray::{Array3, ArrayView2, Axis};
 
-/// A density per voxel, attenuation per scene unit of length.
+/// Density per voxel: attenuation per scene unit of length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
     /// Where the voxels lie.
@@ -13,7 +13,7 @@ pub struct Volume {
     pub values: Array3<f32>,
 }
 
-/// Line integrals, an image per view.
+/// Line integrals: one image per view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projections {
     /// Rotation of each view, radians.
@@ -23,7 +23,7 @@ pub struct Projections {
 }
 
 impl Volume {
-    /// A volume, checked against its grid.
+    /// Checks a volume against its grid.
     ///
     /// # Errors
     /// When the shape differs from the grid's, or a value is not finite.
@@ -42,10 +42,12 @@ impl Volume {
 }
 
 impl Projections {
-    /// Projections, checked: at least one view, an angle for each, finite values.
+    /// Checks projections: at least one view, one angle per view, finite values.
+    ///
+    /// `angles` are in radians, `images` are `[view, v, u]`.
     ///
     /// # Errors
-    /// For the first of these that fails.
+    /// For the first of these checks that fails.
     pub fn new(angles: Vec<f64>, images: Array3<f32>) -> Result<Self> {
         if angles.is_empty() || images.shape()[0] != angles.len() {
             return Err(Error::invalid(
@@ -67,7 +69,7 @@ impl Projections {
         self.angles.len()
     }
 
-    /// Never true for checked projections.
+    /// Whether there are no views; never true for checked projections.
     pub fn is_empty(&self) -> bool {
         self.angles.is_empty()
     }
@@ -77,10 +79,10 @@ impl Projections {
         self.images.index_axis(Axis(0), view)
     }
 
-    /// `n` of the views, evenly spaced, the first among them.
+    /// `n` of the views, evenly spaced, starting with the first.
     ///
     /// # Errors
-    /// When there are fewer, or `n` is 0.
+    /// When there are fewer than `n` views, or `n` is 0.
     pub fn evenly_spaced(&self, n: usize) -> Result<Self> {
         let len = self.len();
         if n == 0 || n > len {
@@ -95,12 +97,12 @@ impl Projections {
     }
 }
 
-/// The array in C order, itself if it has that already: a scan must not be in memory twice.
+/// The array in C order. An array in C order is returned as it is: a scan must not be in memory twice.
 fn in_standard_layout(array: Array3<f32>) -> Array3<f32> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
-/// An error that names the first value that is not finite.
+/// Returns an error that names the first value that is not finite.
 pub(crate) fn check_finite(what: &str, values: &Array3<f32>) -> Result<()> {
     match values.indexed_iter().find(|(_, value)| !value.is_finite()) {
         None => Ok(()),
@@ -108,7 +110,7 @@ pub(crate) fn check_finite(what: &str, values: &Array3<f32>) -> Result<()> {
             what,
             format!("{value} at {index:?}"),
             "finite numbers only",
-            "repair or leave out the damaged part: it is never guessed",
+            "remove the damaged views, or measure them again: values are never guessed",
         )),
     }
 }

@@ -1,4 +1,4 @@
-//! What a dataset is, and what is odd about it, in words.
+//! A readable summary of a dataset, with remarks on anything unusual.
 
 use super::arrays::{Projections, Volume};
 use super::dataset::Dataset;
@@ -9,19 +9,21 @@ use crate::numeric::reduce;
 use ndarray::{Array3, Axis};
 use std::f64::consts::TAU;
 
-/// Part of the largest value that the mean along a border of the detector may have before the object seems cut off.
+/// The object counts as cut off when the mean of a detector border exceeds this fraction of the maximum.
 const CUT_OFF: f64 = 0.02;
-/// Relative RMS difference between measured and computed projections that is worth a remark; coarse voxels alone make a tenth.
+/// Relative RMS difference between measured and computed projections that is remarked on.
+///
+/// Coarse voxels alone cause a tenth.
 const DISAGREEMENT: f64 = 0.25;
 
-/// A line of the description.
+/// A line of the summary.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// What is described.
+    /// Name of the property.
     pub name: String,
-    /// How it is.
+    /// Its value.
     pub value: String,
-    /// What is odd about it; mostly empty.
+    /// What is unusual about it; mostly empty.
     pub remark: String,
 }
 
@@ -31,8 +33,8 @@ fn row(name: impl Into<String>, value: impl Into<String>, remark: impl Into<Stri
 
 /// Sizes, units, views, value ranges and oddities of a dataset, in a fixed order.
 ///
-/// With a true volume, a few of its projections are computed and compared with the training views: that shows wrong
-/// units, flipped axes and a wrong sense of rotation.
+/// With a true volume, a few of its projections are computed and compared with the training views: this detects wrong
+/// units, flipped axes and a reversed rotation.
 ///
 /// # Errors
 /// None for a dataset that was read or simulated.
@@ -52,7 +54,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
     };
     rows.push(row("noise", noise, ""));
     match &dataset.truth {
-        None => rows.push(row("true volume", "none", "results can only be judged by projections")),
+        None => rows.push(row("true volume", "none", "only the projections can be evaluated")),
         Some(truth) => {
             let (low, mean, high) = range(&truth.values);
             let mut remarks = Vec::new();
@@ -136,12 +138,12 @@ fn view_rows(kind: &str, views: &Projections) -> [Row; 2] {
         }
     }
     if high <= 0.0 {
-        remarks.push("nothing was seen".into());
+        remarks.push("all pixels are zero".into());
     }
     [count, row(format!("{kind} values"), span(low, mean, high), remarks.join("; "))]
 }
 
-/// Compares training views with the projections of the true volume.
+/// Compares the training views with projections of the true volume.
 fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<Row> {
     let n = train.len();
     // Three views, not a quarter turn apart: those could hide a mirrored volume.
@@ -177,7 +179,7 @@ fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<R
     Ok(row("views against true volume", format!("{:.2} % RMS difference", 100.0 * difference), remark))
 }
 
-/// Relative RMS difference after the best scaling, and that scaling.
+/// Relative RMS difference after the best scaling, and that scaling factor.
 fn fit(measured: &Array3<f32>, computed: &Array3<f32>) -> (f64, f64) {
     let (a, b): (Vec<f32>, Vec<f32>) = (measured.iter().copied().collect(), computed.iter().copied().collect());
     let dot = |a: &[f32], b: &[f32]| reduce::sum_by(a.len(), &|i| f64::from(a[i]) * f64::from(b[i]));
@@ -200,7 +202,7 @@ fn span(low: f64, mean: f64, high: f64) -> String {
     format!("{} to {}, mean {}", short(low), short(high), short(mean))
 }
 
-/// A number with about six digits.
+/// A number with about six significant digits.
 fn short(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
         return format!("{value:.4e}");

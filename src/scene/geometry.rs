@@ -1,4 +1,4 @@
-//! **The geometry page.** Every axis, sign, unit and index order of the project is decided here.
+//! **The geometry page**: every axis, sign, unit and index order of the project is defined here.
 //!
 //! ```text
 //!                     z (rotation axis)          World: right-handed, scene units. The longest side of the
@@ -24,10 +24,10 @@
 //! `u × v = w`: the camera frame (u,v,w) is right-handed. The centre of pixel (row, column) lies at
 //! `((column+½-columns/2)·pitch_u + offset_u, (row+½-rows/2)·pitch_v + offset_v)` on the detector, which is
 //! perpendicular to `w` at distance `dsd` from the source. In a parallel beam all rays run along `w`,
-//! the detector has the size of its own shadow, and `dsd` means nothing.
+//! the detector has the size of the region that it sees, and `dsd` has no meaning.
 //!
-//! Files of R²-Gaussian and NAF count the offset of the detector along v upwards, towards +z, as TIGRE does: it changes
-//! its sign on reading and writing.
+//! Files of R²-Gaussian and NAF count the detector offset along v upwards, towards +z, as TIGRE does. Its sign is
+//! changed on reading and writing.
 //!
 //! A projection value is the integral of the density along the whole ray, in scene units of true length.
 
@@ -35,19 +35,21 @@ use crate::error::{Error, Result};
 use crate::numeric::elementary::{cos, sin};
 use glam::DVec3;
 
-/// How the rays run.
+/// Direction of the rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Beam {
-    /// From a point source at distance `dso` from the rotation axis to a flat detector at distance `dsd` from the source.
+    /// Point source and flat detector.
+    ///
+    /// The source is at distance `dso` from the rotation axis and at distance `dsd` from the detector.
     Cone {
-        /// Source to origin, scene units.
+        /// Source to rotation axis, scene units.
         dso: f64,
         /// Source to detector, scene units.
         dsd: f64,
     },
     /// Along `w`, perpendicular to the detector.
     Parallel {
-        /// Where views are said to be taken from, scene units. No value depends on it.
+        /// Nominal distance of the source plane from the axis, scene units. No value depends on it.
         dso: f64,
     },
 }
@@ -59,9 +61,9 @@ pub struct Detector {
     pub rows: usize,
     /// Pixels along u.
     pub columns: usize,
-    /// Distance of rows, scene units.
+    /// Distance between rows, scene units.
     pub pitch_v: f64,
-    /// Distance of columns, scene units.
+    /// Distance between columns, scene units.
     pub pitch_u: f64,
     /// Shift of the detector along u, scene units.
     pub offset_u: f64,
@@ -80,7 +82,7 @@ pub struct Grid {
     pub spacing: DVec3,
 }
 
-/// The fixed part of a scan: beam, detector and the grid to reconstruct on.
+/// The fixed part of a scan: beam, detector and reconstruction grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scanner {
     /// Cone or parallel.
@@ -91,7 +93,7 @@ pub struct Scanner {
     pub grid: Grid,
 }
 
-/// The moving part of a scan at one angle: where the source is and where the detector's axes point.
+/// The moving part of a scan at one angle: source position and detector axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Rotation, radians.
@@ -109,14 +111,14 @@ pub struct View {
 /// A ray with unit direction: `origin + t·direction`, t in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// A point on the ray: the source, or for a parallel beam the foot of the ray in the source's plane.
+    /// A point on the ray: the source, or in a parallel beam the ray's point in the source plane.
     pub origin: DVec3,
     /// Unit vector.
     pub direction: DVec3,
 }
 
 impl Beam {
-    /// Source to origin, scene units.
+    /// Source to rotation axis, scene units.
     pub fn dso(&self) -> f64 {
         match *self {
             Self::Cone { dso, .. } | Self::Parallel { dso } => dso,
@@ -125,7 +127,7 @@ impl Beam {
 }
 
 impl Detector {
-    /// Position of the centre of a pixel on the detector, (u, v) in scene units. Fractions are allowed.
+    /// Detector position (u, v) of a pixel centre, scene units. Fractional indices are allowed.
     pub fn position(&self, row: f64, column: f64) -> (f64, f64) {
         (
             (column + 0.5 - self.columns as f64 / 2.0) * self.pitch_u + self.offset_u,
@@ -133,7 +135,7 @@ impl Detector {
         )
     }
 
-    /// Row and column (with fractions) of a position on the detector; inverse of [`Self::position`].
+    /// Row and column (fractional) of a detector position; inverse of [`Self::position`].
     pub fn pixel(&self, u: f64, v: f64) -> (f64, f64) {
         (
             (v - self.offset_v) / self.pitch_v + self.rows as f64 / 2.0 - 0.5,
@@ -151,14 +153,14 @@ impl Grid {
     /// A grid of `shape` voxels over the box from `min` to `max`.
     ///
     /// # Errors
-    /// On an empty shape or a box without volume.
+    /// For an axis without voxels, or corners that are not finite or not in increasing order.
     pub fn new(shape: [usize; 3], min: DVec3, max: DVec3) -> Result<Self> {
         if shape.contains(&0) {
             return Err(Error::invalid(
                 "grid shape",
                 format!("{shape:?}"),
                 "at least one voxel on each axis",
-                "enlarge it",
+                "give at least one voxel on each axis",
             ));
         }
         let size = max - min;
@@ -167,7 +169,7 @@ impl Grid {
                 "box of the grid",
                 format!("{min} to {max}"),
                 "finite corners, the first below the second",
-                "swap or enlarge them",
+                "exchange the corners, or give a larger box",
             ));
         }
         Ok(Self { shape, min, spacing: size / DVec3::new(shape[0] as f64, shape[1] as f64, shape[2] as f64) })
@@ -226,7 +228,7 @@ impl View {
 }
 
 impl Scanner {
-    /// `n` angles from `start`, evenly over `span` (radians), the last point excluded.
+    /// `n` angles from `start`, evenly spaced over `span` (radians), end excluded.
     pub fn uniform_angles(n: usize, start: f64, span: f64) -> Vec<f64> {
         (0..n).map(|i| start + span * i as f64 / n as f64).collect()
     }
@@ -247,7 +249,9 @@ impl Scanner {
         }
     }
 
-    /// Detector position (u, v) of the shadow of a point in camera coordinates, or `None` at or behind the source of a cone beam.
+    /// Detector position (u, v) of the projection of a point given in camera coordinates, scene units.
+    ///
+    /// `None` for a point at or behind the source of a cone beam.
     pub fn project(&self, camera: DVec3) -> Option<(f64, f64)> {
         match self.beam {
             Beam::Cone { dsd, .. } => (camera.z > 0.0).then(|| (dsd * camera.x / camera.z, dsd * camera.y / camera.z)),
@@ -255,10 +259,10 @@ impl Scanner {
         }
     }
 
-    /// Checks sizes, distances and that the detector sees the volume.
+    /// Checks sizes and distances, and that the projection of the volume reaches the detector.
     ///
     /// # Errors
-    /// One clear error for the first thing that cannot work.
+    /// An error for the first check that fails.
     pub fn validate(&self) -> Result<()> {
         let d = &self.detector;
         if d.rows == 0 || d.columns == 0 {
@@ -331,7 +335,7 @@ impl Scanner {
         (0..8).map(move |k| min + size * DVec3::new((k & 1) as f64, (k >> 1 & 1) as f64, (k >> 2) as f64))
     }
 
-    /// An error when the shadow of the volume misses the detector in every view of a full turn.
+    /// An error when the projection of the volume misses the detector in every view of a full turn.
     fn sees_volume(&self) -> Result<()> {
         let d = &self.detector;
         let (half_u, half_v) = (d.columns as f64 * d.pitch_u / 2.0, d.rows as f64 * d.pitch_v / 2.0);

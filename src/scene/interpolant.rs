@@ -1,9 +1,9 @@
-//! From point samples of a density to the volume that stands for it between the voxel centres, too.
+//! From point samples of a density to the volume whose trilinear interpolation represents the density.
 //!
-//! A volume is read as a continuous function by trilinear interpolation ([`super::trilinear`]). That of point samples is
-//! blurrier than the function which was sampled: along each axis it multiplies the spectrum by
-//! `sinc²(k) = 1 - w²/12 + O(w⁴)`, `w = 2πk`, k in cycles per voxel. So where the interpolation has to project as the
-//! function does, the values c of the volume follow from the samples f by the compact scheme of fourth order
+//! A volume is interpreted as a continuous function by trilinear interpolation ([`super::trilinear`]). Interpolated
+//! point samples are blurrier than the sampled function: along each axis the spectrum is multiplied by `sinc²(k) = 1 -
+//! w²/12 + O(w⁴)`, `w = 2πk`, k in cycles per voxel. So that projections of the interpolation match those of the
+//! function, the values c of the volume follow from the samples f by the compact scheme of fourth order
 //!
 //! ```text
 //! (c_{j-1} + 10 c_j + c_{j+1})/12 = f_j     along each axis; at both ends (11 c_0 + c_1)/12 = f_0
@@ -15,12 +15,13 @@ use super::Volume;
 use crate::numeric::threads;
 use ndarray::Array3;
 
-/// Weight of a neighbour.
+/// Weight of each neighbour in the scheme.
 const SIDE: f64 = 1.0 / 12.0;
 
-/// The volume whose trilinear interpolation is, to fourth order in the spacing, the function of which `samples` holds the
-/// values at the voxel centres, attenuation per scene unit. Negative values, which the scheme can make beside sharp edges,
-/// become 0 if no sample is negative.
+/// The volume whose trilinear interpolation represents the function that was sampled.
+///
+/// `samples` holds the function at the voxel centres, attenuation per scene unit; the result is correct to fourth order
+/// in the spacing. The scheme can produce negative values beside sharp edges; they become 0 if no sample is negative.
 ///
 /// Not in the paper. Tests: `the_scheme_is_undone_by_its_stencil`, `projections_of_the_interpolant_are_those_of_the_function`,
 /// `a_constant_and_a_single_voxel_stay`.
@@ -39,8 +40,9 @@ pub fn interpolant(samples: &Volume) -> Volume {
     Volume { grid: samples.grid, values }
 }
 
-/// Solves the scheme along the first axis of `values`, whose rows have `width` elements: elimination, which needs no
-/// pivots since the middle outweighs both sides.
+/// Solves the scheme along the first axis of `values`, whose rows have `width` elements.
+///
+/// Elimination needs no pivots, since the matrix is diagonally dominant.
 fn solve(values: &mut [f64], width: usize) {
     let n = values.len() / width;
     if n < 2 {
@@ -89,7 +91,7 @@ mod tests {
             for dx in -1..=1_isize {
                 for dy in -1..=1_isize {
                     for dz in -1..=1_isize {
-                        // Beyond an end its own value stands.
+                        // Beyond an end, the value at the end is repeated.
                         let moved = |i: usize, d: isize, n: usize| i.saturating_add_signed(d).min(n - 1);
                         let weight = |d: isize| if d == 0 { 10.0 / 12.0 } else { 1.0 / 12.0 };
                         let index = [moved(x, dx, 5), moved(y, dy, 4), moved(z, dz, 7)];
@@ -101,8 +103,9 @@ mod tests {
         }
     }
 
-    /// A Gaussian ball hardly wider than a voxel, off the centres: its projection along a ray is known. What is left is the
-    /// interpolation's structure beyond the grid's highest frequency.
+    /// A Gaussian ball slightly wider than a voxel, off the voxel centres, has known projections.
+    ///
+    /// The remaining error is the interpolation's content above the grid's highest frequency.
     #[test]
     fn projections_of_the_interpolant_are_those_of_the_function() {
         let grid = Grid::cube(32);

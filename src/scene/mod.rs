@@ -1,4 +1,4 @@
-//! What is measured: geometry, volumes, projections, phantoms, noise and file formats.
+//! Scan data: geometry, volumes, projections, phantoms, noise and file formats.
 
 pub mod arrays;
 pub mod dataset;

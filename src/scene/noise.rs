@@ -1,14 +1,13 @@
 //! Photon and electronic noise of a detector.
 //!
-//! Not in the paper: it gives the levels and says that projections were made with TIGRE, whose model (`CTnoise`) this
-//! is. With p_max the largest line
-//! integral of the whole stack, a pixel's expected count is `I = I0·exp(-p/p_max)`, the reading
-//! `Ĩ = Poisson(I) + N(0, σ²)` and the noisy line integral `p̃ = -ln(Ĩ/I0)·p_max`. Because p is divided by p_max, the
-//! darkest pixel always expects I0/e photons, whatever the object's real attenuation. The other choice is the law of
-//! Beer and Lambert, which is this with p_max = 1: then `I = I0·exp(-p)`.
+//! Not in the paper: it gives the levels and says that projections were made with TIGRE. This is TIGRE's model
+//! (`CTnoise`). With p_max the largest line integral of the whole stack, a pixel's expected count is `I =
+//! I0·exp(-p/p_max)`, its reading `Ĩ = Poisson(I) + N(0, σ²)` and the noisy line integral `p̃ = -ln(Ĩ/I0)·p_max`.
+//! Because p is divided by p_max, the darkest pixel always expects I0/e photons, whatever the object's real
+//! attenuation. The Beer-Lambert law is the same model with p_max = 1: then `I = I0·exp(-p)`.
 //!
-//! Two rules of our own, where TIGRE yields NaN or is silent: a reading below [`FLOOR`] counts is taken as that many,
-//! and negative line integrals become 0, as in R²-Gaussian's data.
+//! Two rules of this project, where TIGRE yields NaN or is silent: a reading below [`FLOOR`] counts is set to
+//! [`FLOOR`], and negative line integrals become 0, as in R²-Gaussian's data.
 
 use super::arrays::Projections;
 use crate::error::{Error, Result};
@@ -19,13 +18,13 @@ use rand_distr::{Distribution, Poisson, StandardNormal};
 use std::fmt;
 use std::str::FromStr;
 
-/// Smallest reading, in counts, that a logarithm is taken of.
+/// Smallest reading before the logarithm, in counts.
 pub const FLOOR: f64 = 0.5;
 
-/// How noisy a scan is.
+/// Noise of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Noise {
-    /// Line integrals as they are.
+    /// No noise: line integrals are unchanged.
     None,
     /// Poisson counts and electronic noise.
     Counts {
@@ -33,17 +32,17 @@ pub enum Noise {
         photons: f64,
         /// Standard deviation of the electronic noise, counts.
         sigma: f64,
-        /// What attenuates the photons.
+        /// How the object attenuates photons.
         attenuation: Attenuation,
     },
 }
 
-/// Which multiple of a line integral attenuates photons.
+/// The multiple of a line integral that attenuates photons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Attenuation {
-    /// Its fraction of the largest one of the stack: TIGRE's.
+    /// The line integral divided by the largest one of the stack, as in TIGRE.
     Relative,
-    /// The line integral itself: Beer and Lambert's law.
+    /// The line integral itself: the Beer-Lambert law.
     Physical,
 }
 
@@ -54,16 +53,16 @@ impl Noise {
     pub const MEDIUM: Self = Self::relative(5e4, 20.0);
     /// 10⁴ photons, σ = 40 counts.
     pub const HIGH: Self = Self::relative(1e4, 40.0);
-    /// The levels that have a name.
+    /// The named levels.
     pub const NAMED: [(&str, Self); 4] =
         [("none", Self::None), ("low", Self::LOW), ("medium", Self::MEDIUM), ("high", Self::HIGH)];
 
-    /// TIGRE's noise.
+    /// TIGRE's noise with `photons` per pixel and electronic noise `sigma` in counts.
     pub const fn relative(photons: f64, sigma: f64) -> Self {
         Self::Counts { photons, sigma, attenuation: Attenuation::Relative }
     }
 
-    /// The same level with photons attenuated by the law of Beer and Lambert.
+    /// The same level with photons attenuated by the Beer-Lambert law.
     #[must_use]
     pub fn physical(self) -> Self {
         match self {
@@ -72,7 +71,7 @@ impl Noise {
         }
     }
 
-    /// Adds noise. A pixel's draws depend on `seed`, its view and its place alone.
+    /// Adds noise. A pixel's random numbers depend only on `seed`, its view and its position.
     ///
     /// # Errors
     /// When the expected count of a pixel is not in (0, 10¹⁸], as for very negative line integrals.
@@ -98,7 +97,7 @@ impl Noise {
                 "noise",
                 format!("{photons} photons, σ = {sigma}, up to {brightest} expected in a pixel"),
                 "between 0 and 1e18 photons in every pixel, σ not negative",
-                "change the level, or check the projections for strongly negative values",
+                "lower the number of photons, give σ ≥ 0, or check the projections for strongly negative values",
             ));
         }
         let images = noisy.images.as_slice_mut().expect("projections are stored in C order");
@@ -115,14 +114,14 @@ impl Noise {
     }
 }
 
-/// The noisy line integral of a pixel, given its draws.
+/// The noisy line integral of a pixel, given its random numbers.
 ///
 /// ```text
 /// p̃ = max(0, -ln(max(counts + sigma·normal, FLOOR)/photons)·peak)
 /// ```
 ///
-/// `photons` I0 > 0 and `sigma` ≥ 0 in counts, `peak` the largest line integral of the stack or 1, `counts` the Poisson
-/// draw, `normal` a standard normal one. The result has the unit of `peak`: attenuation times scene units.
+/// `photons` I0 > 0 and `sigma` ≥ 0 in counts; `peak` is the largest line integral of the stack or 1; `counts` is the
+/// Poisson draw and `normal` a standard normal draw. The result has the unit of `peak`: attenuation times scene units.
 ///
 /// Not in the paper: see the head of this page. Tests: `a_reading_is_turned_back_into_a_line_integral`.
 pub fn noisy_line_integral(photons: f64, sigma: f64, peak: f64, counts: f64, normal: f64) -> f64 {
@@ -147,7 +146,7 @@ impl fmt::Display for Noise {
 impl FromStr for Noise {
     type Err = Error;
 
-    /// A name, or the two numbers `I0,SIGMA`; with `,physical` behind them Beer and Lambert's law.
+    /// Parses a name or the two numbers `I0,SIGMA`; `,physical` after them selects the Beer-Lambert law.
     fn from_str(text: &str) -> Result<Self> {
         if let Some(level) = text.strip_suffix(",physical") {
             return level.parse().map(Self::physical);
@@ -188,14 +187,15 @@ mod tests {
         let near = |got: f64, expected: f64| approx::assert_relative_eq!(got, expected, max_relative = 1e-15);
         // 960 counts and two σ of 20 make 1000 of 8000: -ln(1/8).
         near(noisy_line_integral(8000.0, 20.0, 0.5, 960.0, 2.0), 1.5 * std::f64::consts::LN_2);
-        // The floor; and brighter than without an object.
+        // The floor, and a reading brighter than without an object.
         near(noisy_line_integral(8000.0, 20.0, 2.0, 3.0, -1.0), 2.0 * log(16_000.0));
         assert_eq!(noisy_line_integral(8000.0, 20.0, 2.0, 8100.0, -1.0), 0.0);
     }
 
     #[test]
     fn mean_and_variance_are_those_of_the_model() {
-        // First order: the count's variance I + σ² becomes (I + σ²)/I²·p_max², the mean moves by half of that over p_max.
+        // First order: the variance of the count, I + σ², becomes (I + σ²)/I²·p_max²; the mean moves by half of that
+        // over p_max.
         let values = [0.4_f32, 1.3, 2.6];
         for noise in [Noise::HIGH, Noise::relative(2e3, 15.0), Noise::relative(2e4, 15.0).physical()] {
             let Noise::Counts { photons, sigma, attenuation } = noise else { unreachable!() };
@@ -219,13 +219,14 @@ mod tests {
     #[test]
     fn photons_are_poisson_distributed() {
         use statrs::distribution::{ChiSquared, ContinuousCDF, Discrete, Poisson};
-        // Without electronic noise the count can be read off the line integral; 0 counts are half a count by the floor.
+        // Without electronic noise the count follows from the line integral; the floor turns 0 counts into half a
+        // count.
         let (photons, values) = (20.0, [0.4_f32, 1.3, 2.6]);
         let noisy = Noise::relative(photons, 0.0).physical().apply(&flat(values), 11).unwrap();
         for (view, value) in values.into_iter().enumerate() {
             let expected = photons * exp(-f64::from(value));
             let model = Poisson::new(expected).unwrap();
-            // Counts of 20 and more cannot be told apart, as line integrals are not negative.
+            // Counts of 20 and more give the same value, as line integrals are not negative.
             let mut found = [0.0; 20];
             let mut total = 0.0;
             for &p in noisy.image(view) {

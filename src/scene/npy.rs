@@ -1,8 +1,8 @@
 //! NumPy's `.npy` files: one array of numbers, header and values.
 //!
-//! The format itself is left to npyz; here its numbers become arrays. Only arrays that occur here are understood: little-
-//! or big-endian floats, integers and booleans, in C or Fortran order. Sizes are checked against the length of the file
-//! before memory is asked for, so a damaged header cannot ask for more than the file holds.
+//! The crate npyz parses the format; here its numbers become arrays. Supported are little- or big-endian floats,
+//! integers and booleans, in C or Fortran order. Sizes are checked against the length of the file before memory is
+//! allocated, so a damaged header cannot request more than the file holds.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -12,12 +12,12 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
-/// What every file begins with.
+/// First bytes of every file.
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Headers of plain arrays have about 100 bytes; NumPy itself refuses more than this.
+/// Longest header accepted: headers of plain arrays have about 100 bytes, and NumPy rejects longer ones.
 const LONGEST_HEADER: usize = 10_000;
 
-/// An array as it was stored: integers of up to 16 bits become single precision, longer ones double (exact up to 2⁵³).
+/// The values of an array. Integers of up to 16 bits are read as f32, longer ones as f64 (exact up to 2⁵³).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Numbers {
     /// Single precision.
@@ -31,7 +31,7 @@ pub enum Numbers {
 pub struct Npy {
     /// The values, in C order.
     pub numbers: Numbers,
-    /// The largest value of the stored type, if that is an integer type: 255 for bytes.
+    /// The largest value of the stored type if that is an integer type: 255 for bytes.
     pub full_scale: Option<f64>,
 }
 
@@ -49,7 +49,7 @@ impl Numbers {
         matches!(self, Self::F64(_))
     }
 
-    /// In single precision, rounded to nearest.
+    /// The values in single precision, rounded to nearest.
     pub fn into_f32(self) -> ArrayD<f32> {
         match self {
             Self::F32(values) => values,
@@ -57,7 +57,7 @@ impl Numbers {
         }
     }
 
-    /// In double precision, exactly.
+    /// The values in double precision, exact.
     pub fn into_f64(self) -> ArrayD<f64> {
         match self {
             Self::F32(values) => values.mapv(f64::from),
@@ -69,7 +69,7 @@ impl Numbers {
 /// Reads a file.
 ///
 /// # Errors
-/// [`Error::Read`] or, for anything but a complete array of numbers, [`Error::Format`].
+/// [`Error::Read`], or [`Error::Format`] for anything but a complete array of numbers.
 pub fn read(path: &Path) -> Result<Npy> {
     let file = File::open(path).map_err(|source| Error::read(path, source))?;
     let length = file.metadata().map_err(|source| Error::read(path, source))?.len();
@@ -84,7 +84,7 @@ pub fn parse(content: &[u8], path: &Path) -> Result<Npy> {
     decode(content, content.len() as u64, path, "file")
 }
 
-/// Reads an array with as many axes as `D` has, in single precision; `axes` names them in the error, as in `[x, y, z]`.
+/// Reads a single-precision array with as many axes as `D`; `axes` names them in errors: `[x, y, z]`.
 ///
 /// # Errors
 /// Those of [`read`], and [`Error::Format`] for another number of axes.
@@ -92,7 +92,7 @@ pub fn read_f32<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f32, D>> 
     with_axes(read(path)?.numbers.into_f32(), path, "array", axes)
 }
 
-/// Reads an array with as many axes as `D` has, in double precision; `axes` names them in the error.
+/// Reads a double-precision array with as many axes as `D`; `axes` names them in errors.
 ///
 /// # Errors
 /// Those of [`read`], and [`Error::Format`] for another number of axes.
@@ -103,12 +103,12 @@ pub fn read_f64<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f64, D>> 
 /// Writes an array in C order, atomically.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] with the error of the operating system.
 pub fn write<T: Element, D: Dimension>(path: &Path, array: ArrayView<'_, T, D>) -> Result<()> {
     write_atomically(path, |file| encode(file, array))
 }
 
-/// A number that can be written: f32 or f64.
+/// A number type that can be written: f32 or f64.
 pub trait Element: npyz::Serialize + Copy {
     /// NumPy's name of the type, little-endian on every machine.
     const DESCRIPTION: &'static str;
@@ -139,14 +139,14 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
     let text = text.trim_matches(['\0', ' ', '\n']);
     let wrong = |reason: &str| {
         let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
-        let remedy = "check that this is the file you meant, or convert it with numpy's astype";
+        let remedy = "give a file of this kind, or convert the array with numpy's astype";
         Error::format(path, what, format!("the header {text:?} ({reason})"), expected, remedy)
     };
     let incomplete = |expected: String| {
-        let remedy = "it is truncated or damaged: copy or make it again";
+        let remedy = "the file is truncated or damaged: copy or write it again";
         Error::format(path, what, format!("{length} bytes"), expected, remedy)
     };
-    // npyz nests calls as deeply as the header nests brackets, adds up sums and multiplies the shape unchecked.
+    // npyz recurses as deeply as the header nests brackets, evaluates sums, and multiplies the shape unchecked.
     if text.matches(['(', '[', '{']).count() > 2 || text.contains(['+', '-']) {
         return Err(wrong("not that of a plain array"));
     }
@@ -186,14 +186,14 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
     Ok(Npy { numbers: numbers.map_err(|source| unreadable(source, path, what))?, full_scale })
 }
 
-/// Magic, version, length and text, as they stand in the file.
+/// Magic, version, length and text, as stored in the file.
 fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
     let mut header = vec![0; 10];
     source.read_exact(&mut header)?;
     if !header.starts_with(MAGIC) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "a file that does not begin like a NumPy array (.npy)"));
     }
-    // From version 2 on the length has 4 bytes.
+    // From version 2 on, the length has 4 bytes.
     let start = if header[6] > 1 { 12 } else { 10 };
     header.resize(start, 0);
     source.read_exact(&mut header[10..])?;
@@ -221,20 +221,30 @@ fn values<S: Deserialize, T: Clone>(npy: NpyFile<impl Read>, number: impl Fn(S) 
     Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
 }
 
-/// Converts to a fixed number of axes, or says which were expected.
+/// Converts to a fixed number of axes, or returns an error that names the expected axes.
 pub(crate) fn with_axes<T, D: Dimension>(array: ArrayD<T>, path: &Path, what: &str, axes: &str) -> Result<Array<T, D>> {
     let shape = array.shape().to_vec();
     array.into_dimensionality().map_err(|_| {
-        Error::format(path, what, format!("shape {shape:?}"), format!("axes {axes}"), "reshape it or give another file")
+        Error::format(
+            path,
+            what,
+            format!("shape {shape:?}"),
+            format!("axes {axes}"),
+            "reshape the array, or give a file with these axes",
+        )
     })
 }
 
-/// Tells damaged content from trouble of the system.
+/// Distinguishes damaged content from an error of the operating system.
 pub(crate) fn unreadable(source: io::Error, path: &Path, what: &str) -> Error {
     match source.kind() {
-        io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData | io::ErrorKind::InvalidInput => {
-            Error::format(path, what, source, "a complete NumPy array", "it is truncated, damaged or something else")
-        }
+        io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData | io::ErrorKind::InvalidInput => Error::format(
+            path,
+            what,
+            source,
+            "a complete NumPy array",
+            "the file is truncated, damaged or of another kind: copy or write it again",
+        ),
         _ => Error::read(path, source),
     }
 }

@@ -14,7 +14,7 @@ use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 
-/// No deflated entry grows more than this when it is unpacked; one that claims to is not believed.
+/// Largest expansion of a deflated entry; an entry that claims more is rejected.
 const LARGEST_EXPANSION: u64 = 1032;
 
 /// The arrays of an archive.
@@ -28,13 +28,13 @@ impl Npz {
     /// Reads all arrays of an archive.
     ///
     /// # Errors
-    /// [`Error::Read`] or, for anything but a complete archive of arrays of numbers, [`Error::Format`].
+    /// [`Error::Read`], or [`Error::Format`] for anything but a complete archive of arrays of numbers.
     pub fn read(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|source| Error::read(path, source))?;
         Self::decode(BufReader::new(file), path)
     }
 
-    /// Reads the content of an archive; `path` names it in errors.
+    /// Parses the content of an archive; `path` names it in errors.
     ///
     /// # Errors
     /// [`Error::Format`] for anything but a complete archive of arrays of numbers.
@@ -42,7 +42,7 @@ impl Npz {
         Self::decode(Cursor::new(content), path)
     }
 
-    /// [`Self::read`] from memory or an open file; `path` names it in errors.
+    /// [`Self::read`] from memory or an open file; `path` names the source in errors.
     ///
     /// # Errors
     /// Those of [`Self::read`].
@@ -54,7 +54,7 @@ impl Npz {
                 "archive",
                 error,
                 "a NumPy archive (.npz)",
-                "it is truncated, damaged or something else",
+                "the file is truncated, damaged or of another kind: copy or write it again",
             ),
         };
         let mut archive = ZipArchive::new(source).map_err(damaged)?;
@@ -70,11 +70,11 @@ impl Npz {
                     name,
                     format!("{size} bytes packed into {packed}"),
                     "a possible size",
-                    "the archive is damaged",
+                    "the archive is damaged: copy or write it again",
                 ));
             }
             let array = npy::decode(&mut entry, size, path, &name)?;
-            // Reading on to the end makes the archive compare its checksum.
+            // The archive compares its checksum only once the entry is read to the end.
             io::copy(&mut entry, &mut io::sink()).map_err(|source| npy::unreadable(source, path, &name))?;
             arrays.insert(key.to_owned(), array);
         }
@@ -86,15 +86,15 @@ impl Npz {
         self.arrays.keys().map(String::as_str)
     }
 
-    /// The array called `key` as it was stored, if there is one.
+    /// The array named `key` as stored, if there is one.
     pub fn entry(&self, key: &str) -> Option<&Npy> {
         self.arrays.get(key)
     }
 
-    /// The array called `key` in double precision; `axes` names its axes in the error, as in `[M, 3]`.
+    /// The array named `key` in double precision; `axes` names its axes in errors, as in `[M, 3]`.
     ///
     /// # Errors
-    /// [`Error::Format`] when it is missing (the message lists those that are there) or has another number of axes.
+    /// [`Error::Format`] when it is missing (the message lists those present) or has another number of axes.
     pub fn get<D: Dimension>(&self, key: &str, axes: &str) -> Result<Array<f64, D>> {
         let array = self.entry(key).ok_or_else(|| {
             let keys = self.keys().collect::<Vec<_>>().join(", ");
@@ -103,14 +103,14 @@ impl Npz {
                 "archive",
                 format!("arrays [{keys}]"),
                 format!("one called {key}"),
-                "check what the archive is for",
+                "give an archive that holds this array",
             )
         })?;
         npy::with_axes(array.numbers.clone().into_f64(), &self.path, key, axes)
     }
 }
 
-/// An array to be written in the precision it has.
+/// An array to be written in its own precision.
 #[derive(Clone, Debug)]
 pub enum Entry<'a> {
     /// Single precision.
@@ -122,7 +122,7 @@ pub enum Entry<'a> {
 /// Writes named arrays, in the given order, atomically.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] with the error of the operating system.
 pub fn write(path: &Path, arrays: &[(&str, Entry<'_>)]) -> Result<()> {
     write_atomically(path, |file| {
         let mut archive = ZipWriter::new(file);
@@ -135,7 +135,7 @@ pub fn write(path: &Path, arrays: &[(&str, Entry<'_>)]) -> Result<()> {
                 .compression_method(CompressionMethod::Stored)
                 .last_modified_time(DateTime::default())
                 .unix_permissions(0o644)
-                // Sizes from 4 GiB on need the longer records of zip64; stay clear of the limit.
+                // Sizes from 4 GiB need the longer records of zip64; the threshold leaves a margin.
                 .large_file(values >= 500_000_000);
             archive.start_file(format!("{key}.npy"), options)?;
             match array {

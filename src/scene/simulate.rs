@@ -11,39 +11,39 @@ use crate::numeric::rng::{Purpose, stream};
 use rand::RngExt;
 use std::f64::consts::TAU;
 
-/// Points along each axis of a voxel whose mean is the truth of a phantom.
+/// Points along each axis of a voxel, for the mean density of a phantom.
 const SAMPLES: usize = 4;
 
-/// What is scanned.
+/// The object to scan.
 #[derive(Clone, Copy, Debug)]
 pub enum Object<'a> {
-    /// Its true volume is sampled on the scanner's grid, its projections are exact.
+    /// Projections are exact; the true volume is sampled on the scanner's grid.
     Phantom(&'a Phantom),
     /// Must lie on the scanner's grid; projections are those of the trilinear function.
     Volume(&'a Volume),
 }
 
-/// How it is scanned.
+/// Parameters of a simulated scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
-    /// Training views, evenly over a full turn from angle 0.
+    /// Number of training views, evenly spaced over a full turn from angle 0.
     pub views: usize,
-    /// Test views at random angles of the full turn, in increasing order, free of noise.
+    /// Number of noise-free test views, at random angles of the full turn in increasing order.
     pub test_views: usize,
     /// Noise of the training views.
     pub noise: Noise,
-    /// Of noise and test angles.
+    /// Seed of noise and test angles.
     pub seed: u64,
 }
 
-/// Scans an object. The result depends on the arguments alone.
+/// Simulates a scan. The result depends only on the arguments.
 ///
 /// # Errors
-/// When the scanner cannot work, there is no view, or a volume lies on another grid than the scanner's.
+/// For an invalid scanner, zero training views, or a volume on a grid other than the scanner's.
 pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) -> Result<Dataset> {
     scanner.validate()?;
     if plan.views == 0 {
-        return Err(Error::invalid("training views", 0, "at least one", "ask for more"));
+        return Err(Error::invalid("training views", 0, "at least one", "ask for at least one"));
     }
     let truth = match object {
         Object::Phantom(phantom) => phantom.voxelize(&scanner.grid, SAMPLES),
@@ -54,7 +54,7 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
                 "grid of the volume",
                 got,
                 expected,
-                "resample the volume or change the scanner",
+                "resample the volume to this grid, or give the scanner the volume's grid",
             ));
         }
     };
@@ -87,7 +87,7 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
     })
 }
 
-/// `n` angles of a full turn, evenly distributed by chance, in increasing order.
+/// `n` uniformly random angles of a full turn (radians), in increasing order.
 fn random_angles(n: usize, seed: u64) -> Vec<f64> {
     let mut draws = stream(seed, Purpose::TestAngles, 0, 0);
     let mut angles: Vec<f64> = (0..n).map(|_| draws.random::<f64>() * TAU).collect();

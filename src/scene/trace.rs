@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::numeric::threads;
 use ndarray::Array3;
 
-/// Projections at `angles` (radians) whose pixels are the `integral` along their rays.
+/// Projections at `angles` (radians); each pixel is the `integral` along its ray.
 ///
 /// # Errors
 /// When there is no angle, or an angle or an integral is not finite.

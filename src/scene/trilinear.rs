@@ -1,8 +1,8 @@
 //! A volume as a continuous function, and its exact projections.
 //!
-//! Between voxel centres the density is trilinear, and the volume is surrounded by zeros: in the last half voxel
-//! inside the box and the first half outside it falls to 0. So a line along an axis through voxel centres integrates
-//! to the sum of their values times the spacing, and the function has no jump. Not in the paper.
+//! Between voxel centres the density is trilinear, and the volume is surrounded by zeros: across half a voxel on both
+//! sides of the box's border it falls to 0. A line along an axis through voxel centres therefore integrates to the sum
+//! of their values times the spacing, and the function has no jump. Not in the paper.
 
 use super::arrays::{Projections, Volume};
 use super::geometry::{Ray, Scanner};
@@ -20,27 +20,27 @@ pub fn project(volume: &Volume, scanner: &Scanner, angles: &[f64]) -> Result<Pro
     trace(scanner, angles, |ray| density.line_integral(ray))
 }
 
-/// A volume read as a continuous function.
+/// A volume interpreted as a continuous function.
 #[derive(Clone, Debug)]
 pub struct Trilinear {
-    /// The values `[x, y, z]` with a layer of zeros around them.
+    /// The values `[x, y, z]`, surrounded by a layer of zeros.
     values: Vec<f32>,
     shape: [usize; 3],
-    /// Index of the last centre, a zero, along each axis.
+    /// Index of the last centre (a zero) along each axis.
     last: DVec3,
-    /// World → fractional index: `point·per_voxel + shift` is whole at voxel centres.
+    /// World → fractional index: `point·per_voxel + shift` is an integer at voxel centres.
     per_voxel: DVec3,
     shift: DVec3,
 }
 
-/// The way of a ray through the cells between voxel centres, along one axis.
+/// The traversal of cells between voxel centres by a ray, along one axis.
 #[derive(Clone, Copy)]
 struct Axis {
-    /// Where the ray enters the next cell; infinite in the last one.
+    /// Ray parameter at which the ray enters the next cell; infinite in the last one.
     crossing: f64,
-    /// Index of the plane it crosses there.
+    /// Index of the plane crossed there.
     plane: f64,
-    /// The cell is between the planes `low` and `low + 1`.
+    /// The cell lies between the planes `low` and `low + 1`.
     low: f64,
     /// +1 or -1.
     step: f64,
@@ -50,7 +50,7 @@ struct Axis {
 }
 
 impl Trilinear {
-    /// The function of a volume.
+    /// The continuous function of a volume.
     pub fn new(volume: &Volume) -> Self {
         let shape = volume.grid.shape.map(|n| n + 2);
         let mut values = Array3::zeros(shape);
@@ -69,15 +69,15 @@ impl Trilinear {
     pub fn at(&self, point: DVec3) -> f64 {
         let index = point * self.per_voxel + self.shift;
         let inside = index.cmpge(DVec3::ZERO).all() && index.cmple(self.last).all();
-        // The last cell also holds its upper border.
+        // The last cell includes its upper border.
         let low = index.floor().min(self.last - 1.0);
         if inside { interpolate(&self.cell(low), index - low) } else { 0.0 }
     }
 
     /// Integral of the density along the whole line of a ray, scene units of length × density.
     ///
-    /// Between two crossings of planes of voxel centres the density along the ray is a polynomial of third degree,
-    /// which the Gauss rule with two points integrates exactly: the result is right to rounding, about 10⁻¹³ relative.
+    /// Between two crossings of planes of voxel centres, the density along the ray is a cubic polynomial, which the
+    /// two-point Gauss rule integrates exactly: the result is right to rounding, about 10⁻¹³ relative.
     ///
     /// Tests: against quadrature, chords of a box, a product of linear functions, sums along the axes.
     pub fn line_integral(&self, ray: &Ray) -> f64 {
@@ -103,7 +103,7 @@ impl Trilinear {
         total
     }
 
-    /// The values at the corners of the cell above the whole index `low`, z fastest.
+    /// The values at the corners of the cell above the integer index `low`, z fastest.
     fn cell(&self, low: DVec3) -> [f64; 8] {
         let (dx, dy) = (self.shape[1] * self.shape[2], self.shape[2]);
         let corner = low.x as usize * dx + low.y as usize * dy + low.z as usize;
@@ -123,7 +123,7 @@ fn interpolate(cell: &[f64; 8], at: DVec3) -> f64 {
 
 impl Axis {
     fn new(origin: f64, direction: f64, start: f64, last: f64) -> Self {
-        // Rounding may put the start just outside: the cell is the first or the last one then.
+        // Rounding may put the start just outside; then the cell is the first or the last one.
         let low = start.floor().clamp(0.0, last - 1.0);
         let (step, plane) = if direction > 0.0 { (1.0, low + 1.0) } else { (-1.0, low) };
         let mut axis = Self { crossing: f64::INFINITY, plane, low, step, last, origin, direction };
@@ -137,14 +137,14 @@ impl Axis {
         self.find_crossing();
     }
 
-    /// From the number of the plane and not from the crossing before, so that rounding does not add up.
+    /// Computed from the index of the plane and not from the previous crossing, so that rounding errors do not add up.
     fn find_crossing(&mut self) {
         let inside = self.direction != 0.0 && self.plane > 0.0 && self.plane < self.last;
         self.crossing = if inside { (self.plane - self.origin) / self.direction } else { f64::INFINITY };
     }
 }
 
-/// The part of the line where every index is between 0 and `last`.
+/// The interval of the line where every index is between 0 and `last`.
 fn inside_box(origin: DVec3, direction: DVec3, last: DVec3) -> Option<(f64, f64)> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
@@ -206,8 +206,8 @@ mod tests {
     #[test]
     fn a_constant_volume_integrates_to_chords_of_its_box_and_half_of_the_rim() {
         use crate::scene::phantom::solid::{Shape, Solid};
-        // Along an axis the fall to 0 over one spacing counts half, so it equals the box; at an angle the difference
-        // between the boxes with and without the rim bounds it.
+        // Along an axis, the fall to 0 over one spacing counts half, so the integral equals that of the box; at other
+        // angles the difference between the boxes with and without the rim bounds it.
         let volume = volume(|_, _, _| 0.75);
         let (centre, half) = ((grid().min + grid().max()) / 2.0, grid().size() / 2.0);
         let chord = |half: DVec3, ray: &Ray| Solid::new(Shape::Cuboid, 0.75, centre, half).line_integral(ray);
@@ -239,7 +239,7 @@ mod tests {
             .map(|(i, w)| w * function(start.lerp(end, i as f64 / 4.0)))
             .sum();
         let expected = boole / 90.0 * (end - start).length();
-        // The integral over a part is that of the whole minus what a quadrature finds outside of the part.
+        // The integral over a part is the whole minus a quadrature over the rest.
         let outside = |from: f64, to: f64| {
             let n = 200_000;
             let step = (to - from) / n as f64;
@@ -273,7 +273,7 @@ mod tests {
         let volume = Volume::new(grid, Array3::from_elem((1, 1, 1), 2.0)).unwrap();
         let ray = Ray { origin: DVec3::new(-2.0, 0.1, 0.0), direction: DVec3::X };
         let density = Trilinear::new(&volume);
-        // In y the ray passes 0.05 of 0.3, in z 0.1 of 0.4 from the centre.
+        // The ray passes the centre at 0.05 of 0.3 in y and 0.1 of 0.4 in z.
         let expected = 2.0 * 0.4 * (1.0 - 0.05 / 0.3) * (1.0 - 0.1 / 0.4);
         assert!((density.line_integral(&ray) - expected).abs() < 1e-15);
         assert!((density.at(grid.centre([0, 0, 0])) - 2.0).abs() < 1e-15);

@@ -1,4 +1,4 @@
-//! `meta_data.json`, and what its fields mean.
+//! `meta_data.json` and the interpretation of its fields.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -9,23 +9,23 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::Path;
 
-/// The value of `noise_model` for Beer and Lambert's law.
+/// Value of `noise_model` for the Beer-Lambert law.
 const PHYSICAL: &str = "physical";
 
-/// Relative deviation from `s = n·d` that is taken for rounding to a few digits.
+/// Relative deviation from `s = n·d` that counts as rounding to a few digits.
 const ROUNDED: f64 = 1e-3;
-/// Relative deviation up to which a pixel or voxel size as written is more exact than total size over number.
+/// Up to this relative deviation, the stated element size is used: it is more exact than size over number.
 const EXACT: f64 = 1e-9;
-/// Source to axis where a parallel scan does not say, scene units. No value depends on it.
+/// Distance from source to axis where a parallel scan states none, scene units. No value depends on it.
 const PARALLEL_DSO: f64 = 5.0;
 
-/// The whole file. Fields that are not listed are ignored.
+/// The whole file. Fields not listed here are ignored.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Meta {
     pub(super) scanner: ScannerMeta,
     /// The volume's file, relative to the folder.
     pub(super) vol: Option<String>,
-    /// Another name for `vol`, written by the generator for real data.
+    /// Another name for `vol`, written by R²-Gaussian's generator for real data.
     #[serde(skip_serializing)]
     pub(super) ct: Option<String>,
     /// `[[min], [max]]` of the volume, x, y, z.
@@ -34,7 +34,7 @@ pub(super) struct Meta {
     pub(super) proj_train: Vec<ViewMeta>,
     #[serde(default)]
     pub(super) proj_test: Vec<ViewMeta>,
-    /// What must be known to judge results, a sentence each. This project's own key.
+    /// Facts needed to judge results, one sentence each. This project's own key.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) notes: Vec<String>,
 }
@@ -42,16 +42,16 @@ pub(super) struct Meta {
 /// One projection.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ViewMeta {
-    /// Relative to the folder.
+    /// Path relative to the folder.
     pub(super) file_path: String,
     /// Radians.
     pub(super) angle: f64,
-    /// Distance of the source from the axis, written by the generator for real data.
+    /// Distance from source to axis, written by R²-Gaussian's generator for real data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) radius: Option<f64>,
 }
 
-/// The scanner, in any one unit of length. Beware of the orders: they differ from field to field.
+/// The scanner, in any one unit of length. The order of the axes differs between fields.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ScannerMeta {
     /// `cone` or `parallel`.
@@ -83,11 +83,13 @@ pub(super) struct ScannerMeta {
     /// Centre of the volume, `[x, y, z]`.
     #[serde(rename = "offOrigin")]
     off_origin: Option<Vec<f64>>,
-    /// Shift of the detector, `[u, upwards]`: the format hands it to TIGRE, which moves the detector towards +z, against
-    /// the geometry page's v. R²-Gaussian stores rows from the top, but does not change the sign of this.
+    /// Shift of the detector, `[u, upwards]`.
+    ///
+    /// The format passes it to TIGRE, which moves the detector towards +z, opposite to v of the geometry page.
+    /// R²-Gaussian stores rows from the top but keeps the sign of this shift.
     #[serde(rename = "offDetector")]
     off_detector: Option<Vec<f64>>,
-    /// Step of an interpolating projector in voxels. Other readers ask for it.
+    /// Step of an interpolating projector, in voxels. Unused here; other readers require it.
     #[serde(default)]
     accuracy: Option<f64>,
     /// Span of the training views, degrees.
@@ -99,13 +101,13 @@ pub(super) struct ScannerMeta {
     /// Whether noise was added.
     #[serde(default)]
     noise: Value,
-    /// Photons per pixel; the spelling is the format's.
+    /// Photons per pixel. The spelling is the format's.
     #[serde(default)]
     possion_noise: Value,
     /// `[mean, standard deviation]` in counts.
     #[serde(default)]
     gaussian_noise: Value,
-    /// `physical` where photons follow Beer and Lambert's law; absent for TIGRE's noise. This project's own key.
+    /// `physical` if photons follow the Beer-Lambert law; absent for TIGRE's noise. This project's own key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     noise_model: Option<String>,
     /// Window of the ramp filter, or null.
@@ -113,7 +115,7 @@ pub(super) struct ScannerMeta {
     filter: Option<String>,
 }
 
-/// A scanner in scene units and what it takes to get there.
+/// A scanner in scene units, and the scale that converts lengths of the file.
 #[derive(Debug)]
 pub(super) struct Interpreted {
     pub(super) scanner: Scanner,
@@ -128,7 +130,7 @@ impl Meta {
         Self::parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
     }
 
-    /// The file's content; `path` names it in errors.
+    /// Parses the file's content; `path` names it in errors.
     pub(super) fn parse(text: &[u8], path: &Path) -> Result<Self> {
         serde_json::from_slice(text).map_err(|error| {
             Error::format(
@@ -145,14 +147,14 @@ impl Meta {
         write_atomically(path, |file| Ok(serde_json::to_writer_pretty(file, self)?))
     }
 
-    /// The scanner in scene units, checked.
+    /// The scanner in scene units, checked; errors name `path`.
     pub(super) fn interpret(&self, path: &Path) -> Result<Interpreted> {
         let mut interpreted = self.scanner.interpret().map_err(|error| error.in_file(path))?;
         let Interpreted { scanner, scale, oddities, .. } = &mut interpreted;
         if let Some(corners) = self.bbox {
             let found = corners.map(|corner| DVec3::from_array(corner) * *scale);
             let expected = [scanner.grid.min, scanner.grid.max()];
-            // The format's own generator writes this box in scene units, whatever the unit of the rest.
+            // The format's own generator writes this box in scene units, whatever unit the other fields have.
             let agrees = |found: [DVec3; 2]| (0..2).all(|i| (found[i] - expected[i]).abs().max_element() < 1e-3);
             if !agrees(found) && !agrees(corners.map(DVec3::from_array)) {
                 oddities.push(format!("bbox {corners:?} is not offOrigin ± sVoxel/2; it is ignored"));
@@ -168,12 +170,12 @@ impl Meta {
 }
 
 impl ScannerMeta {
-    /// The description of `scanner` in scene units, with `angles` as its training views.
+    /// The `meta_data.json` of `scanner` in scene units, with `angles` (radians) as its training views.
     pub(super) fn describe(scanner: &Scanner, angles: &[f64], noise: Noise) -> Self {
         let Scanner { beam, detector: d, grid } = scanner;
         let (mode, dsd) = match *beam {
             Beam::Cone { dsd, .. } => ("cone", dsd),
-            // It means nothing in a parallel beam, but readers ask for it.
+            // It has no meaning in a parallel beam, but readers require it.
             Beam::Parallel { dso } => ("parallel", 2.0 * dso),
         };
         let n = angles.len() as f64;
@@ -209,7 +211,7 @@ impl ScannerMeta {
         }
     }
 
-    /// First view and span of all, radians.
+    /// First view and span of all views, radians.
     pub(super) fn arc(&self) -> Option<(f64, f64)> {
         Some((self.start_angle.unwrap_or(0.0).to_radians(), self.total_angle?.to_radians()))
     }
@@ -245,11 +247,11 @@ impl ScannerMeta {
         let beam = match self.mode.as_str() {
             "cone" => Beam::Cone { dso: distance("DSO", self.dso)?, dsd: distance("DSD", self.dsd)? },
             "parallel" => {
-                // R²-Gaussian draws parallel views on a detector as wide as the volume, whatever the file says.
+                // R²-Gaussian renders parallel views on a detector as wide as the volume, whatever the file states.
                 if s_detector.iter().any(|s| (s / longest - 1.0).abs() > ROUNDED) {
                     oddities.push(format!(
-                        "parallel beam with sDetector {s_detector:?} and max(sVoxel) {longest}: the detector has the size it says; \
-                         R²-Gaussian would take it to be as large as the volume"
+                        "parallel beam with sDetector {s_detector:?} and max(sVoxel) {longest}: sDetector is used; \
+                         R²-Gaussian would use the size of the volume"
                     ));
                 }
                 Beam::Parallel { dso: self.dso.map_or(PARALLEL_DSO, |dso| dso * scale) }
@@ -263,7 +265,7 @@ impl ScannerMeta {
         Ok(Interpreted { scanner, scale, noise: self.noise(), oddities })
     }
 
-    /// The noise as described, [`Noise::None`] where it is not, or in another way.
+    /// The stated noise; [`Noise::None`] if it is missing or has another form.
     fn noise(&self) -> Noise {
         let number = |value: &Value| value.as_f64().filter(|number| *number >= 0.0);
         match (self.noise.as_bool(), number(&self.possion_noise), self.gaussian_noise.get(1).and_then(number)) {
@@ -276,12 +278,12 @@ impl ScannerMeta {
     }
 }
 
-/// From upwards to down the rows and back, without a negative zero.
+/// Converts between the upward and the downward offset, without a negative zero.
 fn opposite(offset: f64) -> f64 {
     0.0 - offset
 }
 
-/// Python takes 64 for a size of an array, but not 64.0.
+/// Writes counts as integers: Python accepts 64 as a size of an array, but not 64.0.
 fn as_integers<S: serde::Serializer>(counts: &[f64], serializer: S) -> std::result::Result<S::Ok, S::Error> {
     serializer.collect_seq(counts.iter().map(|count| *count as u64))
 }
@@ -302,7 +304,7 @@ fn counts<const N: usize>(name: &str, values: &[f64]) -> Result<[usize; N]> {
     Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "correct it"))
 }
 
-/// Total sizes.
+/// Total sizes in the unit of the file.
 fn sizes<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
     let values: [f64; N] = entries(name, values)?;
     if values.iter().all(|s| *s > 0.0 && s.is_finite()) {

@@ -8,16 +8,16 @@
 //! init_<name>.npy                    initial points [M, 4] = x, y, z, density, optional
 //! ```
 //!
-//! A key of our own, `notes`, says what must be known to judge results: that the truth is a pseudo truth, for instance.
+//! A key of our own, `notes`, holds facts needed to judge results: that the truth is a pseudo truth, for instance.
 //!
-//! Lengths may have any one unit. On reading they are multiplied by `scale = 2/max(sVoxel)`, which makes the longest
-//! side of the volume 2, and so are the projections. The volume is not: densities stay what they are per unit of the
-//! file. Initial points are in scene units already. Writing is in scene units, where the scale is 1.
+//! The files may use any one unit of length. Reading multiplies lengths and projections by `scale = 2/max(sVoxel)`,
+//! which makes the longest side of the volume 2. The volume is not scaled: densities remain per unit of the file.
+//! Initial points are in scene units already. Files are written in scene units, where the scale is 1.
 //!
-//! A scan may also be the one file of NAF and SAX-NeRF, a pickle that no code is run from:
+//! A scan may also be the single file of NAF and SAX-NeRF, a pickle. Its code is never run:
 //!
 //! ```text
-//! DSD, DSO, nDetector, dDetector, …  scanner, in millimetres; pixel and voxel sizes instead of the whole ones
+//! DSD, DSO, nDetector, dDetector, …  scanner, in millimetres; pixel and voxel sizes instead of total sizes
 //! image                              true volume [x, y, z], density per metre
 //! train, val (or test)               angles in radians and projections [view, v, u], row 0 on top
 //! ```
@@ -40,10 +40,10 @@ use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2, Ix3};
 use std::path::{Path, PathBuf};
 
-/// Larger angles are probably degrees.
+/// Angles beyond this are probably degrees; radians.
 const LARGEST_USUAL_ANGLE: f64 = 4.0 * std::f64::consts::PI;
 
-/// A scan: what was measured, and if known what is true.
+/// A scan: projections, geometry, and the true volume if it is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
     /// The folder's name.
@@ -54,32 +54,32 @@ pub struct Dataset {
     pub scale: f64,
     /// Noise of the training views, as far as the files tell.
     pub noise: Noise,
-    /// What to reconstruct from.
+    /// Projections to reconstruct from.
     pub train: Projections,
-    /// What to judge by.
+    /// Projections to evaluate with.
     pub test: Option<Projections>,
-    /// The volume that was scanned.
+    /// The volume that was scanned, if known.
     pub truth: Option<Volume>,
     /// Initial points, `[M, 4]` = x, y, z in scene units and density.
     pub initial_points: Option<Array2<f64>>,
-    /// What must be known to judge results on it, a sentence each: kept in the files.
+    /// Facts needed to judge results on this scan, one sentence each; stored in the files.
     pub notes: Vec<String>,
-    /// What is unusual about the files, a sentence each. Nothing here keeps the scan from being used.
+    /// Unusual properties of the files, one sentence each. None of them makes the scan unusable.
     pub oddities: Vec<String>,
 }
 
-/// What a `meta_data.json` says before any projection is read.
+/// The content of a `meta_data.json`, before any projection is read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
     /// The scanner, scene units.
     pub scanner: Scanner,
     /// Scene units per unit of length of the files.
     pub scale: f64,
-    /// Rotation of the training views that it lists, radians.
+    /// Angles of the training views that the file lists, radians.
     pub listed: Vec<f64>,
-    /// First view and span of all, radians.
+    /// First view and span of all views, radians.
     pub arc: Option<(f64, f64)>,
-    /// What is unusual, a sentence each.
+    /// Unusual properties of the file, one sentence each.
     pub oddities: Vec<String>,
 }
 
@@ -87,7 +87,7 @@ impl Description {
     /// Reads a description; `path` is a dataset's folder, its `meta_data.json`, or a `.pickle` of NAF.
     ///
     /// # Errors
-    /// [`Error::Read`] or [`Error::Format`].
+    /// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
     pub fn read(path: &Path) -> Result<Self> {
         if naf::is_pickle(path) {
             let Dataset { scanner, scale, train, oddities, .. } = naf::read(path)?;
@@ -97,10 +97,10 @@ impl Description {
         Self::of(&Meta::read(&path)?, &path)
     }
 
-    /// The content of a `meta_data.json`; `path` names it in errors.
+    /// Parses the content of a `meta_data.json`; `path` names it in errors.
     ///
     /// # Errors
-    /// [`Error::Format`].
+    /// [`Error::Format`] for content that is wrong.
     pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
         Self::of(&Meta::parse(text, path)?, path)
     }
@@ -111,10 +111,10 @@ impl Description {
         Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities })
     }
 
-    /// Rotation of each of so many views, radians: as listed, or if none is evenly over the arc, whose end is excluded.
+    /// Angles of `views` views in radians: the listed ones, or else evenly spaced over the arc, end excluded.
     ///
     /// # Errors
-    /// [`Error::Invalid`] where another number is listed, or nothing is said.
+    /// [`Error::Invalid`] if another number of views is listed, or neither views nor an arc is stated.
     pub fn angles(&self, views: usize) -> Result<Vec<f64>> {
         let got = match (self.listed.len(), self.arc) {
             (n, _) if n == views => return Ok(self.listed.clone()),
@@ -127,15 +127,17 @@ impl Description {
             "angles",
             got,
             expected,
-            "add them to the scanner's description or give the angles themselves",
+            "add totalAngle and startAngle to the scanner's meta_data.json, or give one angle per view",
         ))
     }
 }
 
-/// Reads the scanner of a dataset in scene units, without any projection; `path` is the folder or its `meta_data.json`.
+/// Reads the scanner of a dataset in scene units, without any projection.
+///
+/// `path` is the folder, its `meta_data.json`, or a `.pickle` of NAF.
 ///
 /// # Errors
-/// [`Error::Read`] or [`Error::Format`].
+/// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
 pub fn read_scanner(path: &Path) -> Result<Scanner> {
     Ok(Description::read(path)?.scanner)
 }
@@ -194,11 +196,12 @@ impl Dataset {
         naf::parse(content, path)
     }
 
-    /// Writes the dataset in scene units as the folder `folder`, which appears as a whole or not at all (see
-    /// [`crate::output::StagedFolder::commit`] for what may be there already).
+    /// Writes the dataset in scene units as the folder `folder`, which appears completely or not at all.
+    ///
+    /// [`crate::output::StagedFolder::commit`] describes which older folder is replaced.
     ///
     /// # Errors
-    /// [`Error::Write`], or [`Error::Invalid`] when the folder holds something else.
+    /// [`Error::Write`], or [`Error::Invalid`] when the folder holds other files.
     pub fn write(&self, folder: &Path) -> Result<()> {
         let staged = stage_folder(folder)?;
         let at = |file: &str| staged.path().join(file);
@@ -238,14 +241,14 @@ impl Dataset {
     }
 }
 
-/// A remark on angles that are too large.
+/// A remark on angles that look like degrees.
 pub(super) fn look_like_degrees(angles: impl Iterator<Item = f64>) -> Option<String> {
     let largest = angles.map(f64::abs).fold(0.0, f64::max);
     let remark = || format!("angles reach {largest}: they are read as radians, but look like degrees");
     (largest > LARGEST_USUAL_ANGLE).then(remark)
 }
 
-/// The description of a dataset that is given by its folder or by the description itself.
+/// Path of the description, given the folder or the description itself.
 fn meta_path(path: &Path) -> PathBuf {
     if path.is_dir() { path.join("meta_data.json") } else { path.into() }
 }
@@ -294,7 +297,7 @@ fn read_points(path: &Path) -> Result<Array2<f64>> {
             "initial points",
             got,
             "[M, 4] = x, y, z, density",
-            "make them again, or remove the file",
+            "write them again in this shape, or delete the file",
         ));
     }
     check_finite(path, "initial points", points.view())?;
@@ -320,14 +323,14 @@ fn find_points(folder: &Path, name: &str, oddities: &mut Vec<String>) -> Result<
     Ok(chosen.map(|file| folder.join(file)))
 }
 
-/// An error that names the file and the first value in it that is not finite.
+/// Returns an error that names the file and its first value that is not finite.
 fn check_finite<T: Copy + Into<f64>, D: Dimension>(path: &Path, what: &str, values: ArrayView<'_, T, D>) -> Result<()> {
     let finite = |value: &T| -> bool { (*value).into().is_finite() };
     match values.indexed_iter().find(|(_, value)| !finite(value)) {
         None => Ok(()),
         Some((index, value)) => {
             let got = format!("{} at index {index:?}", (*value).into());
-            let remedy = "repair or leave out the damaged part: it is never guessed";
+            let remedy = "remove the damaged views, or copy the file again: values are never guessed";
             Err(Error::format(path, what, got, "finite numbers only", remedy))
         }
     }

@@ -1,7 +1,7 @@
 //! The pickle of NAF and SAX-NeRF: a whole scan in one file.
 //!
-//! Lengths are in millimetres but line integrals in metres times density (an oddity that is the format's), so lengths are
-//! divided by 1000. Rows are stored from the top, as here.
+//! Lengths are in millimetres, but line integrals are density times metres (a property of the format), so lengths are
+//! divided by 1000. Rows are stored from the top, as in this project.
 
 use super::meta::{Interpreted, ScannerMeta};
 use super::pickle::{self, Array, Value};
@@ -16,10 +16,10 @@ use std::path::Path;
 
 /// Millimetres to metres.
 const METRE: f64 = 1e-3;
-/// Photons of the generator's noise; the file states only the electronic part.
+/// Photons of the generator's noise; the file states only the electronic noise.
 const PHOTONS: f64 = 1e5;
 
-/// Whether a path is that of a pickle, by its name.
+/// Whether a path names a pickle, judged by its extension.
 pub(super) fn is_pickle(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "pickle" || extension == "pkl")
 }
@@ -36,7 +36,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<Dataset> {
 
 fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
     if data.get("xyz").is_some() {
-        let remedy = "trgs convert makes a model of it: name a .npz or .ply to write";
+        let remedy = "this is a model, not a scan: trgs convert writes it as .npz or .ply";
         return Err(Error::format(path, "pickle", "a point cloud of R²-Gaussian", "a scan", remedy));
     }
     let Interpreted { scanner, scale, mut oddities, .. } =
@@ -62,7 +62,7 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
     Ok(Dataset { name, scanner, scale, noise, train, test, truth, initial_points: None, notes: Vec::new(), oddities })
 }
 
-/// The fields of the scanner in metres, with the sizes that the format leaves to be computed.
+/// The scanner's fields in metres, with the total sizes that the format leaves out.
 fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
     let numbers = |key: &str, unit: f64| {
         data.get(key).and_then(Value::numbers).map(|values| values.into_iter().map(|x| x * unit).collect::<Vec<_>>())

@@ -1,8 +1,8 @@
-//! Pickles that hold nothing but data: numbers, texts, lists, dictionaries and NumPy arrays, protocols 2 to 5.
+//! Pickles that hold only data, protocols 2 to 5: numbers, texts, lists, dictionaries, NumPy arrays.
 //!
-//! A pickle is a program for a stack machine, and Python runs whatever functions it names. This reader knows the few that
-//! NumPy uses to describe arrays, runs none, and refuses every other. What it makes is at most as large as the file: arrays
-//! are copied from it, never asked for by their shape.
+//! A pickle is a program for a stack machine, and Python runs whatever functions it names. This reader knows the few
+//! functions that NumPy uses to describe arrays, interprets them itself, and rejects every other. Memory is bounded by
+//! the file: arrays are copied from its bytes, never allocated by a stated shape.
 
 use crate::error::{Error, Result};
 use std::cell::RefCell;
@@ -10,14 +10,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 
-/// Objects within objects; real files have five.
+/// Largest nesting depth of objects; real files have five.
 const DEEPEST: usize = 64;
-/// Lists, tuples and dictionaries in a file; real ones have fifty. They may hold each other, and are dropped one in another.
+/// Largest number of lists, tuples and dictionaries in a file; real files have fifty.
+///
+/// They may hold each other and are dropped recursively.
 const MOST_CONTAINERS: usize = 2000;
-/// Axes of an array.
+/// Largest number of axes of an array.
 const MOST_AXES: usize = 8;
 
-/// What a pickle holds.
+/// A value that a pickle holds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value {
     None,
@@ -28,7 +30,7 @@ pub(crate) enum Value {
     Bytes(Vec<u8>),
     /// Lists and tuples.
     List(Vec<Self>),
-    /// Pairs in their order; a later one replaces an earlier of the same key.
+    /// Key-value pairs in order; a later pair replaces an earlier one with the same key.
     Dictionary(Vec<(Self, Self)>),
     Array(Array),
 }
@@ -41,7 +43,7 @@ pub(crate) struct Array {
     pub(crate) values: Vec<f64>,
 }
 
-/// What lies on the stack. Lists and dictionaries are filled after they are remembered, hence shared.
+/// An entry of the stack. Lists and dictionaries are filled after they are memoised, hence shared.
 #[derive(Clone)]
 enum Item {
     Plain(Value),
@@ -54,7 +56,7 @@ enum Item {
     Array(Rc<RefCell<Unfinished>>),
 }
 
-/// The functions and types that NumPy names.
+/// The functions and types that NumPy's pickles name.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Function {
     /// An empty array, filled by BUILD.
@@ -72,7 +74,7 @@ enum Function {
     OrderedDict,
 }
 
-/// A type of NumPy's numbers.
+/// A NumPy number type.
 #[derive(Clone, Copy)]
 struct Number {
     kind: u8,
@@ -90,10 +92,10 @@ struct Unfinished {
 
 type Parsed<T> = std::result::Result<T, String>;
 
-/// Reads the pickle `content` of the file `path`.
+/// Parses the pickle `content` of the file `path`.
 ///
 /// # Errors
-/// [`Error::Format`] for the first byte that is not the data that this reader knows.
+/// [`Error::Format`] for the first byte that is not data known to this reader.
 pub(crate) fn parse(content: &[u8], path: &Path) -> Result<Value> {
     let mut machine = Machine {
         content,
@@ -107,7 +109,7 @@ pub(crate) fn parse(content: &[u8], path: &Path) -> Result<Value> {
     let outcome = machine.run().and_then(|item| machine.finish(&item, 0));
     outcome.map_err(|found| {
         let expected = "a pickle of numbers, texts, lists, dictionaries and NumPy arrays, protocol 2 to 5";
-        let remedy = "this reader runs no code: convert the file with the program that wrote it";
+        let remedy = "save it again as plain NumPy arrays and numbers: this reader runs no code";
         Error::format(path, format!("byte {}", machine.at), found, expected, remedy)
     })
 }
@@ -118,7 +120,7 @@ struct Machine<'a> {
     stack: Vec<Item>,
     marks: Vec<usize>,
     memo: BTreeMap<usize, Item>,
-    /// Bytes of everything made: a value that is remembered once and used often must not grow without bound.
+    /// Bytes of all values built so far: a memoised value that is used often must not grow without bound.
     spent: usize,
     containers: usize,
 }
@@ -127,7 +129,7 @@ impl Machine<'_> {
     fn run(&mut self) -> Parsed<Item> {
         loop {
             match self.byte()? {
-                // PROTO, FRAME: the protocol, the length of what follows.
+                // PROTO, FRAME: the protocol; the length of the frame.
                 0x80 => {
                     let protocol = self.byte()?;
                     if !(2..=5).contains(&protocol) {
@@ -237,7 +239,7 @@ impl Machine<'_> {
         Ok(bytes)
     }
 
-    /// A little-endian number of so many bytes.
+    /// A little-endian number of `size` bytes.
     fn unsigned(&mut self, size: usize) -> Parsed<usize> {
         let value = self.take(size)?.iter().rev().fold(0_u64, |value, &byte| value << 8 | u64::from(byte));
         usize::try_from(value).map_err(|_| format!("the length {value}"))
@@ -261,7 +263,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// A signed number of any length, of which those of up to eight bytes are known.
+    /// A signed number of any length; only lengths of up to eight bytes are supported.
     fn long(&mut self) -> Parsed<()> {
         let size = usize::from(self.byte()?);
         let bytes = self.take(size)?;
@@ -370,7 +372,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// What a function makes of its arguments.
+    /// Replaces a function and its arguments on the stack by the result.
     fn reduce(&mut self) -> Parsed<()> {
         let (arguments, function) = (self.pop()?, self.pop()?);
         let (Item::Tuple(arguments), Item::Function(function)) = (arguments, function) else {
@@ -403,7 +405,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// Completes the object below with a state.
+    /// Completes the object below the top of the stack with the state on top.
     fn build(&mut self) -> Parsed<()> {
         let state = self.pop()?;
         let (Some(object), Item::Tuple(state)) = (self.stack.last_mut(), &state) else {
@@ -436,7 +438,7 @@ impl Machine<'_> {
         shape.filter(|shape| shape.len() <= MOST_AXES).ok_or_else(|| "a shape that is none".into())
     }
 
-    /// The value of an item and all in it.
+    /// The value of an item and of everything in it.
     fn finish(&mut self, item: &Item, depth: usize) -> Parsed<Value> {
         if depth > DEEPEST {
             return Err(format!("objects within objects, more than {DEEPEST} deep"));
@@ -489,7 +491,7 @@ impl Machine<'_> {
         Ok(Array { shape, values })
     }
 
-    /// Refuses to make more than the file holds, many times over.
+    /// Rejects a file whose values would take many times its own size.
     fn spend(&mut self, size: usize) -> Parsed<()> {
         self.spent = self.spent.saturating_add(size);
         if self.spent > 4 * self.content.len() + 4096 {
@@ -500,7 +502,7 @@ impl Machine<'_> {
 }
 
 impl Number {
-    /// From a name like `f4`, `<i8`, `|u1`.
+    /// Parses a name such as `f4`, `<i8`, `|u1`.
     fn parse(name: &str) -> Parsed<Self> {
         let (big_endian, name) = match name.as_bytes().first() {
             Some(b'<' | b'|' | b'=') => (false, &name[1..]),
@@ -514,7 +516,7 @@ impl Number {
         }
     }
 
-    /// The number in so many bytes.
+    /// The number stored in `bytes`.
     fn read(self, bytes: &[u8]) -> f64 {
         let mut word = [0_u8; 8];
         for (i, &byte) in bytes.iter().enumerate() {

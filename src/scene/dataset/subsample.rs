@@ -1,24 +1,24 @@
-//! Fewer views of a scan that has many, chosen as R²-Gaussian's protocol for measured scans chooses them.
+//! A subset of a scan's views, chosen by R²-Gaussian's protocol for measured scans.
 
 use super::Dataset;
 use crate::error::{Error, Result};
 use crate::numeric::rng::{Purpose, stream};
 use rand::seq::SliceRandom;
 
-/// Test views where nobody says how many.
+/// Default number of test views.
 const TEST_VIEWS: usize = 100;
 
 impl Dataset {
     /// Keeps `views` of the n training views and takes test views from the others.
-    ///
-    /// The views that stay are evenly spaced from the first to the last: `⌊i·(n-1)/(views-1)⌋` for i from 0, computed as
-    /// NumPy's `linspace(0, n-1, views).astype(int)`, and the first where one is asked for. Test views are drawn from the
-    /// others without repetition and stay in the order of the scan; they are as noisy as the others, and take the place
-    /// of those that the dataset had. `None` stands for 100, or for all that are left if these are fewer. Initial points
-    /// are dropped: they may come from views that are no longer there. A note says what was done.
+    /// Training views are evenly spaced from the first to the last, at indices `⌊i·(n-1)/(views-1)⌋` for i from 0,
+    /// computed as NumPy's `linspace(0, n-1, views).astype(int)`; for one view, it is the first. Test views are drawn
+    /// from the remaining views without repetition and stay in the order of the scan. They are as noisy as the training
+    /// views and replace the dataset's own test views. `test_views = None` means 100, or all remaining views if these
+    /// are fewer. Initial points are dropped, because they may come from views that were removed. A note records the
+    /// choice.
     ///
     /// # Errors
-    /// For no view, more than there are, or more test views than are left.
+    /// For zero `views`, more than there are, or more test views than remain.
     pub fn subsample(self, views: usize, test_views: Option<usize>, seed: u64) -> Result<Self> {
         let n = self.train.len();
         let kept = evenly_spaced(views, n)?;
@@ -26,7 +26,12 @@ impl Dataset {
         let count = test_views.unwrap_or(others.len().min(TEST_VIEWS));
         if count > others.len() {
             let expected = format!("at most {}, the views that are left of {n}", others.len());
-            return Err(Error::invalid("test views", count, expected, "ask for less, or keep fewer views"));
+            return Err(Error::invalid(
+                "test views",
+                count,
+                expected,
+                "lower the number of test views or the number of views kept",
+            ));
         }
         others.shuffle(&mut stream(seed, Purpose::TestViews, 0, 0));
         others.truncate(count);
@@ -44,10 +49,15 @@ impl Dataset {
     }
 }
 
-/// `views` of the indices below n, the first and the last among them.
+/// `views` evenly spaced indices below n, including the first and the last.
 fn evenly_spaced(views: usize, n: usize) -> Result<Vec<usize>> {
     if views == 0 || views > n {
-        return Err(Error::invalid("views to keep", views, format!("1 to {n}, the training views"), "change it"));
+        return Err(Error::invalid(
+            "views to keep",
+            views,
+            format!("1 to {n}, the training views"),
+            "choose a number in that range",
+        ));
     }
     if views == 1 {
         return Ok(vec![0]);
@@ -64,7 +74,7 @@ mod tests {
     use crate::scene::{Beam, Detector, Grid, Noise, Scanner};
     use ndarray::Array2;
 
-    /// A scan with `n` views, each with an angle of its own.
+    /// A scan with `n` views, each with a different angle.
     fn scan(n: usize) -> Dataset {
         let detector = Detector { rows: 3, columns: 4, pitch_v: 1.0, pitch_u: 1.0, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(4) };

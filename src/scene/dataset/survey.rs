@@ -1,4 +1,4 @@
-//! How large a scan is, found out without reading a number of it.
+//! The sizes of a scan, found without reading its arrays.
 
 use super::meta::Meta;
 use super::{Dataset, find_points, meta_path, naf};
@@ -7,7 +7,7 @@ use crate::scene::geometry::Scanner;
 use ndarray::Array2;
 use std::path::Path;
 
-/// Bytes of an initial point in the smallest type that files have.
+/// Bytes of an initial point in the smallest type that files use.
 const POINT: u64 = 16;
 
 /// The sizes of a scan.
@@ -21,12 +21,12 @@ pub struct Survey {
     pub test: usize,
     /// Whether it has a true volume.
     pub has_truth: bool,
-    /// Initial points, or more.
+    /// Upper bound on the number of initial points.
     pub points: usize,
 }
 
 impl Survey {
-    /// Of a dataset that is in memory.
+    /// The sizes of a dataset in memory.
     pub fn of(dataset: &Dataset) -> Self {
         Self {
             scanner: dataset.scanner,
@@ -37,10 +37,12 @@ impl Survey {
         }
     }
 
-    /// Of the dataset at `path`, a folder or its `meta_data.json`; `None` for a file that has to be read to know.
+    /// The sizes of the dataset at `path`, a folder or its `meta_data.json`.
+    ///
+    /// `None` for a file whose sizes are only known once it is read.
     ///
     /// # Errors
-    /// As [`Dataset::read`], for the description.
+    /// Those of [`Dataset::read`] for the description.
     pub fn read(path: &Path) -> Result<Option<Self>> {
         if naf::is_pickle(path) {
             return Ok(None);

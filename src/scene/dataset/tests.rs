@@ -9,7 +9,7 @@ use ndarray::Axis;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-/// A small scan without any symmetry, in scene units.
+/// A small asymmetric scan, in scene units.
 fn sample() -> Dataset {
     let grid = Grid { shape: [6, 4, 8], min: DVec3::new(-0.7, -0.5, -0.9), spacing: DVec3::new(0.25, 0.3, 0.25) };
     let detector = Detector { rows: 3, columns: 5, pitch_v: 1.1, pitch_u: 0.7, offset_u: 0.2, offset_v: -0.1 };
@@ -34,7 +34,7 @@ fn sample() -> Dataset {
     }
 }
 
-/// The sample on disk, its description changed by `edit`.
+/// The sample on disk, with its description changed by `edit`.
 fn edited(edit: impl FnOnce(&mut Value)) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sample");
@@ -153,7 +153,7 @@ fn a_folder_in_millimetres_equals_the_same_scan_in_scene_units() {
     for (a, b) in read.train.images.iter().zip(&expected.train.images) {
         assert!((a - b).abs() <= f32::EPSILON * b.abs(), "{a} instead of {b}");
     }
-    // Densities keep the unit of the file, and points are in scene units already.
+    // Densities keep the unit of the file; points are in scene units already.
     assert_eq!(read.truth.unwrap().values, expected.truth.unwrap().values);
     assert_eq!(read.initial_points, expected.initial_points);
 }
@@ -167,10 +167,11 @@ fn rows_and_columns_keep_their_places() {
     assert_eq!(read.oddities, Vec::<String>::new());
 }
 
-/// A ball seen by TIGRE with the detector at `[v, u]`, as R²-Gaussian stores it.
+/// A ball projected by TIGRE with the detector at `[v, u]`, as R²-Gaussian stores it.
 ///
-/// TIGRE: source at (DSO, 0, 0), detector in the plane x = -(DSD - DSO), columns towards +y, row 0 lowest, the whole detector
-/// moved by the offset towards +z and +y, all of it turned by the angle about z. R²-Gaussian: rows reversed on writing.
+/// TIGRE: source at (DSO, 0, 0), detector in the plane x = -(DSD - DSO), columns towards +y, row 0 lowest. The detector
+/// is moved by the offset towards +z and +y, and everything is rotated by the angle about z. R²-Gaussian reverses the
+/// rows on writing.
 fn seen_by_tigre(scan: &Dataset, [off_v, off_u]: [f64; 2], centre: DVec3, radius: f64) -> Array3<f32> {
     let Beam::Cone { dso, dsd } = scan.scanner.beam else { panic!("a cone") };
     let d = &scan.scanner.detector;

@@ -1,27 +1,28 @@
-//! Raw intensities of a detector as line integrals.
+//! Conversion of raw detector intensities to line integrals.
 //!
-//! Not in the paper, whose data are line integrals already. By the law of Beer and Lambert, with the reading I of a pixel,
-//! its reading D without X-rays (dark field) and F without an object (flat field):
+//! Not in the paper, whose data are line integrals already. By the Beer-Lambert law, with the reading I of a pixel, its
+//! reading D without X-rays (dark field) and its reading F without an object (flat field):
 //!
 //! ```text
 //! p = -ln((I - D)/(F - D))
 //! ```
 //!
-//! Without a flat field one number for **all** frames stands for F - D: a reading that is given, or the brightest of the
+//! Without a flat field, one number for **all** frames replaces F - D: a given reading, or the brightest reading of the
 //! whole stack. If it is wrong, all line integrals are wrong by the same constant.
 //!
-//! **The trap: every frame by itself.** Dividing each frame by its own brightest pixel, or stretching it from its own
-//! minimum to its own maximum as viewers and exports do, gives every frame another F. Where no pixel of a frame sees air
-//! (the object fills the detector from that side) the frame loses the line integral of its most transparent ray. Frames
-//! are then wrong by different constants: they contradict each other, no volume explains them all, and what the constants
-//! were cannot be told any more.
+//! **Pitfall: normalising each frame on its own.** Dividing each frame by its own brightest pixel, or stretching it
+//! from its own minimum to its own maximum as viewers and exports do, gives every frame a different F. If no pixel of a
+//! frame sees air (the object fills the detector from that side), the frame loses the line integral of its most
+//! transparent ray. Frames are then wrong by different constants: they contradict each other, no volume explains all of
+//! them, and the constants cannot be recovered.
 //!
-//! The legitimate scale of a frame is the mean over a region where the beam passes through air in **every** frame
-//! ([`Air`]): it takes out the drift of a source. Stacks of 8 bits whose every frame reaches 255 have been stretched already.
+//! The correct scale of a frame is the mean over a region where the beam passes through air in **every** frame
+//! ([`Air`]); it removes the drift of a source. An 8-bit stack in which every frame reaches 255 has been stretched
+//! already.
 //!
-//! Three rules of our own: a transmission below [`FLOOR`] is taken as that; a pixel whose F - D is below [`DEAD`] of the
-//! median is dead and gets the median of its neighbours' line integrals; negative line integrals, brighter than without an
-//! object, are left as they are, for cutting them off would add a bias to air. All of it is counted.
+//! Three rules of this project: a transmission below [`FLOOR`] is set to it. A pixel whose F - D is below [`DEAD`] of
+//! the median is dead and gets the median of its neighbours' line integrals. Negative line integrals, from readings
+//! brighter than the beam without an object, are kept, because clamping them would bias air. All three are counted.
 
 use super::arrays::check_finite;
 use crate::error::{Error, Result};
@@ -31,66 +32,66 @@ use ndarray::{Array2, Array3};
 use std::ops::Range;
 use std::str::FromStr;
 
-/// Smallest transmission, the step of a detector of 16 bits: no line integral is above 16·ln 2 = 11.09.
+/// Smallest transmission, the step of a 16-bit detector: no line integral exceeds 16·ln 2 = 11.09.
 pub const FLOOR: f64 = 1.0 / 65_536.0;
-/// Part of the median of F - D below which a pixel is dead.
+/// Fraction of the median of F - D below which a pixel is dead.
 pub const DEAD: f64 = 0.01;
-/// Part of all pixels that may be dead.
+/// Largest allowed fraction of dead pixels.
 const MOST_DEAD: f64 = 0.05;
-/// The brightest reading is the one that this part of all is not above: a thousandth may be hot pixels.
+/// The brightest reading is this quantile: a thousandth of the pixels may be hot.
 const BRIGHTEST: f64 = 0.999;
-/// Part of the readings below the floor that is worth a remark on its cause.
+/// Fraction of readings below the floor that is remarked on with its likely causes.
 const MANY: f64 = 0.01;
-/// Ratio of the brightest to the darkest frame's air that is worth a remark.
+/// Ratio of the brightest to the darkest frame's air that is remarked on.
 const DRIFT: f64 = 1.1;
 
-/// What stands for the beam without an object.
+/// The reading without an object.
 #[derive(Clone, Debug, PartialEq)]
 pub enum White {
     /// A reading for every pixel, `[v, u]`.
     Flat(Array2<f64>),
     /// One reading, before the dark field is subtracted.
     Reading(f64),
-    /// The brightest of the stack: of all pixels less their dark field, the one that a thousandth is above.
+    /// The brightest reading of the stack: the 99.9 % quantile of all pixels less their dark field.
     OfStack,
-    /// The same of each frame: the trap, for data that were treated so already.
+    /// The brightest reading of each frame: see the pitfall above; for data that were treated so already.
     OfFrame,
 }
 
-/// Pixels that see nothing but air in every frame.
+/// A region of pixels that see only air in every frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Air {
-    /// Along v, the end excluded.
+    /// Rows, the end excluded.
     pub rows: Range<usize>,
-    /// Along u, the end excluded.
+    /// Columns, the end excluded.
     pub columns: Range<usize>,
 }
 
-/// How readings become line integrals.
+/// Parameters of the conversion from readings to line integrals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
-    /// Reading of each pixel without X-rays, `[v, u]`; zero where it is not known.
+    /// Reading of each pixel without X-rays, `[v, u]`; zero if `None`.
     pub dark: Option<Array2<f64>>,
-    /// The beam.
+    /// The reading without an object.
     pub white: White,
-    /// Where its drift is measured.
+    /// Region where the drift of the source is measured.
     pub air: Option<Air>,
 }
 
-/// Line integrals and what was done on the way.
+/// Line integrals, and statistics of the conversion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Corrected {
-    /// `[view, v, u]`, pure numbers: attenuation times length, in whatever unit both have.
+    /// `[view, v, u]`, dimensionless: attenuation times length.
     pub line_integrals: Array3<f32>,
-    /// What stood for F - D, where that is one number.
+    /// The single number used for F - D, if there is one.
     pub white: Option<f64>,
     /// Readings whose transmission was below [`FLOOR`].
     pub clamped: usize,
     /// Dead pixels of the detector.
     pub dead: usize,
-    /// Smallest and largest transmission of the air region, frame by frame.
+    /// Smallest and largest mean transmission of the air region over the frames.
     pub drift: Option<[f64; 2]>,
-    /// What the user should know, a sentence each.
+    /// Remarks for the user, one sentence each.
     pub remarks: Vec<String>,
 }
 
@@ -104,7 +105,7 @@ pub fn mean_frame(what: &str, frames: &Array3<f32>) -> Result<Array2<f64>> {
     check_finite(what, frames)?;
     let (count, rows, columns) = frames.dim();
     if count == 0 {
-        return Err(Error::invalid(what, "no frame", "at least one", "check the file"));
+        return Err(Error::invalid(what, "no frame", "at least one", "give a file with at least one frame"));
     }
     let mean = |(row, column)| reduce::sum_by(count, &|frame| f64::from(frames[[frame, row, column]])) / count as f64;
     Ok(Array2::from_shape_fn((rows, columns), mean))
@@ -112,7 +113,8 @@ pub fn mean_frame(what: &str, frames: &Array3<f32>) -> Result<Array2<f64>> {
 
 /// The line integral of a ray, `-ln(max(transmission, FLOOR))`, from its transmission (I - D)/(F - D).
 ///
-/// Not in the paper: see the head of this page. Tests: `a_transmission_is_turned_into_a_line_integral`.
+/// Not in the paper: see the head of this page. The result is dimensionless. Tests:
+/// `a_transmission_is_turned_into_a_line_integral`.
 pub fn line_integral(transmission: f64) -> f64 {
     -log(if transmission > FLOOR { transmission } else { FLOOR })
 }
@@ -121,8 +123,8 @@ impl Correction {
     /// The line integrals of readings `[view, v, u]`, computed in f64 and rounded once.
     ///
     /// # Errors
-    /// For values that are not finite, shapes that differ, a region outside of the detector, a beam that is not brighter
-    /// than the dark field, more than a twentieth of dead pixels.
+    /// For values that are not finite, shapes that differ, a region outside the detector, a beam that is not brighter
+    /// than the dark field, or more than 5 % dead pixels.
     ///
     /// Not in the paper: see the head of this page. Tests: `patterns_of_flat_and_dark_fields_are_taken_out`,
     /// `frames_by_themselves_lose_what_no_ray_of_theirs_misses`, `drift_is_taken_out_by_air`.
@@ -159,7 +161,7 @@ impl Correction {
         let ceiling = line_integral(0.0) as f32;
         let lives = |pixel: usize| dead.binary_search(&pixel).is_err();
         let clamped = values.iter().enumerate().filter(|(i, p)| **p == ceiling && lives(i % beam.len())).count();
-        // Neighbours are living pixels, so no repair changes what another is made of.
+        // Neighbours are living pixels only, so no repaired value enters another repair.
         let neighbours: Vec<Vec<usize>> = dead.iter().map(|&pixel| around(pixel, rows, columns, &lives)).collect();
         threads::for_each_chunk(&mut values, beam.len(), |_, image| {
             for (&pixel, around) in dead.iter().zip(&neighbours) {
@@ -180,7 +182,7 @@ impl Correction {
                 "readings",
                 format!("shape {:?}", readings.shape()),
                 "frames",
-                "check the file",
+                "give a file with at least one frame",
             ));
         }
         let flat = if let White::Flat(flat) = &self.white { Some(flat) } else { None };
@@ -191,7 +193,7 @@ impl Correction {
                     what,
                     format!("shape {:?}", field.shape()),
                     expected,
-                    "give that of this scan",
+                    "give the field recorded with this scan",
                 ));
             }
         }
@@ -209,7 +211,7 @@ impl Correction {
         let mut remarks = Vec::new();
         match self.white {
             White::OfStack if self.air.is_none() => remarks.push(format!(
-                "no flat field: the brightest reading of all frames stands for it, {} above the dark field; if no pixel \
+                "no flat field: the brightest reading of all frames is used, {} above the dark field; if no pixel \
                  sees air in any frame, give the reading without an object",
                 corrected.white.unwrap_or_default()
             )),
@@ -247,7 +249,9 @@ impl Correction {
 }
 
 impl White {
-    /// F - D as the product of a number per pixel and one per frame, from the dark field and the signal I - D of a pixel.
+    /// F - D as a factor per pixel times a factor per frame.
+    ///
+    /// `dark` is the dark field, `signal(view, pixel)` is I - D.
     fn beam(&self, dark: &[f64], views: usize, signal: &impl Fn(usize, usize) -> f64) -> Result<(Vec<f64>, Vec<f64>)> {
         let pixels = dark.len();
         Ok(match self {
@@ -265,7 +269,7 @@ impl White {
     }
 }
 
-/// The value that a thousandth of all is above: the smallest that at least 99.9 % are not above.
+/// The 99.9 % quantile: the smallest value that at least 99.9 % of all do not exceed.
 fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
     let mut values: Vec<f64> = values.collect();
     let rank = (BRIGHTEST * values.len() as f64).ceil() as usize - 1;
@@ -273,11 +277,11 @@ fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
     if value > 0.0 {
         return Ok(value);
     }
-    let remedy = "check the dark field, or whether these are intensities";
+    let remedy = "check that the dark field belongs to this scan and that the data are intensities";
     Err(Error::invalid("brightest reading", value, "more than the dark field", remedy))
 }
 
-/// Pixels that see nothing of the beam, in increasing order.
+/// Pixels that receive none of the beam, in increasing order.
 fn dead_pixels(beam: &[f64]) -> Result<Vec<usize>> {
     let typical = median(beam.to_vec());
     if typical.is_nan() || typical <= 0.0 {
@@ -292,13 +296,13 @@ fn dead_pixels(beam: &[f64]) -> Result<Vec<usize>> {
             "flat field",
             got,
             "at most a twentieth of dead pixels",
-            "cut the frames to the beam",
+            "crop the frames to the part of the detector that the beam reaches",
         ));
     }
     Ok(dead)
 }
 
-/// Multiplies each frame's level by the mean transmission of its air, of which it returns the smallest and the largest.
+/// Multiplies each frame's level by its mean transmission in air; returns the smallest and largest of these.
 fn follow(
     air: &Air,
     columns: usize,
@@ -326,7 +330,7 @@ fn follow(
     Ok(ends)
 }
 
-/// The living pixels of the smallest square around a pixel that has some.
+/// The living pixels of the smallest square around a pixel that contains any.
 fn around(pixel: usize, rows: usize, columns: usize, lives: &impl Fn(usize) -> bool) -> Vec<usize> {
     let (row, column) = (pixel / columns, pixel % columns);
     let square = |reach: usize| {
@@ -337,7 +341,7 @@ fn around(pixel: usize, rows: usize, columns: usize, lives: &impl Fn(usize) -> b
     living.find(|pixels| !pixels.is_empty()).expect("most pixels live")
 }
 
-/// The middle value, or the mean of the two in the middle; NaN of none.
+/// The median; the mean of the two middle values for an even number; NaN for none.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = |i: usize| values.get(i).copied().unwrap_or(f64::NAN);
@@ -348,7 +352,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 impl FromStr for Air {
     type Err = Error;
 
-    /// `ROW0,COLUMN0,ROW1,COLUMN1`, the ends excluded.
+    /// Parses `ROW0,COLUMN0,ROW1,COLUMN1`, the ends excluded.
     fn from_str(text: &str) -> Result<Self> {
         let numbers: Option<Vec<usize>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
         match numbers.as_deref() {

@@ -6,10 +6,10 @@ use std::f64::consts::LN_2;
 const VIEWS: usize = 3;
 const ROWS: usize = 5;
 const COLUMNS: usize = 8;
-/// Half of the distance of neighbouring numbers of single precision, relative.
+/// Relative rounding error of single precision.
 const ROUNDING: f64 = 1.0 / 16_777_216.0;
 
-/// Line integrals with air on the left of view 0 alone: the others are too large for the detector.
+/// Line integrals with air on the left of view 0 only: in the other views the object fills the detector.
 fn truth(view: usize, row: usize, column: usize) -> f64 {
     let body = 0.1 * row as f64 + 0.03 * (column * column) as f64;
     match view {
@@ -27,7 +27,7 @@ fn correction(white: White) -> Correction {
     Correction { dark: None, white, air: None }
 }
 
-/// The largest difference from line integrals in units of what rounding readings and results once each may do.
+/// The largest error of line integrals, in units of the rounding error of one reading and one result.
 fn error(found: &Array3<f32>, expected: impl Fn(usize, usize, usize) -> f64, share_of_signal: f64) -> f64 {
     let of = |((view, row, column), &p): ((usize, usize, usize), &f32)| {
         let expected = expected(view, row, column);
@@ -71,7 +71,7 @@ fn patterns_of_flat_and_dark_fields_are_taken_out() {
     assert!(worst < 1.0, "{worst} of what rounding may do");
     assert_eq!((found.clamped, found.dead, found.drift, found.white), (0, 0, None, None));
     assert!(found.remarks.is_empty(), "{:?}", found.remarks);
-    // Neither field may be forgotten.
+    // Omitting either field must be noticed.
     let without = Correction { dark: None, ..whole };
     assert!(error(&without.apply(&stack).unwrap().line_integrals, truth, share) > 1000.0);
     let flatless = Correction { dark: Some(dark), white: White::Reading(30_000.0), air: None };
@@ -130,7 +130,7 @@ fn drift_is_taken_out_by_air() {
 fn readings_without_light_are_clamped_and_counted() {
     let dark = Some(Array2::from_elem((ROWS, COLUMNS), 100.0));
     let mut stack = readings(|_, _, _| 1100.0);
-    // Below, at, and just above the dark field; the last lets 2⁻¹⁵ through, which is something.
+    // Below, at, and just above the dark field; the last transmits 2⁻¹⁵, which is above the floor.
     (stack[[0, 1, 1]], stack[[1, 4, 7]], stack[[2, 0, 0]], stack[[2, 0, 1]]) = (90.0, 100.0, 100.01, 100.031_25);
     let found = Correction { dark, ..correction(White::Reading(1124.0)) }.apply(&stack).unwrap();
     assert_eq!(found.clamped, 3);
@@ -145,7 +145,7 @@ fn readings_without_light_are_clamped_and_counted() {
 fn dead_pixels_have_the_median_of_their_neighbours() {
     let (rows, columns) = (9, 12);
     let mut flat = Array2::from_elem((rows, columns), 1000.0);
-    // One alone, and a corner of four whose own corner has no living neighbour.
+    // A single dead pixel, and a corner of four dead pixels whose corner pixel has no living neighbour.
     let dead = [[5, 6], [0, 0], [0, 1], [1, 0], [1, 1]];
     dead.iter().for_each(|&at| flat[at] = 3.0);
     let p = |row: usize, column: usize| 0.1 * (row * row) as f64 + 0.2 * column as f64;

@@ -1,8 +1,9 @@
-//! Phantoms whose density and line integrals are known exactly: ellipsoids, cuboids, cylinders, cones and capsules that
-//! add up or displace each other. Not in the paper.
+//! Phantoms with exactly known density and line integrals: sums of solids. Not in the paper.
 //!
-//! Fifteen of them are named and grouped like the scans of the paper's synthetic cases. They are **stand-ins**: they
-//! share the names and, roughly, the looks; nothing that is measured on them says anything about the paper's figures.
+//! Solids are ellipsoids, cuboids, cylinders, cones and capsules that add up or displace each other.
+//!
+//! Fifteen phantoms are named and grouped like the scans of the paper's synthetic cases. They are **stand-ins**: they
+//! share the names and, roughly, the appearance. Measurements on them imply nothing about the paper's figures.
 
 mod library;
 pub mod solid;
@@ -17,7 +18,7 @@ use glam::DVec3;
 use library::{artificial, basic, nature, organs};
 use solid::Solid;
 
-/// How the paper groups its synthetic cases.
+/// The groups of the paper's synthetic cases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// Parts of the human body.
@@ -28,19 +29,19 @@ pub enum Group {
     Artificial,
 }
 
-/// A phantom that has a name.
+/// A named phantom.
 #[derive(Clone, Copy, Debug)]
 pub struct Named {
-    /// What to call it.
+    /// Its name.
     pub name: &'static str,
-    /// What it looks like, or what it is for.
+    /// Its appearance or purpose.
     pub description: &'static str,
-    /// The group of the paper's case for which it stands in; `None`: it stands for nothing but itself.
+    /// The group of the paper's case that it stands in for; `None` if it imitates no scan.
     pub group: Option<Group>,
     solids: fn(u64) -> Vec<Solid>,
 }
 
-/// The phantoms that have a name: those of no group, then the stand-ins in the order of their groups.
+/// The named phantoms: first those without a group, then the stand-ins in the order of their groups.
 pub const PHANTOMS: [Named; 19] = {
     use Group::{AnimalsAndPlants, Artificial, Organs};
     const fn named(
@@ -90,7 +91,7 @@ impl Group {
     /// All groups in the paper's order.
     pub const ALL: [Self; 3] = [Self::Organs, Self::AnimalsAndPlants, Self::Artificial];
 
-    /// The group in words.
+    /// The name of the group for display.
     pub fn title(self) -> &'static str {
         match self {
             Self::Organs => "human organs",
@@ -99,27 +100,29 @@ impl Group {
         }
     }
 
-    /// Its stand-ins.
+    /// The stand-ins of the group.
     pub fn stand_ins(self) -> impl Iterator<Item = Named> {
         PHANTOMS.into_iter().filter(move |phantom| phantom.group == Some(self))
     }
 }
 
-/// Solids, one after another.
+/// A sequence of solids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Phantom {
-    /// What to call it.
+    /// Its name.
     pub name: String,
-    /// Its parts. Where they overlap, densities add up; but one that displaces takes the place of all before it.
+    /// Its parts. Overlapping densities add up, except that a displacing part replaces all parts before it.
     pub solids: Vec<Solid>,
 }
 
 impl Phantom {
-    /// The phantom with one of the names of [`PHANTOMS`], inside [-1,1]³ with densities from 0 to 1. `seed` moves the
-    /// details of a stand-in and the bubbles of the foam.
+    /// The phantom with one of the names of [`PHANTOMS`].
+    ///
+    /// It lies inside [-1,1]³ with densities from 0 to 1. `seed` varies the details of a stand-in and the bubbles of
+    /// the foam.
     ///
     /// # Errors
-    /// For another name; the message lists the names and guesses which was meant.
+    /// For an unknown name; the message lists the names and suggests the nearest one.
     pub fn by_name(name: &str, seed: u64) -> Result<Self> {
         if let Some(phantom) = PHANTOMS.iter().find(|phantom| phantom.name == name) {
             return Ok(Self { name: name.into(), solids: (phantom.solids)(seed) });
@@ -131,7 +134,7 @@ impl Phantom {
         Err(Error::invalid("phantom", name, format!("one of {}", names.join(", ")), remedy))
     }
 
-    /// What everyone must be told who sees results on it; nothing for a phantom that stands for nothing but itself.
+    /// The caveat to state with any result on a stand-in; `None` for other phantoms.
     pub fn caveat(&self) -> Option<String> {
         PHANTOMS.iter().find(|phantom| phantom.name == self.name)?.group.map(|_| {
             let name = &self.name;
@@ -144,7 +147,7 @@ impl Phantom {
         self.solids.iter().filter(|solid| solid.contains(point)).fold(0.0, |below, solid| solid.over(below))
     }
 
-    /// Integral of the density along the whole line of a ray, in scene units, to rounding.
+    /// Integral of the density along the whole line of a ray, scene units of length × density; exact to rounding.
     pub fn line_integral(&self, ray: &Ray) -> f64 {
         if !self.solids.iter().any(Solid::displaces) {
             return reduce::sum_by(self.solids.len(), &|i| self.solids[i].line_integral(ray));
@@ -160,7 +163,9 @@ impl Phantom {
         })
     }
 
-    /// The mean density of every voxel: exact inside of solids, from `samples`³ points on their surfaces.
+    /// The mean density of each voxel.
+    ///
+    /// It is exact inside solids; voxels on a surface average `samples`³ points.
     pub fn voxelize(&self, grid: &Grid, samples: usize) -> Volume {
         voxels::means(&self.solids, grid, samples)
     }
@@ -214,7 +219,7 @@ mod tests {
         for (named, seed) in stand_ins().flat_map(|named| (0..40).map(move |seed| (named, seed))) {
             let Phantom { name, solids } = Phantom::by_name(named.name, seed).unwrap();
             assert!(solids.len() <= 600, "{name}: {} solids", solids.len());
-            // Where each displaces the one before, densities are those of single solids.
+            // Where each solid displaces the ones before, densities are those of single solids.
             for solid in &solids {
                 assert!(solid.displaces() && (0.0..=1.0).contains(&solid.density()), "{name}: {solid:?}");
                 let end = (solid.centre().abs() + solid.reach()).max_element();
@@ -265,7 +270,7 @@ mod tests {
                 let mut largest = 0.0_f32;
                 for (row, column) in (0..9).flat_map(|row| [(row, 4), (row, 6), (row, 9)]) {
                     let ray = scanner.ray(&scanner.view(0.4), row, column);
-                    // Only solids whose box lies near the ray: the rest is far from all of its points.
+                    // Only solids whose box lies near the ray: all others are far from its points.
                     let near = |solid: &&Solid| {
                         let nearest = ray.origin + ray.direction * (solid.centre() - ray.origin).dot(ray.direction);
                         nearest.distance(solid.centre()) <= solid.reach().length()
@@ -291,8 +296,9 @@ mod tests {
 
     #[test]
     fn voxels_and_projections_hold_the_same_mass() {
-        // Points and rays a hundredth apart in z, so that flat faces at hundredths lie midway between them. What is left
-        // is how well a lattice of points counts circles: the engine's upright bores are 0.7 % off, most others 0.1 %.
+        // Points and rays a hundredth apart in z, so that flat faces at hundredths lie midway between them. The
+        // remaining error is that of counting lattice points in circles: 0.7 % for the engine's upright bores, 0.1 %
+        // for most others.
         let (pitch_v, pitch_u) = (0.01, 0.014);
         let detector = Detector { rows: 200, columns: 200, pitch_v, pitch_u, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Parallel { dso: 5.0 }, detector, grid: Grid::cube(50) };

@@ -1,14 +1,14 @@
 //! Solids with exact line integrals.
 //!
-//! In its own coordinates, which put its centre at 0 and its half lengths to 1, each solid is where a convex function is
-//! at most 1: the Euclidean norm for an ellipsoid, the largest coordinate for a cuboid, the larger of radius and height for
-//! a cylinder, the distance from a line for a capsule. How far a step can change that function bounds it over a whole
-//! voxel.
+//! In its own coordinates, with the centre at 0 and half lengths of 1, each solid is the set where a convex function is
+//! at most 1: the Euclidean norm for an ellipsoid, the largest coordinate for a cuboid, the larger of radius and height
+//! for a cylinder, the distance from a segment for a capsule. A bound on the function's change over a step decides
+//! whether a whole voxel is inside or outside.
 
 use crate::scene::geometry::Ray;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// What a solid looks like in its own coordinates.
+/// The shape of a solid in its own coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// `x² + y² + z² ≤ 1`
@@ -17,26 +17,26 @@ pub enum Shape {
     Cuboid,
     /// `x² + y² ≤ 1` and `|z| ≤ 1`
     Cylinder,
-    /// `√(x² + y²) ≤ 1 - taper·z` and `|z| ≤ 1`: a cylinder that is thinner at the top, or for a negative taper below.
+    /// `√(x² + y²) ≤ 1 - taper·z` and `|z| ≤ 1`: a cylinder that narrows upwards, or downwards for `taper < 0`.
     Cone {
-        /// From -1 to 1, where it is pointed.
+        /// From -1 to 1; at ±1 the cone ends in a point.
         taper: f64,
     },
     /// Within 1 of the points with x = y = 0 and `|z| ≤ core`.
     Capsule {
-        /// Half the length without the round ends, in units of the half length along z; not negative.
+        /// Half the length without the rounded ends, in units of the half length along z; not negative.
         core: f64,
     },
 }
 
-/// How much of a box is inside of a solid.
+/// The part of a box that is inside a solid.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Coverage {
-    /// Surely none.
+    /// Certainly none of it.
     Nothing,
-    /// Surely all.
+    /// Certainly all of it.
     Everything,
-    /// These of its evenly spaced points, x first, z fastest.
+    /// Whether each of its evenly spaced points is inside, x first, z fastest.
     Points(Vec<bool>),
 }
 
@@ -47,19 +47,19 @@ pub struct Solid {
     density: f64,
     displaces: bool,
     centre: DVec3,
-    /// Own coordinates → world, without the centre: rotation times half lengths.
+    /// Own coordinates → world, without the translation: rotation times half lengths.
     to_world: DMat3,
     /// The inverse of `to_world`.
     to_own: DMat3,
-    /// Radius of a sphere around the centre that holds the solid.
+    /// Radius of a sphere around the centre that contains the solid.
     radius: f64,
 }
 
 impl Solid {
-    /// A solid with its axes along those of the world.
+    /// A solid aligned with the world axes.
     ///
-    /// `half` are the half lengths (semi-axes, radii) along x, y, z and `centre` the middle, both in scene units;
-    /// `density` is added to that of other solids in the same place and may be negative.
+    /// `half` holds the half lengths (semi-axes, radii) along x, y, z and `centre` the centre, both in scene units.
+    /// `density` is added to the density of other solids at the same point and may be negative.
     ///
     /// # Panics
     /// When a half length is not positive, a taper is beyond ±1 or a core is negative.
@@ -83,40 +83,40 @@ impl Solid {
         Self { shape, density, displaces: false, centre, to_world, to_own, radius }
     }
 
-    /// The solid in the place of those that stand before it in a phantom, instead of added to them.
+    /// The same solid, but replacing the solids before it in a phantom instead of adding to them.
     #[must_use]
     pub fn displacing(self) -> Self {
         Self { displaces: true, ..self }
     }
 
-    /// The solid turned about its centre.
+    /// The solid rotated about its centre.
     #[must_use]
     pub fn rotated(self, rotation: DQuat) -> Self {
         let rotation = DMat3::from_quat(rotation);
         Self { to_world: rotation * self.to_world, to_own: self.to_own * rotation.transpose(), ..self }
     }
 
-    /// Its own density, or what it adds to that of others.
+    /// Its own density, or its contribution to the sum.
     pub fn density(&self) -> f64 {
         self.density
     }
 
-    /// Whether it takes the place of what stands before it.
+    /// Whether it replaces the solids before it.
     pub fn displaces(&self) -> bool {
         self.displaces
     }
 
-    /// The density inside, where that of the solids before it is `below`.
+    /// The density inside, where the solids before it have density `below`.
     pub fn over(&self, below: f64) -> f64 {
         if self.displaces { self.density } else { below + self.density }
     }
 
-    /// The middle.
+    /// The centre, scene units.
     pub fn centre(&self) -> DVec3 {
         self.centre
     }
 
-    /// Half lengths of the smallest box along the world's axes, with the same centre, that holds the solid.
+    /// Half lengths of the smallest axis-aligned box around the solid, with the same centre.
     pub fn reach(&self) -> DVec3 {
         let rows = self.to_world.transpose();
         let along = |row: DVec3| match self.shape {
@@ -134,9 +134,11 @@ impl Solid {
         self.level(self.to_own * (point - self.centre)) <= 1.0
     }
 
-    /// The part of a box with the given centre and half lengths that lies inside: all or nothing where the surface is
-    /// surely elsewhere, else those of `samples`³ evenly spaced points. Their number is off by at most about
-    /// `1/(2·samples)` of all, where a flat face runs along the box, and by far less on curved or tilted surfaces.
+    /// The part of a box, given by centre and half lengths, that lies inside.
+    ///
+    /// The result is all or nothing where the surface certainly misses the box, else the inside test of `samples`³
+    /// evenly spaced points. The fraction inside is off by at most about `1/(2·samples)`, for a flat face along the
+    /// box, and by far less for curved or tilted surfaces.
     pub(super) fn coverage(&self, centre: DVec3, half: DVec3, samples: usize) -> Coverage {
         let own = self.to_own * (centre - self.centre);
         let steps = [self.to_own.x_axis * half.x, self.to_own.y_axis * half.y, self.to_own.z_axis * half.z];
@@ -161,22 +163,23 @@ impl Solid {
 
     /// Integral of the density along the whole line of a ray, scene units of length × density.
     ///
-    /// Formula: density × chord. A line that only touches gives 0.
-    /// Accuracy: chord to about 10⁻¹⁵ of the solid's size, 10⁻⁸ of it next to a tangent.
+    /// Formula: density × chord. A tangent line gives 0.
+    /// Accuracy: the chord is right to about 10⁻¹⁵ of the solid's size, next to a tangent to 10⁻⁸.
     /// Tests: against quadrature and the chord formula of a sphere.
     pub fn line_integral(&self, ray: &Ray) -> f64 {
         let (_, (from, to)) = self.crossing(ray);
         self.density * (to - from).max(0.0)
     }
 
-    /// Where the whole line of a ray is inside, as distances from the ray's origin; `None` where it is not.
+    /// The interval where the line of a ray is inside, as distances from the ray's origin; `None` if it misses.
     pub fn chord(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (nearest, (from, to)) = self.crossing(ray);
         (from < to).then_some((nearest + from, nearest + to))
     }
 
-    /// Where on the ray the point nearest to the centre is, and from there the ends of the chord: numbers that stay as
-    /// small as the solid.
+    /// Position on the ray of the point nearest to the centre, and the ends of the chord relative to it.
+    ///
+    /// Both ends stay as small as the solid, wherever the ray starts.
     fn crossing(&self, ray: &Ray) -> (f64, (f64, f64)) {
         let to_centre = self.centre - ray.origin;
         let nearest = to_centre.dot(ray.direction);
@@ -195,7 +198,7 @@ impl Solid {
         (nearest, chord)
     }
 
-    /// The function that is at most 1 inside, of own coordinates.
+    /// The convex function of own coordinates that is at most 1 inside.
     fn level(&self, p: DVec3) -> f64 {
         match self.shape {
             Shape::Ellipsoid => p.length(),
@@ -206,7 +209,7 @@ impl Solid {
         }
     }
 
-    /// By how much the level can change, at most, over a step.
+    /// Upper bound on the change of the level over a step.
     fn slope(&self, step: DVec3) -> f64 {
         match self.shape {
             Shape::Cone { taper } => (step.truncate().length() + (taper * step.z).abs()).max(step.z.abs()),
@@ -216,11 +219,11 @@ impl Solid {
     }
 }
 
-/// An interval of the line's parameter that holds nothing.
+/// An empty interval of the line's parameter.
 const EMPTY: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 const WHOLE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
-/// Where the line `p + t·d` is within the unit ball.
+/// The interval where the line `p + t·d` is within the unit ball.
 fn ball(p: DVec3, d: DVec3) -> (f64, f64) {
     let dd = d.length_squared();
     if dd == 0.0 {
@@ -235,9 +238,11 @@ fn ball(p: DVec3, d: DVec3) -> (f64, f64) {
     (middle - half, middle + half)
 }
 
-/// Where the line `p + t·d` is within the cone `√(x² + y²) ≤ 1 - taper·z`, beyond its tip left to the slab that it is cut with.
+/// The interval where the line `p + t·d` is within the cone `√(x² + y²) ≤ 1 - taper·z`.
+///
+/// Beyond the tip of the cone, the interval is left to the slab that cuts it.
 fn cone(p: DVec3, d: DVec3, taper: f64) -> (f64, f64) {
-    // The width `w + t·e` at the line's height, and (x² + y²) - width² = a·t² + 2·b·t + c.
+    // The radius `w + t·e` at the line's height, and (x² + y²) - radius² = a·t² + 2·b·t + c.
     let (w, e) = (1.0 - taper * p.z, -taper * d.z);
     let (flat_p, flat_d) = (p.truncate(), d.truncate());
     let a = flat_d.length_squared() - e * e;
@@ -250,34 +255,34 @@ fn cone(p: DVec3, d: DVec3, taper: f64) -> (f64, f64) {
     if discriminant <= 0.0 && a >= 0.0 {
         return EMPTY;
     }
-    // Neither root is a difference of nearly equal numbers.
+    // Neither root is computed as a difference of nearly equal numbers.
     let s = -(b + discriminant.max(0.0).sqrt().copysign(b));
     let (one, other) = if s == 0.0 { (0.0, 0.0) } else { (s / a, c / s) };
     if a > 0.0 {
         (one.min(other), one.max(other))
     } else if e > 0.0 {
-        // So steep that it stays inside, upwards or downwards, once it is.
+        // A line so steep that it stays inside, upwards or downwards, once it has entered.
         (if a == 0.0 { other } else { one.max(other) }, f64::INFINITY)
     } else {
         (f64::NEG_INFINITY, if a == 0.0 { other } else { one.min(other) })
     }
 }
 
-/// Where the line `p + t·d` is within 1 of the points with x = y = 0 and `|z| ≤ core`.
+/// The interval where the line `p + t·d` is within 1 of the points with x = y = 0 and `|z| ≤ core`.
 fn capsule(p: DVec3, d: DVec3, core: f64) -> (f64, f64) {
     let between = |(from, to): (f64, f64)| if from < to { (from, to) } else { EMPTY };
     let side = both(ball(p.with_z(0.0), d.with_z(0.0)), scaled_slab(p.z, d.z, core));
     let ends = [ball(p - DVec3::Z * core, d), ball(p + DVec3::Z * core, d)];
-    // Convex: from the first of all ends to the last.
+    // The body is convex: the interval spans the first to the last of all ends.
     ends.into_iter().map(between).fold(between(side), |a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
-/// Where `|p + t·d| ≤ 1`.
+/// The interval where `|p + t·d| ≤ 1`.
 fn slab(p: f64, d: f64) -> (f64, f64) {
     scaled_slab(p, d, 1.0)
 }
 
-/// Where `|p + t·d| ≤ half`.
+/// The interval where `|p + t·d| ≤ half`.
 fn scaled_slab(p: f64, d: f64, half: f64) -> (f64, f64) {
     if d == 0.0 {
         return if p.abs() <= half { WHOLE } else { EMPTY };
@@ -308,7 +313,7 @@ mod tests {
         DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.8)
     }
 
-    /// Shapes, their half lengths, and their volumes where these are 1. The wide ends of the cones lie midway between
+    /// Shapes, half lengths, and volumes for half lengths of 1. The wide ends of the cones lie midway between the
     /// points of [`fractions_of_voxels_add_up_to_the_volume`].
     const SHAPES: [(Shape, DVec3, f64); 6] = [
         (Shape::Ellipsoid, HALF, 4.0 / 3.0 * PI),
@@ -321,13 +326,13 @@ mod tests {
     const HALF: DVec3 = DVec3::new(0.5, 0.3, 0.7);
     const SMALLER: DVec3 = DVec3::new(0.3, 0.2, 0.42);
 
-    /// Each shape as it is and turned.
+    /// Each shape, unrotated and rotated.
     fn solids() -> Vec<Solid> {
         let solid = |(shape, half, _)| Solid::new(shape, 0.8, DVec3::new(0.2, -0.15, 0.1), half);
         SHAPES.into_iter().map(solid).flat_map(|solid| [solid, solid.rotated(tilt())]).collect()
     }
 
-    /// A fan of rays, some along the axes of the world, and some along the side of a cone.
+    /// A fan of rays, including rays along the world axes and along the side of a cone.
     fn rays() -> Vec<Ray> {
         let source = DVec3::new(4.0, -2.5, 0.3);
         let fan = (0..60).map(|i| {
@@ -402,7 +407,7 @@ mod tests {
             for (x, y, z) in (0..n * n * n).map(|k| (k / n / n, k / n % n, k % n)) {
                 let centre = DVec3::NEG_ONE + half + DVec3::new(x as f64, y as f64, z as f64) * half * 2.0;
                 let fraction = fraction(&solid.coverage(centre, half, 6));
-                // The bounds must never decide against the samples.
+                // The bounds must never contradict the samples.
                 let places = (0..216).map(|k| DVec3::new((k / 36) as f64, (k / 6 % 6) as f64, (k % 6) as f64));
                 let inside = places.filter(|p| solid.contains(centre + half * ((p * 2.0 + 1.0) / 6.0 - 1.0)));
                 assert_eq!(fraction, inside.count() as f64 / 216.0);
@@ -419,7 +424,7 @@ mod tests {
     #[test]
     fn the_reach_holds_the_solid_but_not_much_more() {
         for solid in solids() {
-            // Points of the surface, by bisection along directions all around.
+            // Points on the surface, by bisection along directions all around.
             let mut reach = DVec3::ZERO;
             for i in 0..20_000 {
                 let height = 1.0 - (2 * i + 1) as f64 / 20_000.0;

@@ -6,17 +6,17 @@ use crate::scene::arrays::Volume;
 use crate::scene::geometry::Grid;
 use ndarray::Array3;
 
-/// The density in a voxel.
+/// The density within a voxel.
 #[derive(Clone)]
 enum Voxel {
     /// The same everywhere.
     Even(f64),
-    /// At evenly spaced points.
+    /// Densities at evenly spaced points.
     Points(Vec<f64>),
 }
 
 impl Voxel {
-    /// Puts the covered part of a solid into the voxel.
+    /// Adds the covered part of a solid to the voxel.
     fn put(&mut self, solid: &Solid, covered: &Coverage) {
         match (&mut *self, covered) {
             (_, Coverage::Nothing) => {}

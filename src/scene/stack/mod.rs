@@ -1,10 +1,10 @@
-//! Projections of any origin: a stack of images and the angles they were taken at.
+//! Projections of any origin: a stack of images and their angles.
 //!
 //! | stack | frames |
 //! |---|---|
 //! | `.npy` | `[view, v, u]`; `[v, u]` is one frame |
-//! | folder of `.npy` | `[v, u]` each, in natural order of the names |
-//! | anything that [`super::volume_file`] reads | z is the view, y is v, x is u: a page of a TIFF is a view, its rows are v |
+//! | folder of `.npy` | `[v, u]` each, in natural order of names |
+//! | formats of [`super::volume_file`] | z is the view, y is v, x is u: a TIFF page is a view, its rows are v |
 
 use super::arrays::Projections;
 use super::dataset::{Dataset, Description, look_like_degrees};
@@ -15,12 +15,14 @@ use crate::error::{Error, Result};
 use ndarray::{Array3, Axis, Ix1, Ix2, Ix3};
 use std::path::Path;
 
-/// How the frames of a detector lie on that of the geometry page: row 0 on top, columns along u, angles counter-clockwise.
+/// How frames are oriented relative to the geometry page.
+///
+/// There, row 0 is on top, columns run along u and angles are counter-clockwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Orientation {
     /// Row 0 is at the bottom.
     pub flip_rows: bool,
-    /// Column 0 is at the other side.
+    /// Column 0 is at the opposite side.
     pub flip_columns: bool,
     /// Angles are counted clockwise, seen from +z.
     pub clockwise: bool,
@@ -29,7 +31,8 @@ pub struct Orientation {
 /// Reads a stack `[view, v, u]`.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first thing that does not fit.
+/// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
+/// not fit.
 pub fn read(path: &Path) -> Result<Array3<f32>> {
     if path.is_dir() {
         let files = files(path)?;
@@ -62,11 +65,13 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
     Ok(Array3::from_shape_vec((paths.len(), shape.0, shape.1), values).expect("every frame has the shape of the first"))
 }
 
-/// Reads angles, radians: an array `.npy` of one axis, or a text of numbers between spaces, commas or line ends, in which
-/// `#` begins a remark. `in_degrees` says what the file has.
+/// Reads angles and returns radians.
+///
+/// The file is a one-dimensional `.npy` array, or a text of numbers separated by spaces, commas or line ends, in which
+/// `#` starts a comment. `in_degrees` states the unit of the file.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Format`] for the first word that is no finite number.
+/// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number.
 pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
     let angles = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         npy::read_f64::<Ix1>(path, "[view]")?.to_vec()
@@ -77,10 +82,10 @@ pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
     Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles })
 }
 
-/// Numbers of a text; `path` names it in errors.
+/// Parses the numbers of a text; `path` names it in errors.
 ///
 /// # Errors
-/// [`Error::Format`] for the first word that is no finite number.
+/// [`Error::Format`] for the first word that is not a finite number.
 pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
     const LONGEST: usize = 40;
     let text = String::from_utf8_lossy(text);
@@ -90,7 +95,13 @@ pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
         for word in numbers.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|word| !word.is_empty()) {
             let angle = word.parse().ok().filter(|angle: &f64| angle.is_finite()).ok_or_else(|| {
                 let got = word.chars().take(LONGEST).collect::<String>();
-                Error::format(path, format!("line {}", i + 1), got, "a finite number", "a remark begins with #")
+                Error::format(
+                    path,
+                    format!("line {}", i + 1),
+                    got,
+                    "a finite number",
+                    "correct the number, or start comments with #",
+                )
             })?;
             angles.push(angle);
         }
@@ -98,12 +109,13 @@ pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
     Ok(angles)
 }
 
-/// A scan of a stack of line integrals, pure numbers, on a scanner.
+/// A scan from a stack of dimensionless line integrals `[view, v, u]` and its angles (radians).
 ///
-/// Lengths of the description become scene units, and line integrals with them: densities stay per unit of its lengths.
+/// Lengths of the description are converted to scene units, and line integrals with them: densities remain per unit of
+/// length of the description.
 ///
 /// # Errors
-/// When frames have another shape than the detector, angles are not as many as frames, or a value is not finite.
+/// When frames have another shape than the detector, the numbers of angles and frames differ, or a value is not finite.
 pub fn scan(
     name: &str,
     description: &Description,
@@ -123,7 +135,7 @@ pub fn scan(
             "angles",
             angles.len(),
             format!("one for each of {views} frames"),
-            "check the list",
+            "give one angle per frame",
         ));
     }
     // Rounding once, from f64, keeps a scale of 1 exact.

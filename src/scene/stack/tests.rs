@@ -18,7 +18,7 @@ fn a_stack_is_the_same_in_every_format() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     npy::write(&at("a.npy"), frames().view()).unwrap();
-    // Views are the third axis of a volume's file.
+    // Views are the third axis of a volume file.
     let values = frames().reversed_axes().as_standard_layout().into_owned();
     let volume = VolumeFile { values, ..VolumeFile::default() };
     for name in ["a.tif", "a.mha", "a.nii.gz", "a_5x4x3_float32.raw"] {

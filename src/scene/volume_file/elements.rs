@@ -1,20 +1,20 @@
-//! Numbers in bytes.
+//! Conversion between bytes and arrays of numbers.
 
 use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use ndarray::Array3;
 use std::io::Read;
 
-/// A byte of deflated data stands for at most so many.
+/// Largest expansion of a byte of deflated data.
 const MOST_INFLATION: usize = 1032;
 
-/// A type of number and the order of its bytes.
+/// A number type and its byte order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Element {
     pub(super) number: Number,
     pub(super) big_endian: bool,
 }
 
-/// A type of number.
+/// A number type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Number {
     U8,
@@ -29,7 +29,7 @@ pub(super) enum Number {
     F64,
 }
 
-/// How bytes are packed.
+/// Compression of the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Raw,
@@ -38,7 +38,7 @@ pub(super) enum Encoding {
 }
 
 impl Number {
-    /// By NumPy's names.
+    /// The type with a NumPy name.
     pub(super) fn named(name: &str) -> Option<Self> {
         Some(match name {
             "uint8" => Self::U8,
@@ -55,7 +55,7 @@ impl Number {
         })
     }
 
-    /// Bytes of a number.
+    /// Bytes per number.
     fn size(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -89,15 +89,16 @@ impl Element {
         }
     }
 
-    /// Bytes of an array that has a number, or what is wrong with its shape.
+    /// Bytes of an array of a shape, or an error message for an impossible shape.
     pub(super) fn size(self, shape: [usize; 3]) -> std::result::Result<usize, String> {
         let voxels = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
         let size = voxels.and_then(|voxels| voxels.checked_mul(self.number.size())).filter(|&size| size > 0);
         size.ok_or_else(|| format!("shape {shape:?}"))
     }
 
-    /// A volume `[x, y, z]` from bytes with x fastest, in which order it stays in memory; `means` is what a stored number
-    /// stands for. No more memory is asked for than the bytes can stand for.
+    /// A volume `[x, y, z]` from bytes with x fastest; the memory order is kept.
+    ///
+    /// `means` maps a stored number to its value. Memory is bounded by what the bytes can expand to.
     pub(super) fn volume(
         self,
         bytes: &[u8],
@@ -110,7 +111,7 @@ impl Element {
         let bytes = match encoding {
             Encoding::Raw => bytes,
             _ if size / MOST_INFLATION > bytes.len() => {
-                return Err(format!("{} packed bytes for shape {shape:?}", bytes.len()));
+                return Err(format!("{} compressed bytes for shape {shape:?}", bytes.len()));
             }
             Encoding::Gzip => {
                 unpacked = unpack(MultiGzDecoder::new(bytes), size)?;
@@ -130,7 +131,7 @@ impl Element {
     }
 }
 
-/// At most `size` bytes.
+/// Decompresses at most `size` bytes.
 pub(super) fn unpack(packed: impl Read, size: usize) -> std::result::Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     packed.take(size as u64).read_to_end(&mut bytes).map_err(|error| error.to_string())?;

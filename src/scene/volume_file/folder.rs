@@ -1,4 +1,4 @@
-//! A folder with a slice in each file.
+//! A folder with one slice per file.
 
 use super::VolumeFile;
 use super::tiff::Pages;
@@ -20,14 +20,14 @@ pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
         let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
         let count = pages.add_all(&content, path)?;
         if count != 1 {
-            let remedy = "give a file of many pages by itself";
+            let remedy = "give the path of that file instead of the folder";
             return Err(Error::format(path, "file in a folder", format!("{count} pages"), "one", remedy));
         }
     }
     Ok(VolumeFile::bare(pages.volume()))
 }
 
-/// The series in a folder that holds one.
+/// The DICOM series of a folder, if it holds one.
 #[cfg(any(feature = "dicom", test))]
 fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> {
     let slices: Vec<PathBuf> = files.iter().filter(|path| super::dicom::is_dicom(path)).cloned().collect();
@@ -39,7 +39,7 @@ fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> 
     (!with_extension(files, &["dcm", "ima"]).is_empty()).then(|| Err(super::no_dicom(folder)))
 }
 
-/// The files of a folder in natural order, hidden ones left out.
+/// The files of a folder in natural order, without hidden files.
 pub(in crate::scene) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |source| Error::read(folder, source);
     let mut files = Vec::new();
@@ -53,7 +53,7 @@ pub(in crate::scene) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Those whose names end so, whatever the case.
+/// The files with one of the extensions, ignoring case.
 pub(in crate::scene) fn with_extension<'a>(files: &'a [PathBuf], extensions: &[&str]) -> Vec<&'a Path> {
     let matches = |path: &&PathBuf| {
         path.extension().is_some_and(|found| extensions.iter().any(|known| found.eq_ignore_ascii_case(known)))

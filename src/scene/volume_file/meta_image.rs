@@ -1,4 +1,4 @@
-//! MetaImage, of ITK: a text header, then or elsewhere the numbers.
+//! MetaImage, ITK's format: a text header, followed by the numbers or naming their file.
 
 use super::elements::{Element, Encoding, Number};
 use super::{VolumeFile, damaged, numbers};
@@ -6,10 +6,10 @@ use crate::error::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// A header is not longer.
+/// Longest header accepted, bytes.
 const HEADER: usize = 1 << 16;
 
-/// ITK's names of types.
+/// ITK's type names.
 const TYPES: [(&str, Number); 12] = [
     ("MET_UCHAR", Number::U8),
     ("MET_CHAR", Number::I8),
@@ -58,7 +58,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                 origin = Some(DVec3::from_array(numbers(value).ok_or_else(|| wrong(key, value, "three lengths"))?));
             }
             "TransformMatrix" | "Rotation" | "Orientation" => {
-                // One axis after the other.
+                // One axis after another.
                 let read = numbers::<9, f64>(value).ok_or_else(|| wrong(key, value, "nine numbers"))?;
                 axes = Some([0, 3, 6].map(|i| DVec3::from_slice(&read[i..])));
             }
@@ -74,7 +74,13 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
                     &content[at..]
                 } else {
                     elsewhere = beside(path, value).map_err(|got| {
-                        Error::format(path, key, got, "LOCAL or a file in this folder", "put the file there")
+                        Error::format(
+                            path,
+                            key,
+                            got,
+                            "LOCAL or a file in this folder",
+                            "move the file into this folder",
+                        )
                     })?;
                     &elsewhere
                 };
@@ -89,7 +95,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
 }
 
-/// The content of a file in the same folder, or what is wrong with it: a header must not point anywhere else.
+/// The content of a file in the same folder, or an error message.
+///
+/// A header must not name files elsewhere.
 pub(super) fn beside(path: &Path, name: &str) -> std::result::Result<Vec<u8>, String> {
     if Path::new(name).file_name().is_none_or(|file| file != name) {
         return Err(shown(name));
@@ -97,7 +105,7 @@ pub(super) fn beside(path: &Path, name: &str) -> std::result::Result<Vec<u8>, St
     std::fs::read(path.with_file_name(name)).map_err(|error| format!("{}: {error}", shown(name)))
 }
 
-/// The beginning of a text from a file, for a message.
+/// The beginning of a text from a file, shortened for a message.
 pub(super) fn shown(text: &str) -> String {
     const LONGEST: usize = 60;
     let beginning: String = text.chars().take(LONGEST).collect();

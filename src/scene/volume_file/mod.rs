@@ -1,33 +1,33 @@
-//! Volumes in the formats that others read and write, by extension.
+//! Volumes in common file formats, chosen by extension.
 //!
-//! | extension | format | what it says beside the values |
+//! | extension | format | metadata besides the values |
 //! |---|---|---|
 //! | `.npy` | NumPy, `[x, y, z]` | nothing |
 //! | `.mha`, `.mhd` | MetaImage, x fastest | spacing, origin |
 //! | `.nrrd`, `.nhdr` | NRRD, x fastest | spacing, origin |
 //! | `.nii`, `.nii.gz` | NIfTI-1, x fastest | spacing, origin |
 //! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | nothing |
-//! | `.raw` | numbers alone, x fastest | size and type by name: `name_256x256x256_uint8.raw`, `_uint16be` for big-endian |
-//! | `.raw`, `.raw.json` | the same, described by a file beside it: see [`SideFile`] | size, type, spacing, origin |
+//! | `.raw` | numbers, x fastest | size and type by name: `name_256x256x256_uint8.raw`, `_uint16be` for big-endian |
+//! | `.raw`, `.raw.json` | the same, described by a side file: see [`SideFile`] | size, type, spacing, origin |
 //! | folder of `.tif` | one page each, in natural order of the names: `s2.tif` before `s10.tif` | nothing |
-//! | folder of DICOM slices, `.dcm` | a series, in order of the slices' places; needs the feature `dicom` | spacing, origin |
+//! | folder of DICOM slices, `.dcm` | a series, ordered by position; needs the feature `dicom` | spacing, origin |
 //!
 //! # Axes
 //!
-//! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or turned. Spacing and origin (of
-//! the centre of the first voxel) are in the file's unit. What else a file says about its axes, their directions, is
-//! reported, carried on to the file that is written, and does not turn the array.
+//! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or rotated. Spacing and origin
+//! (the centre of the first voxel) are in the file's unit. Directions of the axes stated by a file are reported and
+//! copied to a written file, but do not rotate the array.
 //!
-//! Where a voxel lies is told in the coordinates of ITK: x grows to the patient's left, y to the back, z to the head (LPS).
-//! A MetaImage, and a NRRD whose space is LPS or has no name, state them as they are. NIfTI is defined in coordinates that
-//! grow to the right, the front and the head (RAS), and so are NRRDs whose space says so: of these x and y change their
-//! sign, on reading and on writing. So one volume has one place in all formats: ITK, which does the same, sees equal
-//! spacing, origin and directions in what is written here, and nibabel the affine `diag(-1,-1,1,1)` times it. The world of
-//! [`geometry`](super::geometry) has no patient in it; its x, y and z are taken as those of ITK.
+//! Positions are in the coordinates of ITK: x grows to the patient's left, y to the back, z to the head (LPS). A
+//! MetaImage, and a NRRD whose space is LPS or unnamed, are stored in these coordinates. NIfTI uses coordinates that
+//! grow to the right, the front and the head (RAS), as do NRRDs whose space says so: their x and y change sign on
+//! reading and writing. A volume therefore has the same position in all formats: ITK, which does the same, reads equal
+//! spacing, origin and directions from the files written here, and nibabel reads the affine `diag(-1,-1,1,1)` times it.
+//! The x, y and z of [`geometry`](super::geometry), which knows no patient, are taken as those of ITK.
 //!
-//! Sizes in a header are believed only as far as the file has the bytes for them.
+//! Sizes in a header are accepted only if the file has enough bytes for them.
 
-// The tests have it without the feature, so that one build of them is enough.
+// Test builds include it without the feature, so that one test build covers it.
 #[cfg(any(feature = "dicom", test))]
 mod dicom;
 mod elements;
@@ -51,33 +51,33 @@ use std::path::Path;
 
 /// Directions of axes that run along x, y and z.
 pub const STRAIGHT: DMat3 = DMat3::IDENTITY;
-/// To coordinates that grow to the right, the front and the head, and back.
+/// Signs that convert between LPS and RAS coordinates.
 const RAS: DVec3 = DVec3::new(-1.0, -1.0, 1.0);
-/// Directions that differ from x, y and z by less are those, rounded.
+/// Directions that differ from x, y and z by less are rounded to them.
 const ROUNDING: f64 = 1e-5;
 
-/// A volume as a file has it.
+/// A volume with the metadata of its file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumeFile {
     /// `[x, y, z]`.
     pub values: Array3<f32>,
-    /// Distance of voxels, if the file says it.
+    /// Distance between voxels in the file's unit, if the file states it.
     pub spacing: Option<DVec3>,
-    /// Centre of voxel (0, 0, 0), if the file says it.
+    /// Centre of voxel (0, 0, 0) in the file's unit, if the file states it.
     pub origin: Option<DVec3>,
-    /// Unit vectors along the axes of the array, a column each; the identity unless the file says otherwise.
+    /// Unit vectors along the axes of the array, one per column; by default the identity.
     pub directions: DMat3,
-    /// What is unusual, a sentence each.
+    /// Unusual properties of the file, one sentence each.
     pub oddities: Vec<String>,
 }
 
 impl VolumeFile {
-    /// Values and nothing else.
+    /// Values without metadata.
     fn bare(values: Array3<f32>) -> Self {
         Self { values, ..Self::default() }
     }
 
-    /// With z the fastest in memory.
+    /// The volume with z fastest in memory.
     fn in_order(self) -> Self {
         let values =
             if self.values.is_standard_layout() { self.values } else { self.values.as_standard_layout().into_owned() };
@@ -114,25 +114,31 @@ impl Format {
         ];
         known.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| format).ok_or_else(|| {
             let endings = known.map(|(ending, _)| ending).join(", ");
-            Error::invalid("volume's file", path.display(), format!("a name that ends with {endings}"), "rename it")
+            Error::invalid(
+                "volume's file",
+                path.display(),
+                format!("a name that ends with {endings}"),
+                "rename the file, or convert it to one of these formats",
+            )
         })
     }
 }
 
-/// Whether the name is that of a format of this page.
+/// Whether the name has an extension of this page.
 pub fn is_volume(path: &Path) -> bool {
     Format::of(path).is_ok()
 }
 
-/// Reads a volume; what it is follows from the name.
+/// Reads a volume; the format follows from the name.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first thing that does not fit.
+/// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
+/// not fit.
 pub fn read(path: &Path) -> Result<VolumeFile> {
     read_in_any_order(path).map(VolumeFile::in_order)
 }
 
-/// [`read`] without the copy that brings z to the end: the array has the right axes, but x may be the fastest in memory.
+/// [`read`] without the copy that makes z fastest in memory; the axes are `[x, y, z]` nevertheless.
 pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
     if path.is_dir() {
         return folder::read(path);
@@ -144,7 +150,9 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
     parse_in_any_order(&content, path)
 }
 
-/// Reads a volume from the content of a file; `path` tells what it is, and where a header's numbers or a side file are.
+/// Reads a volume from the content of a file.
+///
+/// `path` gives the format, and the location of side files and detached data.
 ///
 /// # Errors
 /// Those of [`read`].
@@ -170,10 +178,10 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
 }
 
-/// Writes a volume as f32; what it becomes follows from the name. Where spacing or origin are not known, they are 1 and 0.
+/// Writes a volume as f32; the format follows from the name. Unknown spacing is written as 1, unknown origin as 0.
 ///
 /// # Errors
-/// [`Error::Write`], or [`Error::Invalid`] for an unknown extension or a `.raw` whose name tells another size or type.
+/// [`Error::Write`], or [`Error::Invalid`] for an unknown extension or a `.raw` whose name states another size or type.
 pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     let format = Format::of(path)?;
     let shape: [usize; 3] = volume.values.dim().into();
@@ -200,7 +208,7 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     })
 }
 
-/// What a build without the feature says.
+/// The error of a build without the feature.
 #[cfg(not(any(feature = "dicom", test)))]
 fn no_dicom(path: &Path) -> Error {
     let expected = "a build that reads DICOM";
@@ -208,10 +216,12 @@ fn no_dicom(path: &Path) -> Error {
 }
 
 impl VolumeFile {
-    /// What a file says: `axes` are the steps from voxel to voxel or the directions of these, in the coordinates of ITK.
-    /// Without them it says nothing about directions.
+    /// A volume with the metadata of a file.
+    ///
+    /// `axes` are the steps between voxels or their directions, in ITK's coordinates. `None` means that the file states
+    /// no directions.
     fn new(values: Array3<f32>, spacing: Option<DVec3>, origin: Option<DVec3>, axes: Option<[DVec3; 3]>) -> Self {
-        // Adding 0 makes a plain zero of -0.
+        // Adding 0 turns -0 into 0.
         let [x, y, z] = axes.unwrap_or(STRAIGHT.to_cols_array_2d().map(DVec3::from)).map(|axis| axis.normalize() + 0.0);
         let mut volume = Self { values, spacing, origin: origin.map(|origin| origin + 0.0), ..Self::default() };
         let directions = DMat3::from_cols(x, y, z);
@@ -225,14 +235,14 @@ impl VolumeFile {
     }
 }
 
-/// An error about the content of a file. What a library found may be as long as the file.
+/// An error about the content of a file; a message of a library may be long and is shortened.
 fn damaged(path: &Path, found: &str) -> Error {
     const LONGEST: usize = 400;
     let found: String = found.chars().take(LONGEST).collect();
     Error::format(path, "volume", found, "a whole file with one number per voxel", "get the file again")
 }
 
-/// All numbers of a text, N of them.
+/// The numbers of a text, if there are exactly N.
 fn numbers<const N: usize, T: std::str::FromStr>(text: &str) -> Option<[T; N]> {
     let numbers: Option<Vec<T>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     numbers?.try_into().ok()

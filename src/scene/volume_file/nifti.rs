@@ -1,4 +1,4 @@
-//! NIfTI-1, packed by gzip or not.
+//! NIfTI-1, with or without gzip.
 
 use super::elements::{Element, Encoding, Number, unpack};
 use super::{RAS, VolumeFile, damaged};
@@ -12,11 +12,11 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// Bytes of a header and of the mark for extensions behind it.
+/// Bytes of a header and of the extension flag after it.
 const HEADER: usize = 352;
-/// A byte of gzip stands for at most so many.
+/// Largest expansion of a byte of gzip.
 const MOST_INFLATION: usize = 1032;
-/// "The transformation is to coordinates of the scanner."
+/// NIfTI's code for a transformation to the coordinates of the scanner.
 const SCANNER: i16 = 1;
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
@@ -31,7 +31,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let broken = |found: &str| damaged(path, found);
     let head = first(HEADER).map_err(|found| broken(&found))?;
     let header = NiftiHeader::from_reader(&head[..]).map_err(|error| broken(&error.to_string()))?;
-    // Trailing axes of one voxel are common.
+    // Trailing axes of length 1 are common.
     let sides = header.dim().map_err(|error| broken(&error.to_string()))?;
     let &[x, y, z, ref rest @ ..] = sides else { return Err(broken(&format!("{} axes instead of 3", sides.len()))) };
     if rest.iter().any(|&n| n != 1) {
@@ -60,12 +60,12 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let Some((origin, axes)) = placement(&header) else {
         return Ok(VolumeFile::new(values, Some(sides), None, None));
     };
-    // The matrix has lengths of its own, and they count; a quaternion has none.
+    // The matrix contains the spacing, which takes precedence; a quaternion contains none.
     let spacing = if header.sform_code > 0 { DVec3::from(axes.map(DVec3::length)) } else { sides };
     Ok(VolumeFile::new(values, Some(spacing), Some(origin), Some(axes)))
 }
 
-/// Types of one number per voxel.
+/// The number type of a NIfTI type with one number per voxel.
 fn number(kind: NiftiType) -> Option<Number> {
     Some(match kind {
         NiftiType::Uint8 => Number::U8,
@@ -82,7 +82,7 @@ fn number(kind: NiftiType) -> Option<Number> {
     })
 }
 
-/// The first voxel's centre and the axes in ITK's coordinates, if the header has them: its matrix, otherwise its quaternion.
+/// Centre of the first voxel and the axes in ITK's coordinates: from the matrix, else the quaternion.
 fn placement(header: &NiftiHeader) -> Option<(DVec3, [DVec3; 3])> {
     if header.sform_code > 0 {
         let rows = [header.srow_x, header.srow_y, header.srow_z].map(|row| row.map(f64::from));
@@ -106,7 +106,7 @@ pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DV
     let axes = [0, 1, 2].map(|axis| volume.directions.col(axis) * RAS);
     let mirror = if DMat3::from_cols_array_2d(&axes.map(Into::into)).determinant() < 0.0 { -1.0 } else { 1.0 };
     let quaternion = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2] * mirror));
-    // Its first part is not stored, and not negative.
+    // The real part is not stored; it is not negative.
     let q = if quaternion.w < 0.0 { -quaternion } else { quaternion }.as_quat();
     let s = spacing.as_vec3();
     let row = |i: usize| [0, 1, 2, 3].map(|j| if j < 3 { (axes[j][i] * spacing[j]) as f32 } else { origin[i] });

@@ -7,10 +7,10 @@ use crate::error::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// A header is not longer.
+/// Longest header accepted, bytes.
 const HEADER: usize = 1 << 16;
 
-/// Names of types that are not NumPy's.
+/// Parses a type name, including those that NumPy does not use.
 fn number(name: &str) -> Option<Number> {
     Some(match name {
         "uchar" | "unsigned char" | "uint8_t" => Number::U8,
@@ -29,7 +29,7 @@ fn number(name: &str) -> Option<Number> {
     })
 }
 
-/// `(a,b,c)`.
+/// Parses `(a,b,c)`.
 fn vector(text: &str) -> Option<DVec3> {
     let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?.replace(',', " ");
     numbers(&inner).map(DVec3::from_array)
@@ -45,7 +45,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     loop {
         let end = content.len().min(HEADER);
         let rest = &content[at.min(end)..end];
-        // A header that lies beside its numbers may end with its last line.
+        // A detached header may end with its last line.
         let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
         let line = String::from_utf8_lossy(&rest[..length]).trim_end().to_owned();
         if at == 0 && !line.starts_with("NRRD000") {
@@ -102,8 +102,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let bytes = match file {
         None => &content[at..],
         Some(name) => {
-            elsewhere = beside(path, &name)
-                .map_err(|got| Error::format(path, "data file", got, "a file in this folder", "put the file there"))?;
+            elsewhere = beside(path, &name).map_err(|got| {
+                Error::format(path, "data file", got, "a file in this folder", "move the file into this folder")
+            })?;
             &elsewhere
         }
     };

@@ -1,4 +1,4 @@
-//! Numbers alone: what they are is said by the file's name or by a file beside it.
+//! Raw numbers, described by the file's name or by a side file.
 
 use super::elements::{Element, Encoding, Number};
 use super::{VolumeFile, damaged};
@@ -8,26 +8,26 @@ use serde::Deserialize;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// What `name.raw.json` says about `name.raw`:
+/// The side file `name.raw.json`, which describes `name.raw`:
 ///
 /// ```json
 /// { "shape": [256, 256, 100], "type": "uint16", "byte_order": "little",
 ///   "spacing": [0.5, 0.5, 1.0], "origin": [0.0, 0.0, 0.0], "skip_bytes": 0 }
 /// ```
 ///
-/// Only `shape` and `type` are needed. The numbers fill the rest of the file, to its last byte.
+/// Only `shape` and `type` are required. The numbers fill the rest of the file, to its last byte.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SideFile {
     /// `[x, y, z]`, x fastest in the file.
     shape: [usize; 3],
-    /// NumPy's name: uint8, int8, uint16, int16, uint32, int32, float32 or float64.
+    /// NumPy's type name: uint8, int8, uint16, int16, uint32, int32, float32 or float64.
     #[serde(rename = "type")]
     kind: String,
-    /// Which end of a number comes first.
+    /// Order of the bytes of a number.
     #[serde(default)]
     byte_order: ByteOrder,
-    /// Distance of voxels along x, y, z.
+    /// Distance between voxels along x, y, z.
     spacing: Option<[f64; 3]>,
     /// Centre of voxel (0, 0, 0).
     origin: Option<[f64; 3]>,
@@ -45,14 +45,14 @@ enum ByteOrder {
 }
 
 impl SideFile {
-    /// The content of a side file; `path` names it in errors.
+    /// Parses the content of a side file; `path` names it in errors.
     ///
     /// # Errors
     /// [`Error::Format`] for anything but the fields above.
     pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
         let wrong = |got: String| {
-            let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …) and perhaps byte_order, spacing, \
-                            origin, skip_bytes";
+            let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …), optionally byte_order, \
+                            spacing, origin, skip_bytes";
             Error::format(path, "side file", got, expected, "compare it with the one in `trgs convert --help`")
         };
         let side: Self = serde_json::from_slice(text).map_err(|error| wrong(error.to_string()))?;
@@ -67,7 +67,7 @@ impl SideFile {
         Ok(side)
     }
 
-    /// The volume that the content of the file `path` is.
+    /// The volume in the content of the file `path`, `[x, y, z]`.
     ///
     /// # Errors
     /// [`Error::Format`] when the content has another length.
@@ -79,7 +79,7 @@ impl SideFile {
     }
 }
 
-/// The volume in the content of a file, described by the file beside it or else by its name.
+/// The volume in the content of a file, described by its side file, or else by its name.
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let side_path = side_path(path);
     match std::fs::read(&side_path) {
@@ -92,32 +92,32 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
 }
 
-/// All numbers behind `skip` bytes.
+/// The volume in all numbers after `skip` bytes.
 fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path: &Path) -> Result<VolumeFile> {
     let size = element.size(shape).map_err(|found| damaged(path, &found))?;
     let numbers = content.get(skip..).unwrap_or_default();
     if numbers.len() != size {
-        let found = format!("{} bytes behind the first {skip}, {size} expected for shape {shape:?}", numbers.len());
+        let found = format!("{} bytes after the first {skip}, {size} expected for shape {shape:?}", numbers.len());
         return Err(damaged(path, &found));
     }
     let values = element.volume(numbers, Encoding::Raw, shape, |x| x).map_err(|found| damaged(path, &found))?;
     Ok(VolumeFile::bare(values))
 }
 
-/// `name.raw.json`.
+/// The path of the side file, `name.raw.json`.
 fn side_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".json");
     name.into()
 }
 
-/// Refuses the name of a file to write that does not tell what will be in it.
+/// Rejects a file name that does not state the size and type to be written.
 pub(super) fn check_name(path: &Path, shape: [usize; 3]) -> Result<()> {
     let [x, y, z] = shape;
     let remedy = format!("end it with _{x}x{y}x{z}_float32.raw");
     if side_path(path).exists() {
-        let expected = "none: the name will say what is in the file";
-        return Err(Error::invalid("file to write", side_path(path).display(), expected, "remove it"));
+        let expected = "no side file: the name states the content";
+        return Err(Error::invalid("file to write", side_path(path).display(), expected, "delete the side file"));
     }
     if of_name(path)? != (shape, Element { number: Number::F32, big_endian: false }) {
         return Err(Error::invalid("name of the file", path.display(), "its size and type", remedy));
@@ -125,7 +125,7 @@ pub(super) fn check_name(path: &Path, shape: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// Size and type that the name of a `.raw` tells.
+/// Size and type stated by the name of a `.raw` file.
 fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     let sides = |part: &str| -> Option<[usize; 3]> {
@@ -141,8 +141,8 @@ fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
     };
     let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
     let (Some(shape), Some(element)) = found else {
-        let expected = "size and type in it: name_256x256x256_uint8.raw, with be behind the type for big-endian";
-        let remedy = "rename it, or describe it in a file beside it with .json behind the name";
+        let expected = "size and type, as in name_256x256x256_uint8.raw; be after the type means big-endian";
+        let remedy = "rename the file, or describe it in a side file named like it with .json appended";
         return Err(Error::invalid("name of the file", path.display(), expected, remedy));
     };
     Ok((shape, element))

@@ -33,7 +33,7 @@ fn what_is_written_is_read_again() {
 #[test]
 fn directions_go_through_every_format_that_has_them() {
     let (_folder, at) = folder();
-    // A turn about an oblique axis, and the same with a mirror.
+    // A rotation about an oblique axis, without and with a mirror.
     let turn = DMat3::from_quat(glam::DQuat::from_xyzw(0.5, -0.1, 0.7, 0.5).normalize());
     for directions in [turn, turn * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)), DMat3::from_diagonal(-DVec3::ONE)]
     {
@@ -108,7 +108,7 @@ fn types_orders_and_files_beside_are_understood() {
     assert_eq!((found.values, found.spacing), (expected, Some(DVec3::new(1.0, 2.0, 3.0))));
 }
 
-/// A page of 2 rows and 3 columns: 0, 1, … as numbers of one kind.
+/// A page of 2 rows and 3 columns: 0, 1, … in one number type.
 fn page<C: ColorType<Inner: From<u8>>>(compression: Compression) -> Vec<u8>
 where
     [C::Inner]: TiffValue,
@@ -144,7 +144,7 @@ fn pages_of_every_type_and_packing_are_columns_rows_and_slices() {
     assert!(parse(&colour, Path::new("a.tif")).unwrap_err().to_string().contains("RGB(8) instead of grey"));
 }
 
-/// Memory that reading a damaged file took, and what was said.
+/// Memory used to read a damaged file, and the error message.
 fn cost(content: &[u8], name: &str) -> (u64, String) {
     let mut message = String::new();
     let memory = allocation_counter::measure(|| message = parse(content, Path::new(name)).unwrap_err().to_string());
@@ -159,7 +159,7 @@ fn counts_and_tiles_that_a_tiff_has_no_room_for_are_given_no_memory() {
     content[width + 4..width + 8].copy_from_slice(&0x7f00_0000_u32.to_le_bytes());
     let (memory, message) = cost(&content, "a.tif");
     assert!(memory < 1 << 16 && message.contains("2130706432 values of tag 256"), "{memory}: {message}");
-    // A row of a tile is held whole where a predictor works on it.
+    // A row of a tile is held completely where a predictor works on it.
     let entries: [(u16, u32); 12] = [
         (256, 1),
         (257, 1),
@@ -181,7 +181,7 @@ fn counts_and_tiles_that_a_tiff_has_no_room_for_are_given_no_memory() {
     content.extend([0; 4]);
     let (memory, message) = cost(&content, "a.tif");
     assert!(memory < 1 << 16 && message.contains("tiles of (268435456, 1) pixels"), "{memory}: {message}");
-    // A chain of directories that bites its tail has an end.
+    // A cyclic chain of directories must end.
     let end = content.len() - 4;
     content[end..].copy_from_slice(&8_u32.to_le_bytes());
     assert!(cost(&content, "a.tif").0 < 1 << 16);
@@ -254,7 +254,7 @@ fn a_file_beside_raw_numbers_describes_them() {
         let message = described(text).unwrap_err().to_string();
         assert!(message.contains(part), "{message}");
     }
-    // Nor may it be left behind when its numbers are replaced.
+    // A stale side file must not remain when its numbers are replaced.
     std::fs::write(at("a_3x4x5_float32.raw.json"), whole).unwrap();
     assert!(write(&at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("remove it"));
 }

@@ -6,18 +6,18 @@ use crate::numeric::elementary::{cos, sin};
 use glam::{DQuat, DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
 
-/// Both sides of a thing.
+/// The two sides of a symmetric object.
 const SIDES: [f64; 2] = [-1.0, 1.0];
-/// The golden angle, which spreads things evenly.
+/// The golden angle; multiples of it are evenly spread.
 const GOLDEN: f64 = 2.399_963;
 const METAL: f64 = 1.0;
 
-/// A box turned about its middle.
+/// A box rotated about its centre.
 fn turned_box(parts: &mut Parts, density: f64, centre: DVec3, half: DVec3, turn: DQuat) {
     parts.put(Solid::new(Shape::Cuboid, density, centre, half).rotated(turn));
 }
 
-/// A bottle along `way` with a wall, its content up to `full` of the length, neck and cap.
+/// A bottle along `way`: wall, content up to the fraction `full` of its length, neck and cap.
 fn bottle(parts: &mut Parts, foot: DVec3, way: DVec3, radius: f64, full: f64) {
     let shoulder = foot + way * 0.72;
     parts.rod(0.55, [foot, shoulder], radius);
@@ -215,7 +215,7 @@ pub(in super::super) fn mount(seed: u64) -> Vec<Solid> {
     const STEEL: f64 = 1.0;
     let mut parts = Parts::new(seed, 23);
     let mut chance = parts.chance(0);
-    // Gussets: boxes cut along their diagonal; the cut lies where nothing else is yet.
+    // Gussets: boxes cut along their diagonal, where no other part lies yet.
     let slope = DQuat::from_rotation_x(chance.about(0.62, 0.05));
     for side in SIDES {
         parts.cuboid(ALLOY, [side * 0.5, 0.04, -0.2], [0.05, 0.58, 0.6]);
@@ -308,7 +308,7 @@ pub(in super::super) fn present(seed: u64) -> Vec<Solid> {
         }
     }
     parts.ball(RIBBON, knot + DVec3::Z * 0.06, 0.09);
-    // Packing chips below and between, then what is wrapped up.
+    // Packing chips below and between, then the wrapped objects.
     for i in 0..170 {
         let mut draws = parts.chance(100 + i);
         let room = half - 0.11;
@@ -342,7 +342,7 @@ pub(in super::super) fn present(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// A bear of plush with a voice box and eyes of glass.
+/// A plush bear with a voice box and glass eyes.
 fn bear(parts: &mut Parts, seat: DVec3) {
     let mut chance = parts.chance(1);
     let plush = |parts: &mut Parts, centre: DVec3, half: DVec3| {
@@ -366,7 +366,7 @@ fn bear(parts: &mut Parts, seat: DVec3) {
     parts.cylinder(0.1, seat, [0.055, 0.055, 0.045]);
 }
 
-/// A car of tin with wheels, axles and a spring.
+/// A tin car with wheels, axles and a spring.
 fn car(parts: &mut Parts, place: DVec3, turn: DQuat) {
     let at = |x: f64, y: f64, z: f64| place + turn * dvec3(x, y, z);
     for (density, wall) in [(0.9, 0.0), (0.0, 0.016)] {
@@ -410,7 +410,7 @@ pub(in super::super) fn teapot(seed: u64) -> Vec<Solid> {
     let mouth = *spout.last().expect("a curve has points") + dvec3(0.03, 0.0, 0.06);
     let bore: Vec<DVec3> = spout.iter().copied().chain([mouth]).collect();
     parts.tube(0.0, &bore, |t| width(t) - 0.03);
-    // A sieve in front of the spout, rim, lid with knob and its hole.
+    // A sieve in front of the spout; rim; lid with knob and hole.
     for (i, hole) in arc(5, [0.0, 0.0, 0.0], [0.08, 0.08], [0.0, TAU]).into_iter().enumerate().skip(1) {
         parts.ball(CLAY, dvec3(0.5 + 0.005 * i as f64, hole.x, -0.16 + hole.y), 0.028);
     }
@@ -431,7 +431,7 @@ pub(in super::super) fn teapot(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// As in a famous data set: body, tail, claws, legs, feelers.
+/// A lobster, as in a well-known data set: body, tail, claws, legs, antennae.
 fn lobster(parts: &mut Parts, place: DVec3) {
     const SHELL: f64 = 0.55;
     let mut chance = parts.chance(1);

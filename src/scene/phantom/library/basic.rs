@@ -1,4 +1,4 @@
-//! Phantoms for tests and first looks: they stand for nothing but themselves.
+//! Phantoms for tests and first looks; they do not imitate a scan of the paper.
 
 use super::super::solid::{Shape, Solid};
 use crate::numeric::elementary::{cos, pow, sin};
@@ -7,11 +7,13 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
-/// Bubbles in the foam.
+/// Number of bubbles in the foam.
 const BUBBLES: usize = 300;
 
-/// The head phantom in three dimensions: ellipsoids as in A. C. Kak and M. Slaney, *Principles of Computerized
-/// Tomographic Imaging*, 1988, with the stronger contrasts that P. Toft gave it in 1996.
+/// The Shepp-Logan head phantom in three dimensions.
+///
+/// Ellipsoids of A. C. Kak and M. Slaney, *Principles of Computerized Tomographic Imaging*, 1988, with the stronger
+/// contrasts of P. Toft, 1996.
 pub(in super::super) fn shepp_logan() -> Vec<Solid> {
     // Density, centre, semi-axes, rotation about z in degrees.
     const ELLIPSOIDS: [(f64, [f64; 3], [f64; 3], f64); 10] = [
@@ -33,7 +35,7 @@ pub(in super::super) fn shepp_logan() -> Vec<Solid> {
     ELLIPSOIDS.map(solid).to_vec()
 }
 
-/// A different bar on each axis and a ball of another density in each octant.
+/// A different bar on each axis and a ball of a different density in each octant.
 pub(in super::super) fn axes() -> Vec<Solid> {
     let mut solids = vec![
         Solid::new(Shape::Cuboid, 1.0, DVec3::new(0.45, 0.0, 0.0), DVec3::new(0.45, 0.08, 0.05)),
@@ -71,7 +73,7 @@ pub(in super::super) fn torso() -> Vec<Solid> {
         // A vertebra and its canal.
         solids.push(cylinder(0.4, [0.0, 0.37, z], [0.11, 0.09, 0.075]));
         solids.push(cylinder(-0.3, [0.0, 0.44, z], [0.03, 0.02, 0.075]));
-        // Ribs descend towards the front, in pieces that do not overlap.
+        // Ribs descend towards the front, in segments that do not overlap.
         for side in [-1.0, 1.0] {
             for piece in 0..7 {
                 let turn = 0.45 + 0.33 * f64::from(piece);
@@ -85,7 +87,7 @@ pub(in super::super) fn torso() -> Vec<Solid> {
             }
         }
     }
-    // Vessels: rods in the lungs, fanned out by the golden angle.
+    // Vessels: rods in the lungs, spread by the golden angle.
     for i in 0..24 {
         let (side, turn) = (if i % 2 == 0 { -1.0 } else { 1.0 }, 2.399_963 * f64::from(i));
         let centre = DVec3::new(side * (0.42 + 0.07 * cos(turn)), 0.14 * sin(turn), 0.1 + 0.07 * f64::from(i / 2 - 6));
@@ -96,12 +98,12 @@ pub(in super::super) fn torso() -> Vec<Solid> {
     solids
 }
 
-/// A ball of density 0.8 with empty bubbles that neither touch each other nor the surface.
+/// A ball of density 0.8 with empty bubbles that touch neither each other nor the surface.
 pub(in super::super) fn foam(seed: u64) -> Vec<Solid> {
     const BALL: f64 = 0.92;
     let mut bubbles: Vec<(DVec3, f64)> = Vec::with_capacity(BUBBLES);
     for i in 0..BUBBLES {
-        // From large to small: the large ones would find no place at the end.
+        // From large to small: at the end, large ones would no longer fit.
         let radius = 0.15 * pow(0.2, i as f64 / BUBBLES as f64);
         let mut draws = stream(seed, Purpose::Phantom, 0, i as u64);
         let place = (0..1000).find_map(|_| {

@@ -1,4 +1,4 @@
-//! The phantoms that have a name.
+//! The named phantoms.
 
 pub(super) mod artificial;
 pub(super) mod basic;

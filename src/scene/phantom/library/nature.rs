@@ -6,9 +6,9 @@ use crate::numeric::elementary::{cos, sin};
 use glam::{DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
 
-/// Both sides of an animal.
+/// The two sides of an animal.
 const SIDES: [f64; 2] = [-1.0, 1.0];
-/// The golden angle, which spreads things evenly.
+/// The golden angle; multiples of it are evenly spread.
 const GOLDEN: f64 = 2.399_963;
 
 pub(in super::super) fn beetle(seed: u64) -> Vec<Solid> {
@@ -98,7 +98,7 @@ pub(in super::super) fn beetle(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// A branch in bent pieces, and branches on it; returns the tips in `tips`.
+/// Adds a branch in bent segments and its own branches; returns the tips in `tips`.
 fn grow(
     parts: &mut Parts,
     density: f64,
@@ -203,7 +203,7 @@ pub(in super::super) fn broccoli(seed: u64) -> Vec<Solid> {
         let way = dvec3(cos(turn), sin(turn), rise).normalize() * 0.42;
         grow(&mut parts, STALK, (fork, way, 0.1), (1, 1 + u64::from(i)), crown, &mut tips);
     }
-    // Pith, drier than what is around it.
+    // Pith, drier than its surroundings.
     parts.cone(0.34, [foot + dvec3(0.0, 0.0, 0.02), fork], [0.1, 0.13]);
     for (i, tip) in tips.into_iter().enumerate() {
         let mut draws = parts.chance(1000 + i as u64);
@@ -303,7 +303,7 @@ pub(in super::super) fn pepper(seed: u64) -> Vec<Solid> {
             parts.ellipsoid(density, middle, [0.3, 0.3, 0.5]);
         }
     }
-    // Inner walls between the lobes, the seeds' cushion, the dents at both ends.
+    // Inner walls between the lobes, placenta with seeds, dents at both ends.
     for pair in 0..LOBES as usize {
         let (one, next) = (lobes[pair].0, lobes[(pair + 1) % LOBES as usize].0);
         let out = (one + next).normalize();

@@ -1,4 +1,4 @@
-//! Parts of the human body: chest, foot, head, jaw, pancreas. x to the left, the back at +y, z up.
+//! Parts of the human body: chest, foot, head, jaw, pancreas. x is left, the back is at +y, z is up.
 
 use super::super::solid::Solid;
 use super::parts::{Chance, Parts, arc, curve, pulled_into};
@@ -18,10 +18,10 @@ const MARROW: f64 = 0.5;
 const BONE: f64 = 0.85;
 const ENAMEL: f64 = 1.0;
 
-/// Both sides of the body.
+/// The two sides of the body.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// A long bone: compact outside, marrow inside, with thicker ends.
+/// A long bone: compact shell, marrow, and thicker ends.
 fn bone(parts: &mut Parts, ends: [DVec3; 2], radius: f64) {
     let [from, to] = ends;
     parts.capsule(BONE, ends, radius);
@@ -30,13 +30,13 @@ fn bone(parts: &mut Parts, ends: [DVec3; 2], radius: f64) {
     parts.capsule(MARROW, [from.lerp(to, 0.04), from.lerp(to, 0.96)], radius * 0.62);
 }
 
-/// A short bone: compact outside, marrow inside.
+/// A short bone: compact shell and marrow.
 fn ossicle(parts: &mut Parts, centre: DVec3, half: DVec3, axis: DVec3) {
     parts.ellipsoid_along(BONE, centre, half, axis);
     parts.ellipsoid_along(MARROW, centre, half - 0.035, axis);
 }
 
-/// Vertebrae one above the other, from z to z, with the canal behind them.
+/// A column of vertebrae from z to z, with the canal behind them.
 fn spine(parts: &mut Parts, [low, high]: [f64; 2], count: usize, y: f64, radius: f64) {
     let pitch = (high - low) / count as f64;
     for i in 0..count {
@@ -55,7 +55,7 @@ fn spine(parts: &mut Parts, [low, high]: [f64; 2], count: usize, y: f64, radius:
     }
 }
 
-/// Vessels or airways that divide in two until they are thin, kept inside an ellipsoid.
+/// Vessels or airways that bifurcate until they are thin, kept inside an ellipsoid.
 fn tree(parts: &mut Parts, chance: &mut Chance, density: f64, stem: [DVec3; 2], radius: f64, room: [DVec3; 2]) {
     let [from, way] = stem;
     let to = pulled_into(from + way, room[0], room[1]);
@@ -139,7 +139,7 @@ pub(in super::super) fn chest(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// Nine pairs; all but the last two reach the breastbone as cartilage.
+/// Nine pairs of ribs; all but the last two reach the breastbone as cartilage.
 fn ribs(parts: &mut Parts) {
     let mut chance = parts.chance(2);
     for pair in 0..9 {
@@ -165,7 +165,7 @@ fn ribs(parts: &mut Parts) {
 pub(in super::super) fn foot(seed: u64) -> Vec<Solid> {
     let mut parts = Parts::new(seed, 2);
     let mut chance = parts.chance(0);
-    // Skin and flesh: leg, heel, instep, ball; toes with their bones. They point to -y, the big one lies at +x.
+    // Skin and flesh: leg, heel, instep, ball; toes with their bones. Toes point to -y, the big toe lies at +x.
     let skin = |parts: &mut Parts, density: f64, less: f64| {
         parts.cone(density, [dvec3(-0.04, 0.45, -0.25), dvec3(-0.04, 0.44, 0.93)], [0.27 - less, 0.29 - less]);
         parts.ellipsoid(density, [-0.02, 0.55, -0.42], DVec3::new(0.25, 0.36, 0.29) - less);
@@ -234,7 +234,7 @@ pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
     for side in SIDES {
         parts.ellipsoid(FAT, [side * 0.68, 0.12, 0.02], [0.06, 0.13, 0.18]);
     }
-    // Skull and what fills it.
+    // Skull and its contents.
     parts.ellipsoid(BONE, centre, [0.62, 0.75, 0.64]);
     parts.ellipsoid(MARROW, centre, [0.595, 0.725, 0.615]);
     parts.ellipsoid(BONE, centre, [0.575, 0.705, 0.595]);
@@ -261,7 +261,7 @@ pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
         parts.ellipsoid(BLOOD, centre + dvec3(side * 0.11, -0.02, -0.02), [0.07, 0.12, 0.07]);
     }
     parts.ellipsoid(WATER, centre + dvec3(0.0, 0.0, -0.02), [0.015, 0.12, 0.09]);
-    // Cerebellum in its folds, brainstem, spinal cord.
+    // Cerebellum with its folds, brainstem, spinal cord.
     parts.ellipsoid(WATER, [0.0, 0.44, -0.16], [0.37, 0.25, 0.2]);
     for side in SIDES {
         parts.ellipsoid(ORGAN, [side * 0.16, 0.44, -0.16], [0.18, 0.22, 0.175]);
@@ -278,7 +278,7 @@ pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// Furrows of the brain: thin sheets that go in from its surface.
+/// Furrows of the brain: thin sheets that extend inwards from its surface.
 fn sulci(parts: &mut Parts, centre: DVec3, half: DVec3) {
     for i in 0..150 {
         let mut draws = parts.chance(100 + i);
@@ -391,7 +391,7 @@ pub(in super::super) fn jaw(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// A tooth with its root towards `up`; `kind` counts from the last molar, 0, to the middle, 6.
+/// A tooth with its root towards `up`; `kind` counts from the last molar, 0, to the central incisor, 6.
 fn tooth(parts: &mut Parts, chance: &mut Chance, crown: DVec3, up: f64, kind: usize) {
     let (across, height): (f64, f64) = ([0.085, 0.085, 0.065, 0.06, 0.06, 0.05, 0.055][kind], chance.about(0.1, 0.06));
     let thick = if kind < 4 { across } else { 0.045 };
@@ -499,7 +499,7 @@ fn bowels(parts: &mut Parts) {
     parts.pipe([ORGAN, WATER], &small, [0.075, 0.052]);
     let duodenum = curve(8, |t| dvec3(-0.12 - 0.2 * sin(PI * t), -0.16 + 0.12 * t, 0.06 - 0.34 * t));
     parts.pipe([ORGAN, WATER], &duodenum, [0.07, 0.045]);
-    // The colon's pouches, with air and what it holds.
+    // The colon's pouches with air and contents.
     let colon = curve(30, |t| {
         let turn = PI * (1.25 - 1.5 * t);
         dvec3(0.62 * cos(turn), -0.16 + 0.1 * cos(2.0 * turn), -0.5 + 0.38 * sin(turn))

@@ -1,4 +1,4 @@
-//! What phantoms are put together from.
+//! The builder that phantoms are assembled with.
 
 use super::super::solid::{Shape, Solid};
 use crate::numeric::elementary::{cos, sin};
@@ -8,23 +8,25 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
-/// Parts in the order in which they are put in: each displaces what it meets.
+/// Parts in order of insertion: each displaces earlier parts where they overlap.
 pub(super) struct Parts {
     seed: u64,
     phantom: u64,
     pub(super) solids: Vec<Solid>,
 }
 
-/// Draws for one group of parts.
+/// Random numbers for one group of parts.
 pub(super) struct Chance(ChaCha8Rng);
 
 impl Parts {
-    /// Nothing yet. `phantom` is a number that no other phantom has, so that no two share their draws.
+    /// An empty list of parts.
+    ///
+    /// `phantom` is a number unique to the phantom, so that no two phantoms share random numbers.
     pub(super) fn new(seed: u64, phantom: u64) -> Self {
         Self { seed, phantom, solids: Vec::new() }
     }
 
-    /// The draws of a group of parts, which depend on its `id` and on no other group.
+    /// The random numbers of a group of parts; they depend only on the seed, the phantom and `id`.
     pub(super) fn chance(&self, id: u64) -> Chance {
         Chance(stream(self.seed, Purpose::Phantom, self.phantom, id))
     }
@@ -41,7 +43,7 @@ impl Parts {
         self.put(Solid::new(Shape::Cuboid, density, centre.into(), half.into()));
     }
 
-    /// With its axis along z.
+    /// A cylinder with its axis along z.
     pub(super) fn cylinder(&mut self, density: f64, centre: impl Into<DVec3>, half: impl Into<DVec3>) {
         self.put(Solid::new(Shape::Cylinder, density, centre.into(), half.into()));
     }
@@ -50,7 +52,7 @@ impl Parts {
         self.ellipsoid(density, centre, DVec3::splat(radius));
     }
 
-    /// An ellipsoid whose own z points along `axis`.
+    /// An ellipsoid whose z axis points along `axis`.
     pub(super) fn ellipsoid_along(&mut self, density: f64, centre: DVec3, half: DVec3, axis: DVec3) {
         self.put(Solid::new(Shape::Ellipsoid, density, centre, half).rotated(from_z(axis)));
     }
@@ -70,14 +72,14 @@ impl Parts {
         self.put(Solid::new(shape, density, (from + to) / 2.0, half).rotated(from_z(to - from)));
     }
 
-    /// All within `radius` of a line.
+    /// All points within `radius` of a line segment.
     pub(super) fn capsule(&mut self, density: f64, ends: [impl Into<DVec3>; 2], radius: f64) {
         let [from, to] = ends.map(Into::into);
         let shape = Shape::Capsule { core: from.distance(to) / (2.0 * radius) };
         self.put(Solid::new(shape, density, (from + to) / 2.0, DVec3::splat(radius)).rotated(from_z(to - from)));
     }
 
-    /// A capsule that is `thick` to both sides along `flat` and `wide` across it.
+    /// A capsule of half width `thick` along `flat` and half width `wide` across it.
     pub(super) fn strap(&mut self, density: f64, ends: [DVec3; 2], flat: DVec3, [thick, wide]: [f64; 2]) {
         let [from, to] = ends;
         let z = (to - from).normalize();
@@ -88,7 +90,7 @@ impl Parts {
         self.put(Solid::new(shape, density, (from + to) / 2.0, DVec3::new(thick, wide, end)).rotated(turn));
     }
 
-    /// Capsules along a curve; `radius` is a function of the way along it, from 0 to 1.
+    /// Capsules along a curve; `radius` is a function of the position along it, from 0 to 1.
     pub(super) fn tube(&mut self, density: f64, points: &[DVec3], radius: impl Fn(f64) -> f64) {
         let n = points.len() - 1;
         for (i, pair) in points.windows(2).enumerate() {
@@ -96,7 +98,7 @@ impl Parts {
         }
     }
 
-    /// A tube with a wall and a filling.
+    /// A tube with wall and filling.
     pub(super) fn pipe(&mut self, [wall, filling]: [f64; 2], points: &[DVec3], [outer, inner]: [f64; 2]) {
         self.tube(wall, points, |_| outer);
         self.tube(filling, points, |_| inner);
@@ -104,35 +106,35 @@ impl Parts {
 }
 
 impl Chance {
-    /// Evenly between two numbers.
+    /// A uniform random number between two numbers.
     pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.random::<f64>()
     }
 
-    /// A number no further from `value` than the part `spread` of it.
+    /// A random number within the relative distance `spread` of `value`.
     pub(super) fn about(&mut self, value: f64, spread: f64) -> f64 {
         value * self.between(1.0 - spread, 1.0 + spread)
     }
 
-    /// A vector with components from `-size` to `size`.
+    /// A random vector with components from `-size` to `size`.
     pub(super) fn shift(&mut self, size: f64) -> DVec3 {
         DVec3::new(self.between(-size, size), self.between(-size, size), self.between(-size, size))
     }
 
-    /// A unit vector, evenly over the sphere.
+    /// A random unit vector, uniform on the sphere.
     pub(super) fn direction(&mut self) -> DVec3 {
         let (height, turn) = (self.between(-1.0, 1.0), self.between(0.0, TAU));
         let around = (1.0 - height * height).max(0.0).sqrt();
         DVec3::new(around * cos(turn), around * sin(turn), height)
     }
 
-    /// A point inside the unit ball, denser towards its middle.
+    /// A random point inside the unit ball, denser towards its centre.
     pub(super) fn inside(&mut self) -> DVec3 {
         self.direction() * self.between(0.0, 1.0)
     }
 }
 
-/// The rotation of z to a direction.
+/// The rotation that takes z to a direction.
 fn from_z(direction: DVec3) -> DQuat {
     DQuat::from_rotation_arc(DVec3::Z, direction.normalize())
 }
@@ -142,7 +144,7 @@ pub(super) fn curve(n: usize, point: impl Fn(f64) -> DVec3) -> Vec<DVec3> {
     (0..=n).map(|i| point(i as f64 / n as f64)).collect()
 }
 
-/// Points of a horizontal ellipse around `centre`, from angle to angle, x at 0.
+/// Points of a horizontal ellipse around `centre` between two angles (radians), measured from x.
 pub(super) fn arc(n: usize, centre: impl Into<DVec3>, [a, b]: [f64; 2], [from, to]: [f64; 2]) -> Vec<DVec3> {
     let centre = centre.into();
     curve(n, |t| {
@@ -151,7 +153,7 @@ pub(super) fn arc(n: usize, centre: impl Into<DVec3>, [a, b]: [f64; 2], [from, t
     })
 }
 
-/// The point, or where the way to it from `centre` leaves the ellipsoid.
+/// The point itself, or the point where the segment from `centre` to it leaves the ellipsoid.
 pub(super) fn pulled_into(point: DVec3, centre: DVec3, half: DVec3) -> DVec3 {
     let distance = ((point - centre) / half).length();
     if distance <= 1.0 { point } else { centre + (point - centre) / distance }

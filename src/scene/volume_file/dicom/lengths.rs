@@ -1,27 +1,29 @@
-//! Whether the lengths in a DICOM file can be true. The library that reads it asks for as much memory as they claim, so
-//! nothing may be left to it that this page understands in another way.
+//! Checks that the lengths in a DICOM file are possible.
+//!
+//! The library that reads the file allocates as much memory as the lengths claim, so this check must interpret the file
+//! exactly as the library does.
 
 use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::{Tag, VR};
 use dicom_object::StandardDataDictionary;
 
-/// What stands behind the first 128 bytes.
+/// The bytes after the 128-byte preamble.
 pub(super) const MARK: &[u8] = b"DICM";
-/// Of a length that is not told: what follows has an end of its own.
+/// The value of a length that is not given: the content has an end mark.
 const UNDEFINED: u32 = u32::MAX;
 const ITEM: Tag = Tag(0xFFFE, 0xE000);
 const END_OF_ITEM: Tag = Tag(0xFFFE, 0xE00D);
 const END_OF_SEQUENCE: Tag = Tag(0xFFFE, 0xE0DD);
 const PIXELS: Tag = Tag(0x7FE0, 0x0010);
-/// Sequences within sequences; real files have five.
+/// Largest nesting depth of sequences; real files have five.
 const DEEPEST: usize = 32;
 
 type Parsed<T> = Result<T, String>;
 
-/// Walks through a file and says what is wrong with it.
+/// Walks through a file and returns the first defect.
 pub(super) fn check(content: &[u8]) -> Parsed<()> {
     let rest = content.get(128..).and_then(|rest| rest.strip_prefix(MARK)).ok_or("no DICM behind 128 bytes")?;
-    // The file's own group: its length, then its elements, among them how the others are written.
+    // The file's own group: its length, then its elements, including the transfer syntax.
     let mut walk = Walk { rest, explicit: true };
     let (tag, _, length) = walk.header()?;
     if (tag, length) != (Tag(2, 0), 4) {
@@ -51,7 +53,7 @@ pub(super) fn check(content: &[u8]) -> Parsed<()> {
 
 struct Walk<'a> {
     rest: &'a [u8],
-    /// Whether elements tell the type of their values.
+    /// Whether elements state the type of their values.
     explicit: bool,
 }
 
@@ -109,7 +111,7 @@ impl<'a> Walk<'a> {
         Ok((tag, kind, length))
     }
 
-    /// Elements up to the end, or up to the end of an item.
+    /// Reads elements up to the end, or up to the end of an item.
     fn elements(&mut self, in_item: bool, depth: usize) -> Parsed<()> {
         if depth > DEEPEST {
             return Err(format!("sequences within sequences, more than {DEEPEST} deep"));
@@ -124,7 +126,7 @@ impl<'a> Walk<'a> {
                     let rest = self.take(length)?;
                     Walk { rest, explicit: self.explicit }.items(false, depth)?;
                 }
-                // Of numbers cut in two the library leaves the rest, and goes on with that as the next element.
+                // The library keeps the rest of a number that is cut in two, and reads it as the next element.
                 (tag, kind, length) if length % size(kind) != 0 => {
                     return Err(format!("{length} bytes of {tag} with numbers of {}", size(kind)));
                 }
@@ -136,7 +138,7 @@ impl<'a> Walk<'a> {
         if in_item { Err("an item without an end".into()) } else { Ok(()) }
     }
 
-    /// Items up to the end, or up to the end of the sequence.
+    /// Reads items up to the end, or up to the end of the sequence.
     fn items(&mut self, in_sequence: bool, depth: usize) -> Parsed<()> {
         while !self.rest.is_empty() {
             match self.header()? {
@@ -153,7 +155,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// Bytes of a number of a type, 1 for texts and bytes.
+/// Bytes of a number of a type; 1 for text and bytes.
 fn size(kind: VR) -> u32 {
     match kind {
         VR::OW | VR::SS | VR::US => 2,

@@ -1,10 +1,10 @@
-//! DICOM: a series of slices, a file each.
+//! DICOM: a series of slices, one file each.
 //!
-//! Slices are put in order by their places in the patient, never by their names, and become `[x, y, z]` = column, row,
-//! slice, along the normal of the slices. Values are rescaled as the files ask for (slope and intercept): those of a CT are
-//! Hounsfield units. Spacing and origin are in millimetres.
+//! Slices are ordered by their position in the patient, never by file name, and become `[x, y, z]` = column, row,
+//! slice, with z along the normal of the slices. Values are rescaled by the slope and intercept of the files: CT values
+//! are in Hounsfield units. Spacing and origin are in millimetres.
 //!
-//! Pixels have to be plain; packed ones (JPEG and the like) are refused.
+//! Pixels must be uncompressed; compressed pixels (such as JPEG) are rejected.
 
 mod lengths;
 
@@ -18,9 +18,9 @@ use std::fmt::Display;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Distances of slices may differ by so much of their mean: positions are written with few digits.
+/// Allowed relative deviation of a slice distance from the usual one: positions have few digits.
 const UNEVEN: f64 = 0.01;
-/// Unit vectors may differ by so much.
+/// Allowed difference between unit vectors.
 const TURNED: f64 = 1e-3;
 
 const MODALITY: Tag = Tag(0x0008, 0x0060);
@@ -41,14 +41,14 @@ const INTERCEPT: Tag = Tag(0x0028, 0x1052);
 const SLOPE: Tag = Tag(0x0028, 0x1053);
 const PIXELS: Tag = Tag(0x7FE0, 0x0010);
 
-/// Whether the beginning of a file is that of a DICOM file.
+/// Whether a file begins like a DICOM file.
 pub(super) fn is_dicom(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(132).read_to_end(&mut head));
     read.is_ok() && head.get(128..) == Some(lengths::MARK)
 }
 
-/// Reads the slices in any order.
+/// Reads the slices `files` of `folder`, given in any order.
 pub(super) fn read(folder: &Path, files: &[PathBuf]) -> Result<VolumeFile> {
     let slice = |path: &PathBuf| {
         let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
@@ -58,23 +58,23 @@ pub(super) fn read(folder: &Path, files: &[PathBuf]) -> Result<VolumeFile> {
     assemble(slices, folder)
 }
 
-/// Reads a volume of one slice from the content of its file.
+/// Reads a single-slice volume from the content of its file.
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     assemble(vec![Slice::parse(content, path)?], path)
 }
 
-/// One file.
+/// One slice, from one file.
 struct Slice {
     path: PathBuf,
     series: String,
     modality: String,
     /// Rows and columns.
     shape: (usize, usize),
-    /// Distance of rows, then of columns.
+    /// Distance between rows, then between columns, in millimetres.
     pitch: [f64; 2],
-    /// Centre of the first pixel.
+    /// Centre of the first pixel, millimetres.
     position: DVec3,
-    /// Along a row, and down a column.
+    /// Unit vectors along a row and down a column.
     axes: [DVec3; 2],
     thickness: Option<f64>,
     values: Vec<f32>,
@@ -85,7 +85,7 @@ impl Slice {
         lengths::check(content).map_err(|found| damaged(path, &found))?;
         let object = dicom_object::from_reader(content).map_err(|error| damaged(path, &error.to_string()))?;
         let wrong = |what: &str, got: &dyn Display, expected: &str| {
-            let remedy = "give a series of single slices of one number per pixel";
+            let remedy = "give a series with one slice per file and one number per pixel";
             Error::format(path, what, got, expected, remedy)
         };
         let fields = Fields { object: &object, path };
@@ -123,7 +123,7 @@ impl Slice {
     }
 }
 
-/// Numbers of the fields of a file.
+/// Access to the fields of a file as numbers.
 struct Fields<'a> {
     object: &'a DefaultDicomObject,
     path: &'a Path,
@@ -131,7 +131,7 @@ struct Fields<'a> {
 
 impl Fields<'_> {
     fn wrong(&self, what: impl Display, got: impl Display, expected: &str) -> Error {
-        Error::format(self.path, what, got, expected, "export the series again as plain slices")
+        Error::format(self.path, what, got, expected, "export the series again as uncompressed grey slices")
     }
 
     fn numbers(&self, tag: Tag) -> Result<Option<Vec<f64>>> {
@@ -181,13 +181,13 @@ fn pixels(fields: &Fields<'_>, count: usize) -> Result<Vec<f32>> {
     let is_signed = fields.optional(IS_SIGNED)?.is_some_and(|signed| signed == 1.0);
     let (slope, intercept) = (fields.optional(SLOPE)?.unwrap_or(1.0), fields.optional(INTERCEPT)?.unwrap_or(0.0));
     let bytes = fields.object.get(PIXELS).and_then(|element| element.to_bytes().ok());
-    let bytes = bytes.ok_or_else(|| fields.wrong("pixel data", "none that is plain", "one number after another"))?;
+    let bytes = bytes.ok_or_else(|| fields.wrong("pixel data", "no uncompressed pixels", "uncompressed numbers"))?;
     if bytes.len() < count * bits / 8 {
         let got = format!("{} bytes", bytes.len());
         return Err(fields.wrong("pixel data", got, &format!("{count} numbers of {bits} bits")));
     }
     let value = |word: u16| {
-        // The stored bits at the upper end, so that the shift back takes the sign along.
+        // The stored bits are moved to the upper end, so that the shift back extends the sign.
         let upper = word << (15 - high);
         let number =
             if is_signed { f64::from(upper.cast_signed() >> (16 - stored)) } else { f64::from(upper >> (16 - stored)) };
@@ -195,16 +195,16 @@ fn pixels(fields: &Fields<'_>, count: usize) -> Result<Vec<f32>> {
     };
     Ok(match bits {
         8 => bytes[..count].iter().map(|&byte| value(byte.into())).collect(),
-        // The library has put the words in the order of this machine.
+        // The library has converted the words to the byte order of this machine.
         _ => bytes.as_chunks().0[..count].iter().map(|&word| value(u16::from_ne_bytes(word))).collect(),
     })
 }
 
-/// Puts slices of one series in order.
+/// Orders the slices of one series and stacks them.
 fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
     let first = slices.first().ok_or_else(|| damaged(folder, "no slice"))?;
     let wrong = |slice: &Slice, what: &str, got: String, expected: String| {
-        Error::format(&slice.path, what, got, expected, "give a folder with the slices of one series and nothing else")
+        Error::format(&slice.path, what, got, expected, "give a folder that holds only the slices of one series")
     };
     let normal = first.axes[0].cross(first.axes[1]);
     for slice in &slices {
@@ -226,7 +226,7 @@ fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
         1 => first.thickness.filter(|thickness| *thickness > 0.0).unwrap_or(1.0),
         n => (last.position - first.position).dot(normal) / (n - 1) as f64,
     };
-    // The usual gap, from which a missing slice stands out, is not their mean.
+    // The median gap; a missing slice would shift the mean.
     let mut gaps: Vec<f64> = slices.windows(2).map(distance).collect();
     gaps.sort_by(f64::total_cmp);
     let usual = gaps.get(gaps.len() / 2).copied().unwrap_or(gap);
@@ -237,7 +237,7 @@ fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
             &pair[1],
             "distance of slices",
             got,
-            format!("{usual} as elsewhere: slices are missing or double"),
+            format!("{usual} as elsewhere: slices are missing or duplicated"),
         ));
     }
     let sideways = (last.position - first.position) - normal * gap * (slices.len() - 1) as f64;

@@ -14,7 +14,9 @@ fn text(object: &mut InMemDicomObject, tag: Tag, kind: VR, value: &str) {
     object.put(DataElement::new(tag, kind, PrimitiveValue::from(value)));
 }
 
-/// A slice of 2 rows and 3 columns at a height: stored numbers are -100, …, -95 plus ten times the height.
+/// A slice of 2 rows and 3 columns at a height.
+///
+/// Stored numbers are -100, …, -95 plus ten times the height.
 fn slice(height: f64) -> InMemDicomObject {
     let mut object = InMemDicomObject::new_empty();
     let short = |object: &mut InMemDicomObject, tag: Tag, value: u16| {
@@ -34,7 +36,7 @@ fn slice(height: f64) -> InMemDicomObject {
     {
         short(&mut object, tag, value);
     }
-    // What is above the twelve bits is not of the number.
+    // Bits above the twelve stored bits are not part of the number.
     let stored = (0..6).map(|i| ((10.0 * height) as i16 + i - 100).cast_unsigned() & 0x0fff | 0x5000);
     object.put(DataElement::new(PIXELS, VR::OW, PrimitiveValue::U16(stored.collect())));
     object
@@ -47,7 +49,7 @@ fn bytes(object: InMemDicomObject, syntax: &str) -> Vec<u8> {
     content
 }
 
-/// A folder of slices whose names say nothing about their order.
+/// A folder of slices whose names do not indicate their order.
 fn series(objects: impl IntoIterator<Item = InMemDicomObject>) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (i, object) in objects.into_iter().enumerate() {
@@ -109,8 +111,8 @@ fn series_that_are_mixed_or_have_gaps_are_refused() {
         message.contains("IM3: distance of slices: got 2 behind") && message.contains("expected 1 as"),
         "{message}"
     );
-    assert!(refused([1.0, 2.0, 2.0, 3.0].map(slice)).contains("missing or double"));
-    assert!(refused([1.0, 1.0].map(slice)).contains("missing or double"));
+    assert!(refused([1.0, 2.0, 2.0, 3.0].map(slice)).contains("missing or duplicated"));
+    assert!(refused([1.0, 1.0].map(slice)).contains("missing or duplicated"));
     let wider = changed(2.0, |object| text(object, PIXEL_SPACING, VR::DS, "0.5\\0.5"));
     assert!(refused([slice(1.0), wider]).contains("IM1: slice: got (2, 3) pixels of [0.5, 0.5]"));
 }
@@ -133,7 +135,7 @@ fn slices_that_say_too_little_or_something_else_are_refused() {
     assert!(message.contains("got 12 bytes, expected 9 numbers of 16 bits"), "{message}");
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.dcm");
-    // JPEG, told by the transfer syntax.
+    // JPEG, indicated by the transfer syntax.
     let mut content = bytes(slice(1.0), EXPLICIT);
     let at = content.windows(19).position(|part| part == EXPLICIT.as_bytes()).unwrap();
     content[at + 17..at + 19].copy_from_slice(b".4");
@@ -142,7 +144,7 @@ fn slices_that_say_too_little_or_something_else_are_refused() {
     assert!(message.contains("1.2.840.10008.1.2.4") && message.contains("gdcmconv"), "{message}");
 }
 
-/// A slice with a sequence, as one of the two forms has it.
+/// A slice with a sequence, in one of the two transfer syntaxes.
 fn small(syntax: &str) -> Vec<u8> {
     let mut object = slice(1.0);
     let inner = InMemDicomObject::from_element_iter([DataElement::new(MODALITY, VR::CS, PrimitiveValue::from("CT"))]);

@@ -1,6 +1,8 @@
-//! Whether the counts in a TIFF file can be true. The library that reads it asks for as much memory as they claim.
+//! Checks that the counts in a TIFF file are possible.
+//!
+//! The library that reads the file allocates as much memory as the counts claim.
 
-/// How many bytes a value of each type has; those that are missing are skipped by readers.
+/// Bytes of a value of each type; readers skip other types.
 const SIZES: [(u64, u64); 16] = [
     (1, 1),
     (2, 1),
@@ -22,20 +24,20 @@ const SIZES: [(u64, u64); 16] = [
 
 type Parsed<T> = Result<T, String>;
 
-/// Walks along the directories of a file and says what is wrong with them: no list of values is longer than the file.
+/// Walks along the directories of a file and returns the first list of values longer than the file.
 pub(super) fn check(content: &[u8]) -> Parsed<()> {
     let big_endian = content.starts_with(b"MM");
     let number = |at: u64, size: u64| -> Parsed<u64> {
         let bytes =
             at.checked_add(size).and_then(|end| content.get(usize::try_from(at).ok()?..usize::try_from(end).ok()?));
-        let bytes = bytes.ok_or("a directory behind the end of the file")?;
+        let bytes = bytes.ok_or("a directory after the end of the file")?;
         let join = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
         Ok(if big_endian { bytes.iter().fold(0, join) } else { bytes.iter().rfold(0, join) })
     };
     // Sizes of an offset, of the number of entries and of an entry.
     let (offset, entries, entry) = if number(2, 2)? == 43 { (8, 8, 20) } else { (4, 2, 12) };
     let mut directory = number(if offset == 8 { 8 } else { 4 }, offset)?;
-    // A chain that bites its tail is left to the library, which knows where it has been.
+    // A cyclic chain is left to the library, which detects it.
     for _ in 0..content.len() {
         if directory == 0 {
             break;

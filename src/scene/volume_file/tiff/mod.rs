@@ -1,4 +1,4 @@
-//! TIFF: pages of grey numbers, one behind the other in a file or one in each file of a folder.
+//! TIFF: grey pages, several in one file or one in each file of a folder.
 
 mod lengths;
 
@@ -13,9 +13,9 @@ use tiff::encoder::colortype::Gray32Float;
 use tiff::encoder::{TiffEncoder, TiffKind};
 use tiff::{ColorType, TiffError, TiffResult};
 
-/// A packed byte stands for at most so many: twelve bits of LZW for all its four thousand codes.
+/// Largest expansion of a compressed byte: twelve bits of LZW for all of its four thousand codes.
 const MOST_INFLATION: usize = 2731;
-/// Bytes of numbers from which on the longer form is written; the ordinary one ends at 4 GiB, directories included.
+/// Array size in bytes from which BigTIFF is written; classic TIFF ends at 4 GiB, directories included.
 const LARGE: usize = 4_000_000_000;
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
@@ -24,7 +24,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     Ok(VolumeFile::bare(pages.volume()))
 }
 
-/// Pages of one size.
+/// Pages of equal size.
 #[derive(Default)]
 pub(super) struct Pages {
     /// Rows and columns.
@@ -34,7 +34,7 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Adds the pages of a file and returns how many they are. No more memory is asked for than the content can stand for.
+    /// Adds the pages of a file and returns their number. Memory is bounded by what the content can expand to.
     pub(super) fn add_all(&mut self, content: &[u8], path: &Path) -> Result<usize> {
         let broken = |error: TiffError| damaged(path, &error.to_string());
         lengths::check(content).map_err(|found| damaged(path, &found))?;
@@ -55,7 +55,7 @@ impl Pages {
                     format!("a page of {rows} rows and {columns} columns after {} of {:?}", self.count, self.shape);
                 return Err(damaged(path, &found));
             }
-            // A tile may be wider than the page, and a row of it is held.
+            // A tile may be wider than the page, and the decoder holds a row of it.
             if (decoder.chunk_dimensions().0 as usize).saturating_mul(8) > left {
                 return Err(damaged(path, &format!("tiles of {:?} pixels", decoder.chunk_dimensions())));
             }
@@ -72,7 +72,7 @@ impl Pages {
         unreachable!("a file has an end")
     }
 
-    /// Adds a page and returns its bytes.
+    /// Adds a page and returns its size in bytes.
     fn add(&mut self, page: &DecodingResult) -> usize {
         macro_rules! add {
             ($values:expr) => {{
@@ -99,7 +99,7 @@ impl Pages {
         }
     }
 
-    /// `[x, y, z]` = column, row, page; columns are the fastest in memory.
+    /// The volume `[x, y, z]` = column, row, page; columns are fastest in memory.
     pub(super) fn volume(self) -> Array3<f32> {
         let (rows, columns) = self.shape;
         let pages = Array3::from_shape_vec((self.count, rows, columns), self.values);
@@ -107,7 +107,7 @@ impl Pages {
     }
 }
 
-/// Writes a page of single precision per z.
+/// Writes one single-precision page per z.
 pub(super) fn write(path: &Path, values: &Array3<f32>) -> Result<()> {
     let (columns, rows, _) = values.dim();
     let sides = [columns, rows].map(u32::try_from);
