@@ -1,4 +1,4 @@
-//! The density that counts as 1: it makes every threshold, weight and constant of a method one of the scan's own unit.
+//! The density unit of a scan: thresholds, weights and constants of a method are relative to it.
 
 use super::algebraic::{SartSettings, sart};
 use super::{RayModel, VoxelProjector};
@@ -7,22 +7,24 @@ use crate::scene::{Dataset, Projections, Scanner};
 use std::borrow::Cow;
 use std::ops::ControlFlow;
 
-/// Passes of SART that U is taken from.
+/// SART passes that U is computed from.
 const PASSES: usize = 2;
-/// The share of its voxels that are not above the density U is taken from.
+/// Quantile of the voxels that U is computed from.
 const SHARE: f64 = 0.999;
-/// Density of the truth over that of the passes, each the one that the share does not exceed: the median over the scans of
-/// `reference/CHOICES.md`.
+/// Density of the truth over that of the passes, each at this quantile.
+///
+/// It is the median over the scans of `reference/CHOICES.md`.
 const FACTOR: f64 = 1.06;
 
-/// U, attenuation per scene unit: about the largest density of the object. Not in the paper, whose densities lie in [0, 1].
+/// U, attenuation per scene unit: about the largest density of the object.
 ///
-/// `U = 1.06·(99.9th percentile of the voxels after two passes of SART)`; of an object that fills less than a thousandth of the
-/// volume, the largest voxel stands in for the percentile. Projections times k > 0 give U times k, to the bit for a power of
-/// two. Where no voxel is above 0 (nothing was seen, or negative values alone), U is 1.
+/// Not in the paper, whose densities lie in [0, 1]. `U = 1.06·(99.9th percentile of the voxels after two passes of
+/// SART)`. For an object that fills less than a thousandth of the volume, the largest voxel replaces the percentile.
+/// Projections scaled by k > 0 give U scaled by k, exactly for a power of two. If no voxel is above 0 (projections
+/// without a positive value), U is 1.
 ///
 /// # Errors
-/// As [`sart`].
+/// Those of [`sart`].
 ///
 /// Tests: `it_follows_the_projections_and_is_1_of_nothing`, `any_scanner_has_one`, `tests/cli/units.rs`.
 pub fn density_unit(scanner: &Scanner, projections: &Projections) -> Result<f64> {
@@ -37,8 +39,9 @@ pub fn density_unit(scanner: &Scanner, projections: &Projections) -> Result<f64>
     Ok(if high > 0.0 { FACTOR * f64::from(high) } else { 1.0 })
 }
 
-/// What a run takes from a dataset, divided by the unit: training projections and densities of initial points; test views
-/// and truth are left out. With the unit 1 the dataset itself.
+/// The inputs of a run from a dataset, divided by the unit; the dataset itself for the unit 1.
+///
+/// These are training projections and densities of initial points; test views and truth are left out.
 pub(crate) fn in_unit(dataset: &Dataset, unit: f64) -> Cow<'_, Dataset> {
     if unit == 1.0 {
         return Cow::Borrowed(dataset);
@@ -85,7 +88,7 @@ mod tests {
         density_unit(&dataset.scanner, &dataset.train).unwrap()
     }
 
-    /// A scan whose projections are multiplied.
+    /// A scan with its projections multiplied by k.
     fn times(dataset: &Dataset, k: f32) -> Dataset {
         let mut dataset = dataset.clone();
         dataset.train.images *= k;

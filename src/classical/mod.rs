@@ -1,4 +1,4 @@
-//! Reconstruction without primitives, on the same scanner: what every scan can be compared with.
+//! Reconstruction on voxels, on the same scanner: the methods that every scan can be compared with.
 
 pub mod algebraic;
 mod columns;

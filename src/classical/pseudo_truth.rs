@@ -1,23 +1,24 @@
-//! A volume in the place of a truth that nobody knows: that of a measured scan.
+//! A pseudo truth for a measured scan, whose true volume is unknown.
 //!
-//! The paper and R²-Gaussian reconstruct measured objects from all of their views, some 700, by FDK, and take the result
-//! for the truth when few of these views are used. It has artefacts and noise of its own, which a method that is better
-//! than FDK cannot reproduce: figures against it compare methods, they do not say how near to the object a volume is.
+//! The paper and R²-Gaussian reconstruct measured objects from all of their views, some 700, by FDK, and take the
+//! result as the truth when few of these views are used. It has artefacts and noise of its own, which a method better
+//! than FDK cannot reproduce: metrics against it compare methods, they do not measure the distance from the object.
 //!
-//! Projections must be line integrals: of photon counts I and those without an object I₀ that is `ln(I₀/I)`, and lengths
-//! must have one unit. R²-Gaussian's own scripts divide the stored values of its three measured scans by 400 and multiply
-//! them by 50, as all lengths: this only chooses the unit of length, so that densities come to lie about 0 to 1.
+//! Projections must be line integrals, `ln(I₀/I)` for photon counts I and I₀ without an object, and lengths must have
+//! one unit. R²-Gaussian's own scripts divide the stored values of its three measured scans by 400 and multiply them by
+//! 50, as all lengths: this only chooses the unit of length, so that densities lie about 0 to 1.
 
 use super::fdk::{Turn, Window, fdk};
 use crate::error::Result;
 use crate::scene::{Dataset, Volume};
 
-/// The dataset with the reconstruction of all its training views by FDK `[FDK84]` for its truth, negative values set to 0;
-/// a note says so. Not in the paper: it says that pseudo truths are made so, but not how FDK is set; here with the ramp
-/// filter as it is, and with the weights that the views call for ([`Turn::Measured`]).
+/// The dataset with FDK of all its training views as the true volume, negative values set to 0 `[FDK84]`.
+///
+/// A note in the dataset says so. Not in the paper: it says that pseudo truths are made so, but not how FDK is set.
+/// Here it uses the plain ramp filter and the weights that the views require ([`Turn::Measured`]).
 ///
 /// # Errors
-/// As [`fdk`].
+/// Those of [`fdk`].
 ///
 /// Tests: `the_pseudo_truth_is_fdk_without_negative_values`.
 pub fn with_pseudo_truth(dataset: Dataset) -> Result<Dataset> {

@@ -1,16 +1,18 @@
-//! Evenly spaced places on a line of values: linear interpolation at them, and its transpose. Not in the paper.
+//! Linear interpolation at evenly spaced positions of a line of values, and its transpose.
 //!
-//! Both find neighbours within registers. The one takes places as lanes and looks values up, the other takes values as
-//! lanes and looks up the places within reach, so that nothing is scattered. Half of the lanes share a table, which starts
-//! where their first place is; places so far apart that a table does not reach get fewer lanes.
+//! Not in the paper.
+//!
+//! Both find neighbours within registers. Interpolation takes positions as lanes and looks up values; its transpose
+//! takes values as lanes and looks up the positions within reach, so that nothing is scattered. Half of the lanes share
+//! a table that starts at their first position; if positions are too far apart for a table, fewer lanes are used.
 
 use crate::numeric::{Lanes, Real, real};
 use std::ops::Range;
 
-/// The widest lanes.
+/// Largest number of lanes.
 const MOST: usize = 16;
 
-/// Evenly spaced places: number k at `first + k·pitch`, the pitch positive.
+/// Evenly spaced positions: number k at `first + k·pitch`, pitch > 0.
 #[derive(Clone, Copy)]
 pub(super) struct Places {
     pub(super) first: f64,
@@ -22,7 +24,7 @@ impl Places {
         self.first + k as f64 * self.pitch
     }
 
-    /// Those of `numbers` with `low < place < high`.
+    /// The subrange of `numbers` with `low < place < high`.
     pub(super) fn within(&self, numbers: &Range<usize>, low: f64, high: f64) -> Range<usize> {
         let (from, to) = ((low - self.first) / self.pitch, (high - self.first) / self.pitch);
         let clamped = |k: f64| k.clamp(numbers.start as f64, numbers.end as f64) as usize;
@@ -37,12 +39,12 @@ impl Places {
     }
 }
 
-/// Values that a line must have beyond the last one that a place needs; zeros before and behind a column of [`spread`].
+/// Values that a line must have after the last one a position needs; also zeros at both ends for [`spread`].
 pub(super) const fn margin<R: Real>() -> usize {
     R::Lanes::WIDTH + 2
 }
 
-/// How lanes find their values: the tables' width, and how many lanes of a half find theirs within.
+/// The span of a table: its width, and how many lanes of a half use it.
 #[derive(Clone, Copy)]
 struct Reach {
     is_wide: bool,
@@ -53,7 +55,7 @@ impl Reach {
     /// For lanes that are `spacing` values apart.
     fn new<R: Real>(spacing: f64) -> Self {
         let half = R::Lanes::WIDTH / 2;
-        // Places are rounded in the precision of the lanes: the last entry is kept free.
+        // Positions are rounded in the precision of the lanes: the last entry is kept free.
         let lanes = |entries: usize| (((entries - 1) as f64 - 1e-3) / spacing).min(half as f64 - 1.0) as usize + 1;
         let narrow = lanes(half);
         if narrow == half {
@@ -64,7 +66,7 @@ impl Reach {
     }
 }
 
-/// Adds to values in two halves of so many lanes each, as far as there are values.
+/// Adds the used lanes of both halves to the values, as far as there are values.
 #[inline(always)]
 fn add<L: Lanes>(lanes: L, reach: Reach, values: &mut [L::Scalar]) {
     if 2 * reach.lanes == L::WIDTH && values.len() >= L::WIDTH {
@@ -78,7 +80,7 @@ fn add<L: Lanes>(lanes: L, reach: Reach, values: &mut [L::Scalar]) {
     }
 }
 
-/// One number in each half of the lanes.
+/// One number per half of the lanes.
 #[inline(always)]
 fn halves<L: Lanes>([a, b]: [f64; 2]) -> L {
     L::from_fn(|lane| real(if lane < L::WIDTH / 2 { a } else { b }))
@@ -97,7 +99,7 @@ fn pick<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) 
 
 /// `out[k] += (1-t)·line[i] + t·line[i+1]` with `i + t = places.at(k)`, for k in `numbers`.
 ///
-/// Places are at least 0, and the line goes on for [`margin`] values beyond the last one.
+/// Positions are at least 0, and the line has [`margin`] more values after the last one needed.
 ///
 /// Tests: `places_are_interpolated`, `spreading_is_the_transpose`.
 #[inline]
@@ -120,7 +122,7 @@ fn interpolate_by<R: Real, const WIDE: bool>(
 ) {
     let steps = steps::<R::Lanes>(places.pitch);
     for start in numbers.clone().step_by(2 * reach.lanes) {
-        // Counted from the first one, places are small numbers in the precision of the lanes.
+        // Relative to the first, positions are small numbers in the precision of the lanes.
         let from = [places.at(start), places.at((start + reach.lanes).min(numbers.end - 1))];
         let first = [from[0].floor(), from[1].floor()];
         let tables = [&line[first[0] as usize..], &line[first[1] as usize..]];
@@ -131,9 +133,10 @@ fn interpolate_by<R: Real, const WIDE: bool>(
     }
 }
 
-/// The transpose of [`interpolate`], shared out: calls `give(heights, sums)` for lanes of heights, with the sums over all
-/// places of `max(0, 1 - |places.at(k) - z|)·columns[n][margin + k]`; together they cover `heights`. `columns` have
-/// [`margin`] zeros at either end and zeros for places that are not of `numbers`.
+/// The transpose of [`interpolate`], by gathering: calls `give(heights, sums)` for lanes of heights.
+///
+/// The sums are over all positions, of `max(0, 1 - |places.at(k) - z|)·columns[n][margin + k]`; together the calls
+/// cover `heights`. `columns` have [`margin`] zeros at both ends and zeros for positions outside `numbers`.
 ///
 /// Tests: as [`interpolate`].
 #[inline]
@@ -152,14 +155,14 @@ pub(super) fn spread<R: Real, const N: usize>(
     }
 }
 
-/// What lanes of heights get.
+/// The sums for the heights of one set of lanes.
 pub(super) struct Shares<L, const N: usize> {
     sums: [L; N],
     reach: Reach,
 }
 
 impl<L: Lanes, const N: usize> Shares<L, N> {
-    /// Adds `factor` times the n-th sums to the values of the heights.
+    /// Adds `factor` times the n-th sums to the values at the heights.
     #[inline(always)]
     pub(super) fn add(&self, n: usize, factor: L::Scalar, values: &mut [L::Scalar]) {
         add(self.sums[n] * L::splat(factor), self.reach, values);
@@ -180,14 +183,14 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
     let (steps, pitch) = (steps::<R::Lanes>(per_place), R::Lanes::splat(real(places.pitch)));
     let table_end = columns[0].len() as f64 - margin;
     for z in heights.clone().step_by(2 * reach.lanes) {
-        // The number of the first place above z - 1 is the whole part of this.
+        // The integer part of this is the number of the first position above z - 1.
         let from = (z as f64 - 1.0 - places.first) * per_place + 1.0;
         let from = [from, from + reach.lanes as f64 * per_place];
         let first = [from[0].floor(), from[1].floor()];
         let (index, rest) = (halves::<R::Lanes>([from[0] - first[0], from[1] - first[1]]) + steps).split();
-        // That place is a pitch above z - 1, less the rest.
+        // That position is a pitch above z - 1, less the fraction.
         let above = pitch - rest * pitch - one;
-        // Within two heights lie so many places; of those, some lanes need some that there are.
+        // The number of positions within two heights, of which at least one lane needs those that exist.
         let skipped = (numbers.start as f64 - first[1] - margin).max(0.0);
         let end = (2.0 * per_place).ceil().min(numbers.end as f64 - first[0]);
         let mut sums = [zero; N];
@@ -196,7 +199,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
             let distance = above + pitch * R::Lanes::splat(real(step));
             let weight = one - distance.abs();
             let weight = weight.select_le(zero, zero, weight);
-            // Beyond either end of the column all is zero.
+            // Beyond either end of the column all values are zero.
             let at = |first: f64| (first + step + margin).clamp(0.0, table_end) as usize;
             let at = [at(first[0]), at(first[1])];
             for n in 0..N {
@@ -215,7 +218,7 @@ mod tests {
 
     const NUMBERS: Range<usize> = 3..61;
 
-    /// Pitches that take narrow and wide tables, all lanes and few; places from just above -1 on.
+    /// Pitches that use narrow and wide tables, all lanes and few; positions from just above -1 on.
     fn places() -> impl Iterator<Item = Places> {
         let pitches = [0.01, 0.13, 0.37, 0.5, 0.51, 0.7, 0.93, 1.0, 1.01, 1.9, 2.2, 3.7, 20.0, 300.0];
         pitches.into_iter().map(|pitch| Places { first: 0.4 - 3.0 * pitch, pitch })
@@ -227,7 +230,7 @@ mod tests {
             .collect()
     }
 
-    /// What is there at height z of a line, linearly interpolated.
+    /// The linearly interpolated value at height z of a line.
     fn plain<R: Real>(line: &[R], z: f64) -> f64 {
         let (i, t) = (z.floor() as usize, z - z.floor());
         (1.0 - t) * line[i].to_f64() + t * line[i + 1].to_f64()

@@ -1,18 +1,19 @@
-//! Whether what was scanned is a volume on the grid of voxels, interpolated, or a continuous object: the grid is moved by
-//! half a voxel along each axis that has more than one.
+//! Detects whether the scanned object is an interpolated volume on the voxel grid or a continuous object.
 //!
-//! The projections of an interpolated volume are fitted best by voxels at the places of its own. The grid says nothing about
-//! a continuous object, so a moved grid fits its projections as well as the first, better or worse. Two measures, each of
-//! solutions of [`super::tv()`] on the moved grid (primed) and on the grid of the scan:
+//! The grid is moved by half a voxel along each axis with more than one voxel.
+//!
+//! The projections of an interpolated volume are fitted best on its own voxel grid. For a continuous object no grid is
+//! special: a moved grid fits its projections equally well, better or worse. Two measures compare solutions of
+//! [`super::tv()`] on the moved grid (primed) and on the grid of the scan:
 //!
 //! ```text
 //! fitted   = ln ‖A'x' - p‖ - ln ‖A x - p‖                            from all views, weight 1e-4
 //! held out = ½ ln Σ_f ‖A'_f x'_f - p_f‖² - ½ ln Σ_f ‖A_f x_f - p_f‖²     from all views but those of fold f, weight 1e-3
 //! ```
 //!
-//! Their sum is near zero for a continuous object, of either sign, and positive for an interpolated volume. Flat faces of a
-//! continuous object that lie between voxels by chance look like a grid: [`crate::reconstruction`] asks the fitted primitives, too.
-//! Not in the paper.
+//! Their sum is near zero for a continuous object, of either sign, and positive for an interpolated volume. Flat faces
+//! of a continuous object that happen to lie between voxels look like a grid: therefore [`crate::reconstruction`] also
+//! tests the fitted primitives. Not in the paper.
 
 use super::held_out::{Held, go_on, weight_folds};
 use super::{ObserveChoice, TvRun, TvSettings};
@@ -23,37 +24,38 @@ use crate::numeric::elementary::log;
 use crate::scene::{Projections, Scanner};
 use serde::Serialize;
 
-/// The name of the setting that is chosen.
+/// The setting that is chosen.
 const KEY: &str = "sampling";
-/// Weight and iterations of the fits to all views: little smoothing, since smoothing hides where the voxels are.
+/// Weight and iterations of the fits to all views: little smoothing, since smoothing hides the grid.
 const FITTED: (f64, usize) = (1e-4, 40);
 /// Weight and iterations of the fits without a fold.
 const HELD_OUT: (f64, usize) = (1e-3, 50);
 /// Shift of the grid, voxels.
 const SHIFT: f64 = 0.5;
 
-/// What a fit on voxels loses where the grid is moved by half a voxel; natural logarithms of ratios of residuals.
+/// Loss of a voxel fit when the grid moves by half a voxel: natural logarithms of residual ratios.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Alignment {
-    /// Of all views.
+    /// From all views.
     pub fitted: f64,
-    /// Of views held out; 0 where there are too few to hold any out.
+    /// From held-out views; 0 where there are too few views to hold any out.
     pub held_out: f64,
 }
 
 impl Alignment {
-    /// Both measures.
+    /// The sum of both measures.
     pub fn sum(&self) -> f64 {
         self.fitted + self.held_out
     }
 }
 
-/// Not in the paper: how much worse voxels fit the projections where their grid is moved by half a voxel along each axis.
+/// Log ratios of the residuals of voxel fits with and without a shift of the grid by half a voxel.
 ///
-/// Of `settings`, weight, iterations and tolerance are not used. Where too few views exist to hold any out, `held_out` is 0.
+/// Not in the paper. Weight, iterations and tolerance of `settings` are not used. With too few views to hold any out,
+/// `held_out` is 0.
 ///
 /// # Errors
-/// As [`super::tv()`], and [`crate::Error::Interrupted`] when `observe` breaks.
+/// Those of [`super::tv()`], and [`crate::Error::Interrupted`] when `observe` breaks.
 ///
 /// Tests: `interpolated_volumes_lie_on_the_grid_and_objects_do_not`.
 pub fn alignment<R: Real>(
@@ -85,7 +87,7 @@ pub fn alignment<R: Real>(
             held_out[k] += run(&projections.select(&train), HELD_OUT, Some(&projections.select(&held)))?;
         }
     }
-    // An object that is fitted exactly, such as an empty one, says nothing.
+    // A perfect fit, as of an empty object, says nothing.
     let half_log_ratio = |[first, moved]: [f64; 2]| match first > 0.0 && moved > 0.0 {
         true => 0.5 * log(moved / first),
         false => 0.0,
@@ -93,7 +95,7 @@ pub fn alignment<R: Real>(
     Ok(Alignment { fitted: half_log_ratio(fitted), held_out: half_log_ratio(held_out) })
 }
 
-/// The scanner with a grid that is moved, and reaches as far as the first.
+/// The scanner with the grid moved by half a voxel and as large as before.
 fn moved(scanner: &Scanner) -> Scanner {
     let mut moved = *scanner;
     let grid = &mut moved.grid;
@@ -128,9 +130,9 @@ mod tests {
             };
             let (continuous, interpolated) = (of(&scan.train), of(&of_volume.train));
             eprintln!("{name}: {continuous:?}, interpolated {interpolated:?}");
-            // Scans of 64³ are apart like this, too: see CHOICES.md.
+            // Scans of 64³ are as far apart: see CHOICES.md.
             assert!(continuous.sum() < 0.08 && interpolated.sum() > 0.1);
-            // The unit of density is none of its business.
+            // The result must not depend on the unit of density.
             let mut scaled = of_volume.train.clone();
             scaled.images *= 0.25;
             assert_eq!(of(&scaled), interpolated);

@@ -1,4 +1,6 @@
-//! ASD-POCS: SART, and descent of the total variation as long as SART's step. Not in the paper, which compares with it.
+//! ASD-POCS: SART alternating with descent of the total variation.
+//!
+//! The descent is as long as SART's step. Not in the paper, which compares with it.
 
 use super::sart::Sweeps;
 use super::{Counter, Observe, SartSettings, System, add_scaled, dot, norm, total_variation};
@@ -7,23 +9,23 @@ use crate::error::Result;
 use crate::numeric::{Real, real};
 use crate::scene::{Projections, Volume};
 
-/// What ASD-POCS is told `[SP08]`.
+/// Parameters of ASD-POCS `[SP08]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AsdPocsSettings {
-    /// SART's part of an iteration; its iterations are those of ASD-POCS, its reduction the factor on β.
+    /// Parameters of the SART step. Its iterations are those of ASD-POCS; its reduction is the factor on β.
     pub sart: SartSettings,
-    /// Steps down the total variation per iteration.
+    /// Steps of the descent of the total variation per iteration.
     pub tv_steps: usize,
-    /// α: the first step of the descent, as a fraction of SART's.
+    /// α: the first step of the descent, as a fraction of SART's step.
     pub alpha: f64,
-    /// Factor on α when the descent undoes too much of what SART did.
+    /// Factor on α when the descent undoes too much of SART's step.
     pub alpha_reduction: f64,
-    /// The fraction of SART's step from which on that is too much.
+    /// The fraction of SART's step from which on the descent undoes too much.
     pub r_max: f64,
-    /// Residual that is good enough, as a fraction of that of FDK.
+    /// Sufficient residual, as a fraction of the residual of FDK.
     pub epsilon: f64,
-    /// The density that counts as 1 in the two constants that keep from division by 0: with a multiple of the projections and
-    /// of the unit the volume is that multiple.
+    /// The density that counts as 1 in the two constants that prevent division by 0. If projections and unit are scaled
+    /// by one factor, so is the volume.
     pub unit: f64,
 }
 
@@ -34,20 +36,20 @@ impl Default for AsdPocsSettings {
     }
 }
 
-/// Descent below it ends the reconstruction: β has fallen to nothing.
+/// The reconstruction ends when β has fallen below this.
 const LEAST_BETA: f64 = 0.005;
-/// SART and the descent pull against each other: nothing will change any more.
+/// Cosine between SART's step and the descent below which nothing will change any more.
 const OPPOSITE: f64 = -0.99;
-/// Least product of two steps that a cosine is computed from, in squares of the unit of density.
+/// Smallest product of two step lengths that a cosine is computed from, in squares of the unit of density.
 const LEAST_PRODUCT: f64 = 1e-6;
 
-/// The volume from zeros `[SP08]`; ends early when the residual is good enough and SART and descent are opposite.
+/// Reconstructs from zeros `[SP08]`; the volume is `[x, y, z]`, attenuation per scene unit.
 ///
-/// β, which counts down to the end, falls by SART's reduction with every iteration, and its relaxation with it unless that
-/// is constant.
+/// It ends early when the residual is sufficient and the SART step and the descent are opposite. β is multiplied by
+/// SART's reduction in every iteration, and so is the relaxation unless it is constant.
 ///
 /// # Errors
-/// As [`super::sart()`].
+/// Those of [`super::sart()`].
 ///
 /// Tests: `total_variation_falls_and_noise_with_it`, `the_number_of_threads_changes_no_bit`; units of density in `tests/cli/units.rs`.
 pub fn asd_pocs<R: Real>(

@@ -1,4 +1,4 @@
-//! Conjugate gradients on the normal equations. Not in the paper.
+//! Conjugate gradients on the normal equations (CGLS). Not in the paper.
 
 use super::{Counter, Observe, See, System, add_scaled, dot, norm};
 use crate::classical::VoxelProjector;
@@ -7,13 +7,13 @@ use crate::numeric::{Real, real};
 use crate::scene::{Projections, Volume};
 use std::ops::ControlFlow;
 
-/// The volume with the least `‖A x - p‖` in the Krylov space of so many dimensions, from zeros `[HS52]`.
+/// Minimises `‖A x - p‖` over the Krylov space of `iterations` dimensions, from zeros `[HS52]`.
 ///
-/// Few iterations smooth, many fit the noise. Values may be negative. The residual never grows, and the iteration ends
-/// early when there is no direction left.
+/// Few iterations smooth, many fit the noise. The volume is attenuation per scene unit, and values may be negative. The
+/// residual never grows, and the iteration ends early when no search direction is left.
 ///
 /// # Errors
-/// As [`super::sart()`].
+/// Those of [`super::sart()`].
 ///
 /// Tests: `consistent_data_are_solved`, `the_residual_of_cgls_never_grows`, `the_number_of_threads_changes_no_bit`.
 pub fn cgls<R: Real>(
@@ -28,7 +28,7 @@ pub fn cgls<R: Real>(
     })
 }
 
-/// [`cgls()`] for those who look at the volume after every iteration.
+/// [`cgls()`] that passes the volume to `see` after every iteration.
 pub(super) fn cgls_seen<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,

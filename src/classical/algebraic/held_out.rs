@@ -1,11 +1,11 @@
-//! Settings chosen by views held out: what a reconstruction from the others says about them. Not in the paper.
+//! Settings chosen by cross-validation over views. Not in the paper.
 //!
 //! ```text
 //! error² = Σ_f ‖A_f x_f - p_f‖² / Σ_f ‖p_f‖²      x_f: from all views but those of fold f
 //! ```
 //!
-//! Views are sorted by their angle, and every k-th belongs to one fold. Views of parallel rays that see the same from the
-//! other side stay together, for the one would give the other away. All of it is deterministic.
+//! Views are sorted by angle, and every k-th view belongs to one fold. Parallel views from opposite sides stay
+//! together, because each determines the other. The procedure is deterministic.
 
 use super::{SartSettings, System, TvRun, TvSettings, cgls_seen, dot, sart_seen};
 use crate::classical::VoxelProjector;
@@ -18,64 +18,65 @@ use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 
-/// Folds for a weight, of which every second is held out in turn.
+/// Number of folds for a weight; every second one is held out in turn.
 const WEIGHT_FOLDS: usize = 4;
-/// Fewer views than that are too few to choose by.
+/// With fewer folds than this, nothing is chosen.
 const FEWEST_FOLDS: usize = 3;
-/// The first weight that is tried, the factor to its neighbours, and the most of them on either side.
+/// The first weight tried, the factor between neighbours, and the largest number of steps to either side.
 const FIRST: f64 = 1e-3;
 const FACTOR: f64 = 4.0;
 const MOST_NEIGHBOURS: i32 = 5;
-/// Iterations for each weight, from zeros: all weights are equally far from their least objective.
+/// Iterations for each weight, from zeros, so that all weights are equally far from their minimum.
 const ITERATIONS: usize = 50;
-/// Folds for a number of passes, of which one is held out.
+/// Number of folds for a number of passes; one of them is held out.
 const PASS_FOLDS: usize = 4;
-/// The search for a number of passes ends when the best is so far behind.
+/// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
 
-/// A setting and the error of the views held out with it.
+/// A value of a setting and its held-out error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
-    /// Of the setting.
+    /// The value of the setting.
     pub value: f64,
-    /// Residual of the views held out, as a fraction of what was measured.
+    /// Residual of the held-out views relative to the measured values.
     pub error: f64,
 }
 
-/// What was chosen, and why.
+/// The chosen value of a setting, with its evidence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Choice {
     /// `tv.weight` or `passes`.
     pub key: String,
-    /// What was chosen.
+    /// The chosen value.
     pub value: f64,
-    /// Everything that was tried, by value; empty where there are too few views to hold any out.
+    /// All values tried, in increasing order; empty if there are too few views to hold any out.
     pub curve: Vec<Trial>,
-    /// Reconstructions without some of the views.
+    /// Number of reconstructions without some of the views.
     pub folds: usize,
-    /// Work of the choice in iterations or passes over all views.
+    /// Cost of the choice, in iterations or passes over all views.
     pub cost: f64,
 }
 
-/// Is shown the name of a setting all the time, and each trial; may stop the choice, which is an error then.
+/// Observer of a choice: gets the setting's name, and each trial; breaking ends the choice with an error.
 pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
 
-/// How a number of passes is found.
+/// The method whose number of passes is chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Passes {
-    /// Of SART or OS-SART, at most those of the settings.
+    /// SART or OS-SART, with at most the iterations of the settings.
     Sart(SartSettings),
-    /// Of CGLS, so many at most.
+    /// CGLS with at most this many iterations.
     Cgls(usize),
 }
 
-/// Not in the paper: the weight of [`super::tv()`] with the least error of views held out, a quarter of them at a time.
+/// The weight of [`super::tv()`] with the least held-out error, holding out a quarter of the views at a time.
 ///
-/// Weights go by factors of four from the first one to either side until the error rises, then a parabola through the
-/// three around the best in the logarithm of the weight. With two views or fewer the weight of `settings` stays.
+/// Not in the paper. Weights change by factors of four from the first one to either side until the error rises; then a
+/// parabola in the logarithm of the weight is fitted to the three around the best. With two views or fewer, the weight
+/// of `settings` is returned.
 ///
 /// # Errors
-/// As [`super::tv()`].
+/// Those of [`super::tv()`].
 ///
 /// Tests: `the_weight_is_near_the_best_of_a_grid`, `two_views_are_too_few_to_choose`.
 pub fn choose_weight<R: Real>(
@@ -89,7 +90,7 @@ pub fn choose_weight<R: Real>(
     if used.is_empty() {
         return Ok(Choice { key: KEY.into(), value: settings.weight, curve: Vec::new(), folds: 0, cost: 0.0 });
     }
-    // Power of the factor → sums over the folds of the squares of the residual and of what was measured.
+    // Power of the factor → sums over the folds of the squared residual and of the squared measured values.
     let mut sums: BTreeMap<i32, [f64; 2]> = BTreeMap::new();
     let mut work = 0;
     let settings = TvSettings { weight: FIRST, iterations: usize::MAX, tolerance: 0.0, ..*settings };
@@ -118,7 +119,7 @@ pub fn choose_weight<R: Real>(
             }
             continue;
         }
-        // The first fold decides which weights are tried: from the first one on either side until the error rises.
+        // The first fold decides which weights are tried: from the first weight to either side until the error rises.
         sums.insert(0, error_of(0)?);
         for side in [1, -1] {
             for power in (1..=MOST_NEIGHBOURS).map(|k| side * k) {
@@ -137,13 +138,13 @@ pub fn choose_weight<R: Real>(
     Ok(Choice { key: KEY.into(), value, curve, folds: used.len(), cost: work as f64 / projections.len() as f64 })
 }
 
-/// Not in the paper: the number of passes after which views held out, one of four, have the least error.
+/// The number of passes with the least error on held-out views, a quarter of all views.
 ///
-/// The search ends a fifth beyond the best, so it costs about as much as the passes that it finds. With two views or
-/// fewer the number stays as it is.
+/// Not in the paper. The search ends when the error exceeds the best by a fifth, so it costs about as much as the
+/// passes that it finds. With two views or fewer, the given number is returned.
 ///
 /// # Errors
-/// As [`super::sart()`].
+/// Those of [`super::sart()`].
 ///
 /// Tests: `the_number_of_passes_is_where_the_error_of_the_volume_is_small`, `two_views_are_too_few_to_choose`.
 pub fn choose_passes<R: Real>(
@@ -189,12 +190,12 @@ pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
     match flow {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => {
-            Err(Error::Interrupted { step: 0, remedy: "nothing was written; start it again".into() })
+            Err(Error::Interrupted { step: 0, remedy: "nothing was written; run the same command again".into() })
         }
     }
 }
 
-/// Views that were left out.
+/// The held-out views.
 pub(super) struct Held<'a, R> {
     system: System<'a, R>,
     views: Vec<View>,
@@ -209,7 +210,7 @@ impl<'a, R: Real> Held<'a, R> {
         Ok(Self { system, views, idle })
     }
 
-    /// `‖A x - p‖²` and `‖p‖²` over the rays that count.
+    /// `‖A x - p‖²` and `‖p‖²` over the rays that are used.
     pub(super) fn error(&self, x: &[R]) -> [f64; 2] {
         let seen = self.system.projector.project(&self.views, x).values;
         let counted = |values: &mut Vec<R>| {
@@ -223,18 +224,20 @@ impl<'a, R: Real> Held<'a, R> {
     }
 }
 
-/// The folds that are held out for a weight; none where there are too few views.
+/// The folds held out for a weight; empty if there are too few views.
 pub(super) fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
     let folds = folds(projector, projections, WEIGHT_FOLDS);
     if folds.len() < FEWEST_FOLDS { Vec::new() } else { folds.into_iter().step_by(2).collect() }
 }
 
-/// For each fold the views that it leaves and those that it takes; fewer folds than k where there are fewer views.
+/// For each fold, the views to reconstruct from and the views held out.
+///
+/// There are fewer folds than k if there are fewer views.
 fn folds(projector: &VoxelProjector, projections: &Projections, k: usize) -> Vec<[Vec<usize>; 2]> {
-    /// Angles (radians) that are one.
+    /// Angles (radians) closer than this are equal.
     const SAME: f64 = 1e-6;
     let turn = if matches!(projector.scanner().beam, Beam::Parallel { .. }) { PI } else { TAU };
-    // A little below 0 and a little below a turn are one, too.
+    // An angle just below 0 and one just below a full turn are equal, too.
     let angle = |view: usize| (projections.angles[view] + SAME).rem_euclid(turn);
     let mut order: Vec<usize> = (0..projections.len()).collect();
     order.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
@@ -251,7 +254,7 @@ fn folds(projector: &VoxelProjector, projections: &Projections, k: usize) -> Vec
         .collect()
 }
 
-/// The value of the least error, between those that were tried: a parabola in the logarithm of the value.
+/// The value of least error, interpolated by a parabola in the logarithm of the value.
 fn least(curve: &[Trial]) -> f64 {
     let best =
         (0..curve.len()).min_by(|&a, &b| curve[a].error.total_cmp(&curve[b].error)).expect("something was tried");
@@ -278,8 +281,8 @@ mod tests {
         let scanner = Scanner { beam, detector, grid: Grid::cube(24) };
         let plan = Plan { views, test_views: 0, noise: Noise::MEDIUM, seed: 3 };
         let phantom = Phantom::by_name("torso", 0).unwrap();
-        // Its voxels, interpolated: what the projector can hold. The projections of the phantom itself say less of the best mean
-        // of a voxel.
+        // Projections of the voxels, interpolated, since the projector can represent those. Projections of the phantom
+        // itself say less about the best voxel means.
         let volume = simulate("torso", Object::Phantom(&phantom), &scanner, &plan).unwrap().truth.unwrap();
         simulate("torso", Object::Volume(&volume), &scanner, &plan).unwrap()
     }
@@ -302,7 +305,7 @@ mod tests {
         let best = (0..7).map(|i| psnr(0.03 / pow(2.0, f64::from(i)))).fold(0.0, f64::max);
         let found = psnr(choice.value);
         eprintln!("weight {:.5}: {found:.2} dB, best {best:.2} dB, {choice:?}", choice.value);
-        // 0.32 dB when it was measured; the ends of the grid lose several.
+        // Measured: 0.32 dB. The ends of the grid lose several dB.
         assert!(found > best - 0.5, "{found} dB, best {best} dB: {choice:?}");
         assert!(found > psnr(0.03) + 1.0, "no better than a weight far off");
         assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.folds == 2);
@@ -324,7 +327,7 @@ mod tests {
         let best = [1, 2, 3, 4, 6, 8, 12, 20, 40, 60].map(psnr).into_iter().fold(0.0, f64::max);
         let found = psnr(choice.value as usize);
         eprintln!("{} passes: {found:.2} dB, best {best:.2} dB", choice.value);
-        // 0.49 dB when it was measured: views held out ask for more passes than voxels do.
+        // Measured: 0.49 dB. Held-out views ask for more passes than voxels do.
         assert!(found > best - 0.6, "{found} dB after {} passes, best {best} dB", choice.value);
         assert!(found > psnr(1) + 1.0, "no better than a single pass");
     }

@@ -1,13 +1,13 @@
-//! Iterative reconstruction of voxels: A x = p for the matched pair of [`super::voxel_projector`].
+//! Iterative reconstruction of voxels: solves A x = p with the matched pair of [`super::voxel_projector`].
 //!
 //! | method | one iteration | source |
 //! |---|---|---|
 //! | [`sart()`] | for each set of views: `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1`, then `x ≥ 0` | `[SART84]`; sets of more than one view: OS-SART |
-//! | [`asd_pocs()`] | one of SART, then steps down the total variation, as long as SART's was | `[SP08]` |
-//! | [`cgls()`] | the best x for `‖A x - p‖` in one more dimension | `[HS52]` on the normal equations |
-//! | [`tv()`] | a step of FISTA for `½‖A x - p‖² + λ·TV(x)`, `x ≥ 0` | `[BT09]` |
+//! | [`asd_pocs()`] | one SART iteration, then descent of the total variation by as much as SART's step | `[SP08]` |
+//! | [`cgls()`] | minimises `‖A x - p‖` over a Krylov space of one more dimension | `[HS52]` on the normal equations |
+//! | [`tv()`] | one FISTA step for `½‖A x - p‖² + λ·TV(x)`, `x ≥ 0` | `[BT09]` |
 //!
-//! All sums of squares run over a tree of fixed shape in f64: the same bits from any number of threads. Not in the paper,
+//! All sums of squares use a tree of fixed shape in f64: any number of threads gives the same bits. Not in the paper,
 //! which compares with the first two.
 //!
 //! `[SART84]`: A. H. Andersen, A. C. Kak, *Simultaneous algebraic reconstruction technique*, Ultrason. Imaging 6 (1984) 81.
@@ -46,37 +46,37 @@ use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
-/// Elements of a volume that are worked on together where nothing else cuts it.
+/// Elements of a volume per parallel task where nothing else determines the split.
 const CHUNK: usize = 1 << 16;
 
-/// How far an iterative reconstruction has come.
+/// Progress of an iterative reconstruction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pass {
     /// Iterations done.
     pub iteration: usize,
-    /// Iterations at most.
+    /// Largest number of iterations.
     pub iterations: usize,
-    /// `‖A x - p‖`, scene units of length × density; of [`sart()`] each view counts as it was when its turn came.
+    /// `‖A x - p‖`, scene units of length × density. For [`sart()`] each view counts before its own correction.
     pub residual: f64,
-    /// What [`tv()`] minimises.
+    /// The objective of [`tv()`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<f64>,
-    /// Length of the last step of [`tv()`] as a fraction of the volume's: its fixed-point residual.
+    /// Length of the last step of [`tv()`] relative to the volume: its fixed-point residual.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change: Option<f64>,
 }
 
-/// Is shown every iteration, and may stop the reconstruction, which is an error then.
+/// Observer of every iteration; breaking ends the reconstruction with an error.
 pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
 
-/// Is shown an iteration, its residual and the volume after it, and may end there.
+/// Observer of the iteration number, its residual and the volume; breaking ends the reconstruction there.
 type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 
-/// What is to be solved.
+/// The linear system to be solved.
 struct System<'a, R> {
     projector: &'a VoxelProjector,
     angles: &'a [f64],
-    /// p in the order of the projector.
+    /// p in the projector's order.
     measured: Vec<R>,
     /// Pixels of a view.
     pixels: usize,
@@ -94,12 +94,12 @@ impl<'a, R: Real> System<'a, R> {
         Ok(Self { projector, angles: &projections.angles, measured, pixels: detector.pixels() })
     }
 
-    /// Zeros on the grid.
+    /// A volume of zeros.
     fn empty(&self) -> Vec<R> {
         vec![R::ZERO; self.projector.scanner().grid.voxels()]
     }
 
-    /// Rays that meet less than half a voxel.
+    /// Marks rays that intersect less than half a voxel in length.
     fn idle(&self, views: &[View]) -> Vec<bool> {
         let grid = &self.projector.scanner().grid;
         let lengths = self.projector.project(views, &vec![R::ONE; grid.voxels()]).values;
@@ -122,7 +122,7 @@ impl<'a, R: Real> System<'a, R> {
     }
 }
 
-/// Counts iterations and shows them.
+/// Counts iterations and reports them.
 struct Counter<'a, 'b> {
     observe: &'a mut Observe<'b>,
     iterations: usize,
@@ -144,7 +144,7 @@ impl<'a, 'b> Counter<'a, 'b> {
         match (self.observe)(pass) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => {
-                let remedy = "nothing was written; start it again".into();
+                let remedy = "nothing was written; run the same command again".into();
                 Err(Error::Interrupted { step: pass.iteration, remedy })
             }
         }

@@ -1,4 +1,4 @@
-//! In which order views have their turn.
+//! The order in which views are processed.
 
 use crate::numeric::rng::{Purpose, stream};
 use rand::seq::SliceRandom;
@@ -9,17 +9,17 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
-    /// As they were measured.
+    /// As measured.
     #[default]
     Input,
-    /// Shuffled once, by the seed.
+    /// Shuffled once, using the seed.
     Random,
-    /// Each as far as possible from all before it, so that neighbours in time are not neighbours in angle.
+    /// Each view as far in angle as possible from all before it.
     AngularDistance,
 }
 
 impl Order {
-    /// The numbers of the views at `angles` (radians) in this order.
+    /// The indices of the views at `angles` (radians) in this order.
     pub(super) fn of(self, angles: &[f64], seed: u64) -> Vec<usize> {
         let mut order: Vec<usize> = (0..angles.len()).collect();
         match self {
@@ -31,7 +31,9 @@ impl Order {
     }
 }
 
-/// The first stays first; then always the one whose nearest chosen one is farthest away, ties by index.
+/// Farthest-first order: the first view stays; ties are broken by index.
+///
+/// Each next view is the one whose nearest chosen view is farthest away.
 fn farthest_first(angles: &[f64], order: &mut [usize]) {
     let distance = |a: usize, b: usize| {
         let apart = (angles[a] - angles[b]).rem_euclid(TAU);

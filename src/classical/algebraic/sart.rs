@@ -7,26 +7,26 @@ use crate::numeric::{Real, real, reduce, threads};
 use crate::scene::{Projections, View, Volume};
 use std::ops::ControlFlow;
 
-/// What SART and OS-SART are told.
+/// Parameters of SART and OS-SART.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SartSettings {
-    /// Passes over all views.
+    /// Number of passes over all views.
     pub iterations: usize,
-    /// λ of the first pass.
+    /// λ of the first pass, the relaxation.
     pub relaxation: f64,
-    /// λ is multiplied with it after every pass.
+    /// Factor on λ after every pass.
     pub reduction: f64,
-    /// λ keeps its first value, as in TIGRE, which takes a reduction and does not use it.
+    /// Keeps λ constant, as TIGRE does, which accepts a reduction but ignores it.
     pub constant_relaxation: bool,
-    /// Views that correct the volume together: 1 is SART, more are OS-SART.
+    /// Number of views per correction: 1 is SART, more are OS-SART.
     pub subset: usize,
-    /// The order of the views, which consecutive ones make the subsets of.
+    /// Order of the views; consecutive views form the subsets.
     pub order: Order,
-    /// Negative values become 0 after every correction.
+    /// Sets negative values to 0 after every correction.
     pub non_negative: bool,
-    /// Ends when a pass lowers the residual by less than this fraction; 0: never before the last.
+    /// Ends when a pass lowers the residual by less than this fraction; 0 runs all passes.
     pub tolerance: f64,
-    /// All random choices follow from it.
+    /// Seed of all random choices.
     pub seed: u64,
 }
 
@@ -47,18 +47,19 @@ impl Default for SartSettings {
 }
 
 impl SartSettings {
-    /// What λ is multiplied with after a pass.
+    /// The factor on λ after a pass.
     pub(super) fn factor(&self) -> f64 {
         if self.constant_relaxation { 1.0 } else { self.reduction }
     }
 }
 
-/// The volume from zeros after passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1`, the sums over the rays of a subset `[SART84]`.
+/// Reconstructs from zeros by passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1` over subsets of views `[SART84]`.
 ///
-/// Rays that meet less than half a voxel do not count: their weight would be division by next to nothing.
+/// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
+/// ignored, because their correction would be a division by nearly 0.
 ///
 /// # Errors
-/// When the projections are not the scanner's, values grow beyond all bounds, or `observe` asks to stop.
+/// When the projections do not fit the scanner, values become non-finite, or `observe` breaks.
 ///
 /// Tests: `consistent_data_are_solved`, `a_subset_of_all_views_is_the_formula`, `the_number_of_threads_changes_no_bit`.
 pub fn sart<R: Real>(
@@ -73,7 +74,7 @@ pub fn sart<R: Real>(
     })
 }
 
-/// [`sart()`] for those who look at the volume after every pass.
+/// [`sart()`] that passes the volume to `see` after every pass.
 pub(super) fn sart_seen<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,
@@ -97,12 +98,12 @@ pub(super) fn sart_seen<R: Real>(
     system.volume(x)
 }
 
-/// A pass over all views, one subset after another.
+/// Passes over all views, one subset after another.
 pub(super) struct Sweeps<'a, R> {
     system: &'a System<'a, R>,
     subsets: Vec<Vec<usize>>,
     views: Vec<View>,
-    /// 1/A1 of every ray, 0 for those that do not count.
+    /// 1/A1 of every ray, 0 for ignored rays.
     per_length: Vec<R>,
     non_negative: bool,
 }
@@ -119,14 +120,14 @@ impl<'a, R: Real> Sweeps<'a, R> {
         Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
     }
 
-    /// One pass; the residual that its views had when their turn came.
+    /// Runs one pass; returns the residual, in which each view counts before its own correction.
     pub(super) fn pass(&self, x: &mut [R], relaxation: f64) -> f64 {
         let relaxation: R = real(relaxation);
         let squares: Vec<f64> = self.subsets.iter().map(|subset| self.correct(x, relaxation, subset)).collect();
         reduce::sum(&squares).sqrt()
     }
 
-    /// Corrects x by a subset of the views; the sum of the squares of their residuals before that.
+    /// Corrects x by a subset of the views; returns the sum of its squared residuals before the correction.
     fn correct(&self, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
         let (projector, pixels) = (self.system.projector, self.system.pixels);
         let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();

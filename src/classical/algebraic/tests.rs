@@ -15,7 +15,7 @@ fn projector(model: RayModel) -> VoxelProjector {
     VoxelProjector::new(&scanner(), model).unwrap()
 }
 
-/// A volume that is not negative, and what its projections are.
+/// A non-negative volume and its projections.
 fn consistent(model: RayModel) -> (Volume, Projections) {
     let grid = scanner().grid;
     let values = Array3::from_shape_fn(grid.shape, |(x, y, z)| ((x * 5 + y * 3 + z * 7) % 11) as f32 / 10.0);
@@ -29,7 +29,7 @@ fn error(a: &Volume, b: &Volume) -> f64 {
     norm(&differences) / (differences.len() as f64).sqrt()
 }
 
-/// All residuals on the way.
+/// Runs a reconstruction and records all residuals.
 fn watch(run: impl FnOnce(&mut Observe<'_>) -> Result<Volume>) -> (Volume, Vec<f64>) {
     let mut residuals = Vec::new();
     let volume = run(&mut |pass| {

@@ -1,19 +1,20 @@
-//! The total variation of a volume and the direction of its descent.
+//! The gradient of the total variation of a volume.
 
 use crate::numeric::{Real, real, threads};
 
-/// Added to the squared differences, in squares of the unit of density: keeps the gradient finite where the volume is flat.
+/// Added to the squared differences, in squared units of density: keeps the gradient finite in flat regions.
 const FLAT: f64 = 1e-7;
 
-/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7·square)`, backward differences, 0 across the border; `shape` is `[x, y, z]`, `square`
-/// the square of the unit of density `[SP08]`.
+/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7·square)`, with backward differences, 0 across the border `[SP08]`.
+///
+/// `shape` is `[x, y, z]`; `square` is the square of the unit of density.
 ///
 /// Tests: `it_is_the_derivative`.
 pub(super) fn gradient<R: Real>(f: &[R], shape: [usize; 3], square: f64) -> Vec<R> {
     let flat: R = real(FLAT * square);
     let [nx, ny, nz] = shape;
     let strides = [ny * nz, nz, 1];
-    // 1/√(|∇f|² + ε) of every voxel, then what it and its upper neighbours make of f_j.
+    // 1/√(|∇f|² + ε) of every voxel, then the terms of f_j from the voxel and its upper neighbours.
     let inverse = over_slices(nx, ny * nz, |x, out| {
         for (i, out) in out.iter_mut().enumerate() {
             let (at, j) = ([x, i / nz, i % nz], x * ny * nz + i);
@@ -54,7 +55,7 @@ mod tests {
     use super::*;
     use crate::numeric::reduce;
 
-    /// The total variation that [`gradient`] is the derivative of.
+    /// The total variation whose derivative is [`gradient`].
     fn total_variation(f: &[f64], shape: [usize; 3]) -> f64 {
         let strides = [shape[1] * shape[2], shape[2], 1];
         reduce::sum_by(f.len(), &|j| {

@@ -1,4 +1,4 @@
-//! The sum of the views at every voxel.
+//! The weighted sum of the views at every voxel.
 
 use super::Sample;
 use crate::classical::columns::Columns;
@@ -8,7 +8,7 @@ use crate::scene::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Array3;
 
-/// The volume on the scanner's grid, from filtered images.
+/// The volume `[x, y, z]` on the scanner's grid, from filtered images.
 pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles: &[f64]) -> Array3<R> {
     let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
     let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
@@ -25,10 +25,10 @@ pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles
     values
 }
 
-/// Adds a view to the line of voxels along z at (x, y). `profile` is scratch: a zero, the rows
-/// from below, and zeros for the margin.
+/// Adds a view to the line of voxels along z at (x, y).
 ///
-/// All these voxels have one depth and one column, so the two columns next to it are blended once into a profile.
+/// `profile` is scratch: a zero, the rows from below, and zeros for the margin. All voxels of the line have one depth
+/// and one detector column position, so the two columns next to it are blended once into a profile.
 fn add_view<R: Sample>(
     filtered: &Columns<R>,
     scanner: &Scanner,
@@ -52,7 +52,7 @@ fn add_view<R: Sample>(
     // Counted from the zero below the lowest row.
     let row = filtered.rows as f64 - row;
     let places = Places { first: row, pitch: filtered.rows as f64 - next_row - row };
-    // Where the bilinear function is not 0.
+    // The range where the interpolated image is not 0.
     let voxels = places.within(&(0..line.len()), 0.0, (filtered.rows + 1) as f64);
     if voxels.is_empty() {
         return;
@@ -67,7 +67,7 @@ fn add_view<R: Sample>(
     interpolate(profile, places, voxels, line);
 }
 
-/// The weighted sum of columns `left - 1` and `left` of a view; those beside the detector are 0.
+/// The weighted sum of columns `left - 1` and `left` of a view; columns outside the detector are 0.
 fn blend<R: Sample>(filtered: &Columns<R>, view: usize, left: usize, [a, b]: [R; 2], profile: &mut [R]) {
     let image = filtered.view(view);
     let column = |index: usize| &image[index * filtered.rows..][..filtered.rows];
@@ -92,7 +92,7 @@ mod tests {
     fn a_pixel_spreads_over_the_voxels_it_sees() {
         let detector = Detector { rows: 5, columns: 8, pitch_v: 0.45, pitch_u: 0.3, offset_u: 0.1, offset_v: -0.05 };
         let mut images = Array3::<f32>::zeros((2, 5, 8));
-        // In the middle of one view, in the corner of the other, whose margin fades to zero over a pixel.
+        // One pixel in the middle of a view, one in the corner of the other, whose border fades to zero over a pixel.
         (images[[0, 3, 4]], images[[1, 0, 7]]) = (2.0, -1.0);
         let angles = [0.3, 2.0];
         for beam in [Beam::Cone { dso: 4.0, dsd: 6.0 }, Beam::Parallel { dso: 4.0 }] {

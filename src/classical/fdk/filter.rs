@@ -1,4 +1,4 @@
-//! Weights and the ramp filter.
+//! The weights and the ramp filter of FDK.
 
 use super::redundancy::RayWeights;
 use super::{Sample, Window};
@@ -40,7 +40,7 @@ pub(super) fn filtered<R: Sample>(
         let mut buffer = vec![Complex::default(); ramp.response.len()];
         let mut scratch = vec![Complex::default(); ramp.scratch()];
         for top in (0..rows).step_by(2) {
-            // The filter is real and even, so two rows pass through one complex transform without mixing.
+            // The filter is real and even, so one complex transform filters two rows without mixing them.
             let bottom = (top + 1 < rows).then_some(top + 1);
             buffer.fill(Complex::default());
             for (column, slot) in buffer[..columns].iter_mut().enumerate() {
@@ -60,15 +60,17 @@ pub(super) fn filtered<R: Sample>(
 
 /// The ramp filter along rows, in the frequency domain.
 struct Ramp<R> {
-    /// Response at each frequency, divided by the length, as the transforms back and forth multiply with it.
+    /// Response at each frequency, divided by the length, which compensates for the unnormalised transforms.
     response: Vec<R>,
     forward: Arc<dyn Fft<R>>,
     backward: Arc<dyn Fft<R>>,
 }
 
 impl<R: Sample> Ramp<R> {
-    /// The filter for rows of `columns` pixels of size 1, as TIGRE samples it: in space, h(0) = ¼, h(n) = -1/(πn)² for
-    /// odd n and 0 for even. Rows are extended by at least as many zeros, so what wraps around stays outside of them.
+    /// The filter for rows of `columns` pixels of size 1, sampled as in TIGRE.
+    ///
+    /// In space, h(0) = ¼, h(n) = -1/(πn)² for odd n and 0 for even n. Rows are padded with at least as many zeros, so
+    /// wrap-around stays outside of them.
     fn new(columns: usize, window: Window) -> Self {
         let length = (2 * columns).next_power_of_two().max(64);
         let cosines: Vec<f64> = (0..length).map(|k| cos(TAU * k as f64 / length as f64)).collect();
@@ -78,7 +80,7 @@ impl<R: Sample> Ramp<R> {
             let frequency = k.min(length - k) as f64 * TAU / length as f64;
             real(ramp * window.at(frequency) / length as f64)
         };
-        // The planner that does not ask which processor it runs on: the same bits everywhere.
+        // This planner does not detect processor features: it gives the same bits everywhere.
         let mut planner = FftPlannerScalar::new();
         Self {
             response: (0..length).map(response).collect(),

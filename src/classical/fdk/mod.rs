@@ -1,4 +1,4 @@
-//! Filtered backprojection: of a cone beam by Feldkamp, Davis and Kress, of parallel rays exactly.
+//! Filtered backprojection: the method of Feldkamp, Davis and Kress for cone beams, exact for parallel beams.
 //!
 //! Source, `[FDK84]`: L. A. Feldkamp, L. C. Davis, J. W. Kress, *Practical cone-beam algorithm*, JOSA A 1 (1984) 612.
 //! With the projection p, the detector position (u, v) and the depth `d = dso + w·x` of a voxel from the source,
@@ -7,11 +7,11 @@
 //! f(x) = ½ Σ_views Δφ · (dso/d)² · (h * [p · dsd/√(dsd² + u² + v²)])(u, v)     u = dsd·(u·x)/d, v = dsd·(v·x)/d
 //! ```
 //!
-//! where h is the ramp filter along the rows, on a detector scaled back to the rotation axis, and the projections are
-//! read bilinearly and as 0 beyond the detector. In a parallel beam both weights are 1. Δφ is half the distance between
-//! the two neighbours of a view, so the views of a full turn may be uneven. A parallel view shows what its opposite
-//! does: there half a turn is enough. Short scans of a cone beam and displaced detectors: [`Turn`]. Nothing is clipped:
-//! values may be negative.
+//! where h is the ramp filter along the rows, on a detector scaled to the rotation axis. Projections are interpolated
+//! bilinearly, with 0 outside the detector. In a parallel beam both weights are 1. Δφ is half the angle between the two
+//! neighbours of a view, so the views of a full turn may be uneven. A parallel view equals its opposite view, so half a
+//! turn suffices. [`Turn`] treats short scans of a cone beam and displaced detectors. Nothing is clipped: values may be
+//! negative.
 
 mod backproject;
 mod filter;
@@ -29,11 +29,11 @@ use redundancy::RayWeights;
 use rustfft::FftNum;
 use serde::{Deserialize, Serialize};
 
-/// What the ramp filter is multiplied with to damp noise; ω is the frequency, π at the finest one of the detector.
+/// Factor on the ramp filter that damps noise; ω is the frequency, π at the detector's finest frequency.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
-    /// 1: the ramp filter of Ramachandran and Lakshminarayanan.
+    /// 1: the plain ramp filter of Ramachandran and Lakshminarayanan.
     #[default]
     RamLak,
     /// `sin(ω/2)/(ω/2)`
@@ -47,7 +47,7 @@ pub enum Window {
 }
 
 impl Window {
-    /// The windows by the names that TIGRE gives them.
+    /// The windows by TIGRE's names.
     pub const NAMED: [(&str, Self); 5] = [
         ("ram-lak", Self::RamLak),
         ("shepp-logan", Self::SheppLogan),
@@ -56,7 +56,7 @@ impl Window {
         ("hann", Self::Hann),
     ];
 
-    /// Its value at frequency ω.
+    /// The factor at frequency ω.
     fn at(self, omega: f64) -> f64 {
         match self {
             Self::RamLak => 1.0,
@@ -69,25 +69,26 @@ impl Window {
     }
 }
 
-/// What the views are taken to cover.
+/// The angular range that the views are assumed to cover.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
-    /// What their angles say: a full turn, or an arc of at least half a turn and the fan, weighted by `[Parker82]`. A
-    /// detector that is displaced on a full turn is weighted by `[Wang02]`.
+    /// The range of their angles: a full turn, or an arc of at least half a turn plus the fan, weighted by
+    /// `[Parker82]`. A displaced detector on a full turn is weighted by `[Wang02]`.
     #[default]
     Measured,
-    /// A full turn of a centred detector, whatever is missing: for a first guess from any scan.
+    /// A full turn of a centred detector, even if views are missing: for a first guess from any scan.
     Full,
 }
 
-/// Reconstructs the scanner's grid `[FDK84]`, or exactly by filtered backprojection for parallel rays.
+/// Reconstructs the scanner's grid by `[FDK84]`, or exactly for parallel rays.
 ///
-/// Accuracy: values are f32. From 180 exact views of a ball the mean inside is off by 0.17 % in a cone beam, where the
-/// method itself is an approximation away from the plane of the source, and by 0.003 % in a parallel beam.
+/// The volume is `[x, y, z]`, attenuation per scene unit. Accuracy: values are f32. From 180 exact views of a ball the
+/// mean inside is off by 0.17 % in a cone beam, where the method itself is an approximation away from the plane of the
+/// source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
-/// When the scanner cannot work, the projections do not have its detector's size, or the views cover too short an arc.
+/// When the scanner is invalid, the projections do not have its detector's size, or the views cover too short an arc.
 ///
 /// Tests: known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
 pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
@@ -101,24 +102,25 @@ pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: T
     Volume::new(scanner.grid, volume)
 }
 
-/// A scalar that projections are filtered and backprojected in: f32 or f64.
+/// A scalar type for filtering and backprojection: f32 or f64.
 pub trait Sample: Real + FftNum {}
 
 impl<R: Real + FftNum> Sample for R {}
 
-/// The projections weighted and filtered, with all constants inside: g of `f(x) = Σ_views (dso/d)² · g(u, v)`
-/// `[FDK84]`, and of `f(x) = Σ_views g(u, v)` in a parallel beam.
+/// Weighted and filtered projections g, including all constant factors `[FDK84]`.
+///
+/// Then `f(x) = Σ_views (dso/d)² · g(u, v)`, and `f(x) = Σ_views g(u, v)` in a parallel beam.
 ///
 /// ```text
 /// g = ½ Δφ · (h * [p · dsd/√(dsd² + u² + v²)])        cone beam
-/// g =   Δφ · (h * p)                                  parallel beam, where the views stand for half a turn
+/// g =   Δφ · (h * p)                                  parallel beam, where the views cover half a turn
 /// ```
 ///
-/// `[view, v, u]` like the projections p, attenuation per scene unit of length; transforms run in `R`. h belongs to the
-/// detector scaled back to the rotation axis, with pitch `pitch_u·dso/dsd`.
+/// g is `[view, v, u]` like the projections p, attenuation per scene unit of length; transforms run in `R`. h belongs
+/// to the detector scaled to the rotation axis, with pitch `pitch_u·dso/dsd`.
 ///
 /// # Errors
-/// As [`fdk`].
+/// Those of [`fdk`].
 ///
 /// Tests: `an_impulse_becomes_the_sampled_ramp_times_its_constants`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn filter<R: Sample>(
@@ -132,14 +134,15 @@ pub fn filter<R: Sample>(
     Ok(filtered(scanner, &weights, projections, window).images())
 }
 
-/// The weighted sum of the views at every voxel: `f(x) = Σ_views (dso/d)² · g(u, v)` `[FDK84]`, with weight 1 in a
-/// parallel beam; u and v are where the voxel's ray meets the detector.
+/// The weighted sum of the views at every voxel: `f(x) = Σ_views (dso/d)² · g(u, v)` `[FDK84]`.
 ///
-/// `filtered` g is `[view, v, u]`, read bilinearly between pixel centres, with zeros around the detector. The volume is
-/// on the scanner's grid, in the unit of g.
+/// The weight is 1 in a parallel beam; (u, v) is the point where the voxel's ray meets the detector.
+///
+/// `filtered` g is `[view, v, u]`, interpolated bilinearly between pixel centres, with zeros around the detector. The
+/// volume is `[x, y, z]` on the scanner's grid, in the unit of g.
 ///
 /// # Errors
-/// As [`fdk`].
+/// Those of [`fdk`].
 ///
 /// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
@@ -147,7 +150,7 @@ pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: Array
     Ok(voxels(&Columns::from_images(filtered), scanner, angles))
 }
 
-/// Refuses a scanner that cannot work, and projections of another.
+/// Rejects an invalid scanner, and projections that do not fit it.
 fn check(scanner: &Scanner, angles: &[f64], shape: &[usize]) -> Result<()> {
     scanner.validate()?;
     let expected = [angles.len(), scanner.detector.rows, scanner.detector.columns];
@@ -186,7 +189,7 @@ mod tests {
         Scanner::uniform_angles(n, 0.2, TAU)
     }
 
-    /// Means within 0.35 and beyond 0.65 of the centre.
+    /// Means within 0.35 of the centre and beyond 0.65 of it.
     fn means(volume: &Volume) -> (f64, f64) {
         let mut sums = [(0.0, 0), (0.0, 0)];
         for ((x, y, z), &value) in volume.values.indexed_iter() {
@@ -245,7 +248,7 @@ mod tests {
 
     #[test]
     fn a_displaced_detector_is_as_good_as_a_centred_one() {
-        // The ball reaches 0.75 from the axis, its shadow 1.06; one side of the detector ends at 0.4.
+        // The ball reaches 0.75 from the axis, its projection 1.06; one side of the detector ends at 0.4.
         for beam in [Beam::Cone { dso: 5.0, dsd: 7.0 }, Beam::Parallel { dso: 5.0 }] {
             for side in [1.0, -1.0] {
                 let mut scanner = scanner(beam);

@@ -1,12 +1,12 @@
-//! How often each ray was measured, and so how much a view counts at each column.
+//! Redundancy weights: how often each ray was measured, and the weight of a view at each column.
 //!
-//! Over a full turn every ray of the source's plane is measured twice, and each time counts half. Two scans differ:
+//! Over a full turn every ray of the source's plane is measured twice, and each measurement counts half. Two scans
+//! differ:
 //!
 //! - a *short scan* ends before the full turn, so that some rays are measured twice and others once. Parker's weights
 //!   `[Parker82]`, for any coverage from half a turn and the fan up to a full turn (Silver, *A method for including
-//!   redundant data in computed tomography*, Med. Phys. 27 (2000) 773), add up to 1 for each ray and fade smoothly;
-//! - a *displaced detector* sees the object beyond one side of it only. Rays that just one view of a full turn sees count
-//!   once, and the weights of the others fade from one to the other side `[Wang02]`.
+//! - a *displaced detector* sees the object on only one side. Rays measured by a single view of a full turn count once,
+//!   and the weights of the others fade from one side to the other `[Wang02]`.
 //!
 //! `[Parker82]`: D. L. Parker, *Optimal short scan convolution reconstruction for fanbeam CT*, Med. Phys. 9 (1982) 254.
 //! `[Wang02]`: G. Wang, *X-ray micro-CT with a displaced detector array*, Med. Phys. 29 (2002) 1634.
@@ -19,34 +19,34 @@ use crate::scene::{Beam, Scanner};
 use ndarray::{Array3, ArrayView3, Axis};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 
-/// A gap between neighbouring views that is so much wider than all others ends an arc.
+/// A gap between neighbouring views wider than all others by this factor ends an arc.
 const GAP: f64 = 1.5;
 
-/// Weights of the rays, Δφ included.
+/// Weights of the rays, including Δφ.
 #[derive(Debug)]
 pub(super) struct RayWeights {
     views: Vec<f64>,
-    /// `[view][column]`; empty where all columns count the same.
+    /// `[view][column]`; empty if all columns have the same weight.
     rays: Vec<f64>,
     columns: usize,
-    /// Columns of nothing to add left and right: what the filter spreads beyond a displaced detector belongs to the volume.
+    /// Columns of zeros to add left and right, so that the filter's spread beyond a displaced detector is kept.
     padding: [usize; 2],
 }
 
-/// The views as an arc: sorted, from the far end of the widest gap.
+/// The views as an arc: sorted, starting after the widest gap.
 struct Arc {
-    /// Numbers of the views in order.
+    /// Indices of the views in order.
     order: Vec<usize>,
-    /// Angle of each, in that order, from the first one.
+    /// Angle of each view from the first, in that order, radians.
     from_first: Vec<f64>,
-    /// What the views stand for, radians: from the first to the last and one step.
+    /// The angle that the views cover, radians: from the first to the last, plus one step.
     coverage: f64,
-    /// Whether the widest gap stands out.
+    /// Whether the widest gap ends an arc.
     ends: bool,
 }
 
 impl Arc {
-    /// Of angles on a circle of circumference `turn`.
+    /// The arc of angles on a circle of circumference `turn`.
     fn of(angles: &[f64], turn: f64) -> Self {
         let n = angles.len();
         let mut order: Vec<usize> = (0..n).collect();
@@ -64,7 +64,7 @@ impl Arc {
         Self { order, from_first, coverage: (last + step).min(turn), ends: n > 2 && gaps[widest] > GAP * second }
     }
 
-    /// Half the distance between the neighbours of each view, and at the ends as much as to the one neighbour.
+    /// Half the angle between the neighbours of each view; the ends use their one neighbour twice.
     fn steps(&self) -> Vec<f64> {
         let (at, n) = (&self.from_first, self.from_first.len());
         let step = |k: usize| match k {
@@ -80,7 +80,7 @@ impl RayWeights {
     /// Weights of the views at `angles`.
     ///
     /// # Errors
-    /// With [`Turn::Measured`] when the views cover less than half a turn and, in a cone beam, the fan of the volume.
+    /// With [`Turn::Measured`], when the views cover less than half a turn plus, in a cone beam, the fan of the volume.
     pub(super) fn new(scanner: &Scanner, angles: &[f64], turn: Turn) -> Result<Self> {
         let columns = scanner.detector.columns;
         let circle = match scanner.beam {
@@ -95,7 +95,8 @@ impl RayWeights {
                 let expected = format!(
                     "at least {needed:.1}°, half a turn and the fan of the volume: filtered back projection needs every ray"
                 );
-                let remedy = "use tr-gs, sart, asd-pocs or cgls, or set fdk.turn=full to ignore what is missing";
+                let remedy =
+                    "use the method tr-gs, sart, asd-pocs, cgls or tv, or --set fdk.turn=full, which ignores the gap";
                 return Err(Error::invalid("arc of the views", format!("{got:.1}°"), expected, remedy));
             }
             if circle == TAU {
@@ -115,14 +116,14 @@ impl RayWeights {
         }
     }
 
-    /// Parker's weights, times the angle that each view stands for.
+    /// Parker's weights times the angle that each view covers.
     fn short_scan(scanner: &Scanner, arc: &Arc) -> Self {
         let columns = scanner.detector.columns;
         let mut rays = vec![0.0; arc.order.len() * columns];
         let step = arc.coverage / arc.order.len() as f64;
         for ((&view, from_first), width) in arc.order.iter().zip(&arc.from_first).zip(arc.steps()) {
             for column in 0..columns {
-                // Its opposite ray is half a turn and twice this angle further on, at minus this angle.
+                // The opposite ray is half a turn and twice this angle further on, at minus this angle.
                 let gamma = -fan_angle(scanner, scanner.detector.position(0.0, column as f64).0);
                 rays[view * columns + column] = width * parker(from_first + step / 2.0, gamma, arc.coverage);
             }
@@ -130,7 +131,7 @@ impl RayWeights {
         Self { views: Vec::new(), rays, columns, padding: [0, 0] }
     }
 
-    /// What a ray of a view counts, radians; columns are those of the detector that [`Self::widen`] gives.
+    /// The weight of a ray, radians; columns are those of the detector from [`Self::widen`].
     pub(super) fn at(&self, view: usize, column: usize) -> f64 {
         match column.checked_sub(self.padding[0]) {
             Some(column) if column < self.columns => {
@@ -144,7 +145,7 @@ impl RayWeights {
         }
     }
 
-    /// The scanner and the images with columns of nothing beside a displaced detector, as far as its other side reaches.
+    /// Scanner and images with a displaced detector padded by zero columns to the reach of its other side.
     pub(super) fn widen<R: Real>(&self, scanner: &Scanner, images: ArrayView3<'_, R>) -> Option<(Scanner, Array3<R>)> {
         let [left, right] = self.padding;
         if left + right == 0 {
@@ -165,7 +166,7 @@ impl RayWeights {
 /// Tests: `a_ray_and_its_opposite_add_up_to_one`.
 fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
     let delta = (coverage - PI) / 2.0;
-    // Beyond it there is nothing but air where the coverage suffices.
+    // Beyond it, rays meet only air if the coverage suffices.
     let gamma = gamma.clamp(-0.999 * delta, 0.999 * delta);
     let fade = |part: f64| {
         let sine = sin(FRAC_PI_4 * part.clamp(0.0, 2.0));
@@ -181,8 +182,10 @@ fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
     }
 }
 
-/// Weight of each column of a detector beyond one side of which the volume reaches, from 0 to 1 `[Wang02]`, and the columns
-/// that the side lacks, left and right; `None` where both sides are free, or neither is.
+/// Weight of each column of a displaced detector, from 0 to 1 `[Wang02]`, and the columns that it lacks.
+///
+/// The missing columns are given for the left and the right side. `None` if the volume's projection is inside the
+/// detector on both sides, or on neither.
 ///
 /// Tests: `columns_at_both_sides_of_the_axis_add_up_to_one`.
 fn displaced(scanner: &Scanner) -> Option<(Vec<f64>, [usize; 2])> {
@@ -212,13 +215,13 @@ fn fan_angle(scanner: &Scanner, u: f64) -> f64 {
     }
 }
 
-/// Largest distance from the axis that the volume is seen to be full of: the cylinder inside of its box.
+/// Radius of the cylinder around the axis inside the volume's box.
 fn radius(scanner: &Scanner) -> f64 {
     let (min, max) = (scanner.grid.min, scanner.grid.max());
     [-min.x, max.x, -min.y, max.y].into_iter().fold(0.0, f64::max)
 }
 
-/// Half the fan of the volume, or of the detector if that is smaller, radians.
+/// Half the fan angle of the volume, or of the detector if that is smaller, radians.
 fn half_fan(scanner: &Scanner) -> f64 {
     let detector = &scanner.detector;
     let edge = detector.columns as f64 * detector.pitch_u / 2.0 + detector.offset_u.abs();
@@ -228,7 +231,7 @@ fn half_fan(scanner: &Scanner) -> f64 {
     }
 }
 
-/// Half the width of the volume's shadow.
+/// Half the width of the volume's projection on the detector.
 fn shadow(scanner: &Scanner) -> f64 {
     match scanner.beam {
         Beam::Cone { dso, dsd } => dsd * tan(asin((radius(scanner) / dso).min(1.0))),
@@ -236,8 +239,9 @@ fn shadow(scanner: &Scanner) -> f64 {
     }
 }
 
-/// The angle each view stands for: half the distance between its neighbours on a circle of circumference `turn`.
-/// They add up to `turn`.
+/// The angle that each view covers: half the distance between its neighbours on a circle of circumference `turn`.
+///
+/// The angles add up to `turn`.
 fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {
     let n = angles.len();
     let mut order: Vec<(f64, usize)> =

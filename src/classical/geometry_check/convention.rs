@@ -1,12 +1,12 @@
-//! How a scan may have been written, relative to how it was read.
+//! Conventions of axes and angles that a scan may have been written with.
 
 use crate::scene::{Beam, Projections};
 use ndarray::Axis;
 use serde::Serialize;
 
-/// What is wrong with the reading of a scan if its data follow this convention; all `false`: nothing.
+/// The differences between a scan's convention and the geometry page; all `false` means none.
 ///
-/// The reading is corrected in the order of the fields: images are transposed, then their rows and columns reversed.
+/// A reading is corrected in the order of the fields: images are transposed, then rows and columns are reversed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Convention {
     /// The images are `[u, v]`, not `[v, u]`.
@@ -15,14 +15,14 @@ pub struct Convention {
     pub rows_reversed: bool,
     /// The columns run against u.
     pub columns_reversed: bool,
-    /// The angles count clockwise seen from +z.
+    /// The angles are clockwise seen from +z.
     pub rotation_reversed: bool,
     /// The angles are degrees, not radians.
     pub degrees: bool,
 }
 
 impl Convention {
-    /// As read.
+    /// No difference: as stated.
     pub const AS_STATED: Self = Self {
         transposed: false,
         rows_reversed: false,
@@ -31,8 +31,9 @@ impl Convention {
         degrees: false,
     };
 
-    /// The eight images of the detector times both senses of rotation, those as stated first; without transposed ones
-    /// where the detector is no square, twice as many where the angles may be degrees.
+    /// All conventions: the eight symmetries of the image times both senses of rotation, the stated one first.
+    ///
+    /// Transposed images are left out for a detector that is not square. The list doubles where angles may be degrees.
     pub fn all(square: bool, maybe_degrees: bool) -> Vec<Self> {
         let bit = |number: usize, place: usize| number >> place & 1 == 1;
         let all = (0..32).map(|number| Self {
@@ -45,7 +46,7 @@ impl Convention {
         all.filter(|c| (square || !c.transposed) && (maybe_degrees || !c.degrees)).collect()
     }
 
-    /// The projections as they are if the data follow this convention.
+    /// The projections on the geometry page's convention, if the data follow this one.
     pub fn correct(&self, projections: &Projections) -> Projections {
         let mut images = projections.images.view();
         if self.transposed {
@@ -63,13 +64,13 @@ impl Convention {
         }
     }
 
-    /// The angle, radians, that a number read as radians stands for.
+    /// The angle in radians for a number that was read as radians.
     pub fn angle(&self, stated: f64) -> f64 {
         let angle = if self.degrees { stated.to_radians() } else { stated };
         if self.rotation_reversed { -angle } else { angle }
     }
 
-    /// Whether no projection can tell this convention from another one: see the [module's page](super).
+    /// Whether no projection distinguishes this convention from another: see the [module's page](super).
     pub fn looks_like(&self, other: &Self, beam: &Beam) -> bool {
         let handed = |c: &Self| c.columns_reversed != c.rotation_reversed;
         let parallel = matches!(beam, Beam::Parallel { .. });
@@ -78,7 +79,7 @@ impl Convention {
             && (parallel || handed(self) == handed(other))
     }
 
-    /// The detector's offset `[u, v]` under which this convention explains what `other` explains with `offset`.
+    /// The offset `[u, v]` at which this convention explains the data as `other` does at `offset`.
     pub fn offset_from(&self, other: &Self, offset: [f64; 2]) -> [f64; 2] {
         let signed = |same: bool, value: f64| if same { value } else { 0.0 - value };
         [
@@ -87,18 +88,18 @@ impl Convention {
         ]
     }
 
-    /// How many things are wrong.
+    /// Number of differences from the stated convention.
     pub fn faults(&self) -> usize {
         self.each().into_iter().filter(|(wrong, ..)| *wrong).count()
     }
 
-    /// What is wrong, in words.
+    /// The convention in words.
     pub fn words(&self) -> String {
         let words: Vec<_> = self.each().into_iter().filter(|(wrong, ..)| *wrong).map(|(_, words, _)| words).collect();
         if words.is_empty() { "as stated".into() } else { words.join(" and ") }
     }
 
-    /// What to do about it, a step for each fault; empty where there is none.
+    /// One remedy per difference; empty if there is none.
     pub fn remedies(&self) -> Vec<&'static str> {
         self.each().into_iter().filter(|(wrong, ..)| *wrong).map(|(_, _, remedy)| remedy).collect()
     }

@@ -1,4 +1,4 @@
-//! How well views are foretold that a reconstruction did not see.
+//! Prediction error of views that were held out of a reconstruction.
 
 use super::Convention;
 use super::reduced::Reduced;
@@ -9,15 +9,15 @@ use crate::numeric::{reduce, threads};
 use crate::scene::{Projections, Scanner, Volume};
 use std::ops::ControlFlow;
 
-/// Parts of the views that are left out in turn.
+/// Number of parts of the views that are held out in turn.
 const FOLDS: usize = 3;
-/// Passes of SART: a third one changes neither ranks nor minima.
+/// SART passes: a third pass changes neither ranks nor minima.
 const PASSES: usize = 2;
 
 /// A convention, and the detector's offset `[u, v]` in scene units.
 pub(super) type Hypothesis = (Convention, [f64; 2]);
 
-/// The squared residual of each view where it was left out, and the square of what was measured.
+/// The squared residual of each held-out view, and the sum of squares of the measured values.
 #[derive(Clone, Debug)]
 pub(super) struct HeldOut {
     pub(super) residuals: Vec<f64>,
@@ -25,12 +25,12 @@ pub(super) struct HeldOut {
 }
 
 impl HeldOut {
-    /// `‖A x - p‖/‖p‖` over all views, each with the x that was found without it.
+    /// `‖A x - p‖/‖p‖` over all views, each with the x reconstructed without it.
     pub(super) fn residual(&self) -> f64 {
         (reduce::sum(&self.residuals) / self.measured).sqrt()
     }
 
-    /// By how much larger than another one, squared and per view, in standard errors of the mean.
+    /// The mean difference of squared residuals per view from another hypothesis, in standard errors.
     pub(super) fn worse_than(&self, other: &Self) -> f64 {
         let n = self.residuals.len() as f64;
         let difference = |i: usize| self.residuals[i] - other.residuals[i];
@@ -41,7 +41,7 @@ impl HeldOut {
     }
 }
 
-/// What each hypothesis is worth.
+/// The held-out residuals of each hypothesis.
 pub(super) fn held_out(scan: &Reduced, hypotheses: &[Hypothesis]) -> Result<Vec<HeldOut>> {
     let views = scan.views.len();
     let parts: Result<Vec<Vec<f64>>> =
@@ -56,13 +56,13 @@ pub(super) fn held_out(scan: &Reduced, hypotheses: &[Hypothesis]) -> Result<Vec<
     Ok(parts?.chunks_exact(FOLDS).map(of).collect())
 }
 
-/// The squared residuals of every third view, from the others.
+/// The squared residuals of every third view, with x from the others.
 fn fold(scan: &Reduced, &(convention, offset): &Hypothesis, fold: usize) -> Result<Vec<f64>> {
     let (scanner, views) = scan.read_as(&convention, offset);
     let (left_out, kept): (Vec<usize>, Vec<usize>) = (0..views.len()).partition(|view| view % FOLDS == fold);
     let left_out = views.select(&left_out);
     let mut differences = left_out.images;
-    // A detector that is moved out of the shadow foretells nothing.
+    // A detector that is moved off the volume's projection predicts nothing.
     if scanner.validate().is_ok() {
         let (projector, volume) = reconstruct(&scanner, &views.select(&kept))?;
         differences -= &projector.forward(&left_out.angles, volume.values.view())?;
@@ -71,7 +71,7 @@ fn fold(scan: &Reduced, &(convention, offset): &Hypothesis, fold: usize) -> Resu
     Ok(differences.chunks_exact(scanner.detector.pixels()).map(square).collect())
 }
 
-/// A volume after some passes of SART with densities that are not negative, and the projector it was found with.
+/// A volume after some passes of SART with non-negative densities, and its projector.
 pub(super) fn reconstruct(scanner: &Scanner, views: &Projections) -> Result<(VoxelProjector, Volume)> {
     let projector = VoxelProjector::new(scanner, RayModel::Joseph)?;
     let settings = SartSettings { iterations: PASSES, order: Order::AngularDistance, ..SartSettings::default() };

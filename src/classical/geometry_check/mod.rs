@@ -1,53 +1,54 @@
-//! Which conventions a scan seems to follow: rows and columns of its images, sense of rotation, place of the detector.
+//! Detects a scan's conventions: rows and columns of images, sense of rotation, detector offset.
+//!
 //! Not in the paper.
 //!
-//! A scan that is read with a wrong convention mostly contradicts itself: no object has such views. So coarse
-//! reconstructions are made under the eight symmetries of the image (rows reversed or not, columns reversed or not,
-//! transposed or not) and both senses of rotation, each from two thirds of the views with two passes of SART
-//! `[SART84]`, and the third that was left out is compared with what it should be: `‖A x - p‖/‖p‖` over all views, each
-//! with an x that did not see it. What was seen can be fitted under a wrong convention, too; what was not seen cannot.
-//! Where the detector is along u and v is a scan of the same number.
+//! A scan read with a wrong convention mostly contradicts itself: no object has such views. Coarse reconstructions are
+//! made under the eight symmetries of the image (rows reversed or not, columns reversed or not, transposed or not) and
+//! both senses of rotation, each from two thirds of the views with two passes of SART `[SART84]`. The remaining third
+//! is predicted and compared: the residual is `‖A x - p‖/‖p‖` over all views, each with an x reconstructed without it.
+//! Views used in a reconstruction can be fitted under a wrong convention, too; held-out views cannot be predicted. The
+//! detector offsets along u and v minimise the same residual.
 //!
-//! # What projections cannot tell
+//! # Ambiguities
 //!
-//! Let `P_f(φ, u, v)` be the scan of an object f as on the [geometry page](crate::scene::geometry). An orthogonal map of
-//! space that takes every ray of the scan to a ray of the scan gives another object with the same rays, renamed. There
-//! are three:
+//! Let `P_f(φ, u, v)` be the scan of an object f as on the [geometry page](crate::scene::geometry). An orthogonal map
+//! of space that takes every ray of the scan to a ray of the scan gives another object with the same rays, relabelled.
+//! There are three:
 //!
-//! | the object | its scan | so nobody can tell |
+//! | object | its scan | projections cannot distinguish |
 //! |---|---|---|
-//! | turned, `f(R_β x)` | `P_f(φ + β, u, v)` | where the angles begin |
-//! | mirrored at z = 0 | `P_f(φ, u, -v)` | rows from the top from rows from the bottom |
-//! | mirrored at y = 0 | `P_f(-φ, -u, v)` | a scan from one with columns *and* rotation reversed |
+//! | rotated, `f(R_β x)` | `P_f(φ + β, u, v)` | the zero of the angles |
+//! | mirrored at z = 0 | `P_f(φ, u, -v)` | rows from the top, and rows from the bottom |
+//! | mirrored at y = 0 | `P_f(-φ, -u, v)` | a scan, and one with columns *and* rotation reversed |
 //!
-//! The first is the angle of the source. For the second, z → -z leaves source, u and w as they are and turns v round. For
-//! the third, y → -y takes the source to that of -φ, and `u(φ) = (-sin φ, cos φ, 0)` to `-u(-φ)`. With the rows or columns
-//! the sign of the detector's offset changes, since an image is reversed about its own centre. So the sixteen conventions
-//! make four classes of four, told apart by *transposed or not* and by *columns reversed ≠ rotation reversed*. Which member
-//! of a class is right only the object can say: with the true volume, or initial points, the members and four quarter
-//! turns are compared with that.
+//! The first shifts the angle of the source. For the second, z → -z keeps source, u and w and reverses v. For the
+//! third, y → -y takes the source to that of -φ, and `u(φ) = (-sin φ, cos φ, 0)` to `-u(-φ)`. Reversing rows or columns
+//! changes the sign of the detector's offset, since an image is reversed about its own centre. So the sixteen
+//! conventions form four classes of four, distinguished by *transposed or not* and by *columns reversed ≠ rotation
+//! reversed*. Only the object can decide which member of a class is right: if the true volume or initial points are
+//! given, reconstructions under the members and in four quarter turns are compared with them.
 //!
-//! What does tell:
+//! What the data distinguish:
 //!
-//! - **Columns reversed alone**, or rotation alone. In the plane of the source the ray (φ, u) has the direction
-//!   `θ = φ + γ` and the distance `s = dso·sin γ` from the axis, `tan γ = u/dsd`. With reversed columns its value is that
-//!   of the ray (θ - 2γ, -s), which is the ray (θ - 2γ, s) of the object after half a turn: a sinogram sheared by
-//!   `2γ ≈ 2s/dso`. A point at distance r from the axis then draws a sine with a second harmonic of `r²/dso`, which no
-//!   point does. It vanishes for narrow fans: when `r²/dso` is below a pixel, or for a body of revolution, the data do not
-//!   tell, and the check says so.
-//! - **In a parallel beam** γ is 0, and the view of φ + π is that of φ with columns reversed. Then reversed columns are a
-//!   half turn of the object, reversed rotation is that and a mirror image, and all eight conventions that are not
-//!   transposed make one class, from a half turn as from a full one.
-//! - **Transposed** images seem to turn about an axis along u. With parallel rays the sum of each row, `∫ P du`, is the
-//!   object's mass at that height in every view; of a transposed scan it is the shadow of all heights together, which
-//!   depends on φ unless that shadow's object is a body of revolution. In a cone beam the same holds up to the
-//!   magnification of each depth. Only for a square detector can it happen at all.
-//! - **An offset along u**: it moves the axis of rotation in the image, and opposite views do not meet.
-//! - **An offset along v**: with parallel rays it is a shift of the object along z and invisible. In a cone beam
-//!   a shift by δ would have to be `δ·d/dsd` at depth d: only its change over the object's depth shows, `r/dso` of δ. The
-//!   uncertainty says how well.
+//! - **Columns reversed alone**, or rotation alone. In the plane of the source the ray (φ, u) has the direction `θ = φ
+//!   + γ` and the distance `s = dso·sin γ` from the axis, `tan γ = u/dsd`. With reversed columns its value is that of
+//!   the ray (θ - 2γ, -s), which is the ray (θ - 2γ, s) of the object after half a turn: a sinogram sheared by `2γ ≈
+//!   2s/dso`. A point at distance r from the axis then traces a sine with a second harmonic of `r²/dso`, which no real
+//!   point does. The effect vanishes for narrow fans: when `r²/dso` is below a pixel, or for a body of revolution, the
+//!   data do not decide, and the check says so.
+//! - **In a parallel beam** γ is 0, and the view of φ + π is that of φ with columns reversed. Then reversed columns
+//!   equal a half turn of the object, and reversed rotation equals a half turn and a mirror image. All eight
+//!   conventions that are not transposed form one class, for a half turn as for a full one.
+//! - **Transposed** images seem to rotate about an axis along u. With parallel rays the sum of each row, `∫ P du`, is
+//!   the object's mass at that height in every view. In a transposed scan it is a projection of all heights together,
+//!   which depends on φ unless the object is a body of revolution. In a cone beam the same holds up to the
+//!   magnification of each depth. Only a square detector can be transposed.
+//! - **An offset along u** moves the axis of rotation in the image, so that opposite views disagree.
+//! - **An offset along v**: with parallel rays it is a shift of the object along z and invisible. In a cone beam a
+//!   shift by δ would have to be `δ·d/dsd` at depth d: only its change over the object's depth is visible, `r/dso` of
+//!   δ. The uncertainty states how well.
 //!
-//! Not told apart, and not tried: DSO and DSD, a tilted detector, a wrong order of views.
+//! Not tested: DSO and DSD, a tilted detector, a wrong order of views.
 
 mod convention;
 mod held_out;
@@ -70,101 +71,102 @@ use serde::Serialize;
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
 
-/// Rows and columns of the detector, at most, for the first scan of offsets.
+/// Largest number of rows and columns of the reduced detector in the first scan of offsets.
 const COARSE: usize = 32;
 /// The same for the comparison of conventions.
 const MEDIUM: usize = 48;
 /// The same for the last scan of offsets.
 const FINE: usize = 64;
-/// Views without which nothing can be left out.
+/// Smallest number of views: with fewer, none can be held out.
 const FEWEST_VIEWS: usize = 4;
-/// Angles beyond these, radians, may be degrees.
+/// Angles beyond this (radians) may be degrees.
 const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
-/// Standard errors by which a class of conventions must be worse to be told apart.
+/// Difference in standard errors from which a class of conventions is excluded.
 const TOLD_APART: f64 = 3.0;
-/// Correlation by which a mirror image or a turn must look more like the reference than what is stated.
+/// Difference in correlation by which a mirror image or rotation must resemble the reference more than the stated one.
 const RESEMBLES: f64 = 0.005;
-/// After the first scan of offsets along u.
+/// Refinement after the first scan of offsets along u.
 const FIRST_SEARCH: Search = Search { step: 0.4, rounds: 1 };
-/// At the end, along u: wide, then narrow, since the valley is no parabola.
+/// Last refinement along u: wide, then narrow, since the minimum is not parabolic.
 const ALONG_U: [Search; 2] = [Search { step: 0.5, rounds: 8 }, Search { step: 0.2, rounds: 2 }];
-/// Along v, where the minimum is shallow.
+/// Refinement along v, where the minimum is shallow.
 const ALONG_V: Search = Search { step: 1.0, rounds: 8 };
 
-/// How far the check has come.
+/// Progress of the check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// What was done last.
+    /// The last step done.
     pub what: &'static str,
-    /// Steps done.
+    /// Number of steps done.
     pub done: usize,
-    /// Steps in all.
+    /// Number of all steps.
     pub steps: usize,
 }
 
 impl Step {
-    /// Steps of a check.
+    /// Number of steps of a check.
     pub const ALL: usize = 6;
 }
 
-/// Is shown every step, and may stop the check, which is an error then.
+/// Observer of every step; breaking ends the check with an error.
 pub type Observe<'a> = dyn FnMut(&Step) -> ControlFlow<()> + 'a;
 
-/// What the check found.
+/// The result of a check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GeometryCheck {
-    /// Whether the scan is as stated, as far as data and reference tell.
+    /// Whether the scan is as stated, as far as data and reference can tell.
     pub agrees: bool,
-    /// What was found and what to do about it, a sentence each.
+    /// Findings and remedies, one sentence each.
     pub verdict: Vec<String>,
     /// The convention that the data seem to have.
     pub looks_like: Convention,
-    /// Where the detector is along u.
+    /// Detector offset along u.
     pub offset_u: OffsetScan,
-    /// Where it is along v, down the rows; parallel rays do not tell.
+    /// Detector offset along v, down the rows; `None` for parallel rays, which do not determine it.
     pub offset_v: Option<OffsetScan>,
-    /// offDetector as it should stand in the files, `[u, upwards]` in their unit of length: what was found where that is
-    /// beside what is stated.
+    /// The offDetector to write into the files, `[u, upwards]` in their unit of length: the offset found where it
+    /// differs from the stated one.
     pub off_detector: [f64; 2],
-    /// What members of a class were compared with.
+    /// The reference that members of a class were compared with.
     pub reference: Option<Source>,
-    /// All conventions: the best class first, in it the most similar to the reference or the simplest.
+    /// All conventions: the best class first, ordered by resemblance to the reference, or by simplicity.
     pub candidates: Vec<Candidate>,
-    /// Views that were used.
+    /// Number of views used.
     pub views: usize,
-    /// Rows and columns that they were reduced to.
+    /// Rows and columns of the reduced detector.
     pub detector: [usize; 2],
     /// Voxels of the reconstructions.
     pub grid: [usize; 3],
 }
 
-/// A convention and how well it explains the data.
+/// A convention and its residual.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Candidate {
-    /// What is tried.
+    /// The convention.
     pub convention: Convention,
-    /// The same in words.
+    /// The convention in words.
     pub words: String,
-    /// Conventions of the same class explain the same data; 1 is the class with the least residual.
+    /// Conventions of one class explain the same data; class 1 has the least residual.
     pub class: usize,
-    /// `‖A x - p‖/‖p‖` of views that were left out.
+    /// `‖A x - p‖/‖p‖` of held-out views.
     pub residual: f64,
-    /// Standard errors by which the residual is larger than that of the best class.
+    /// Difference from the residual of the best class, in standard errors.
     pub standard_errors: f64,
-    /// Whether the data tell this class from the best.
+    /// Whether the data exclude this class.
     pub told_apart: bool,
-    /// The detector's offset `[u, v]` that it was judged with, pixels.
+    /// The detector's offset `[u, v]` used for it, pixels.
     pub offset: [f64; 2],
-    /// How its object looks like the reference; for the class that the verdict is about.
+    /// Resemblance of its object to the reference; only for the class of the verdict.
     pub resemblance: Option<Resemblance>,
 }
 
-/// Reconstructs a scan coarsely under all conventions and ranks them by the data's consistency. Not in the paper.
+/// Reconstructs a scan coarsely under all conventions and ranks them by consistency. Not in the paper.
 ///
-/// Used are at most 24 views, 64² pixels and 48 voxels along a side. The number of threads changes no bit.
+/// At most 24 views, 64² pixels and 48 voxels along a side are used. The number of threads changes no bit.
 ///
 /// # Errors
-/// When the scanner cannot work, there are fewer than four training views, nothing was seen in them, or `observe` asks to stop.
+/// When the scanner is invalid, there are fewer than four training views, all their pixels are zero, or `observe`
+/// breaks.
 ///
 /// Tests: `every_fault_of_the_images_and_of_the_rotation_is_found`, `conventions_of_a_class_have_the_same_residual`,
 /// `displaced_detectors_are_found_to_a_fifth_of_a_pixel`, `the_true_volume_or_points_from_it_tell_where_the_angles_begin`.
@@ -172,8 +174,8 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     dataset.scanner.validate()?;
     let train = &dataset.train;
     if train.len() < FEWEST_VIEWS {
-        let expected = format!("at least {FEWEST_VIEWS}: some are left out and foretold from the others");
-        return Err(Error::invalid("training views", train.len(), expected, "check a scan with more views"));
+        let expected = format!("at least {FEWEST_VIEWS}: some are held out and predicted from the others");
+        return Err(Error::invalid("training views", train.len(), expected, "give a scan with more views"));
     }
     if train.images.iter().all(|value| *value == 0.0) {
         return Err(Error::invalid("projections", "zeros only", "an object", "check the files of the projections"));
@@ -184,7 +186,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     rank(&Reduced::new(dataset, MEDIUM), &mut candidates, &beam)?;
     steps.done("conventions")?;
 
-    // What is stated stands until something is told apart from it.
+    // The stated convention is kept unless the data exclude it.
     let stated = candidates.iter().find(|c| c.convention == Convention::AS_STATED).expect("it is among all");
     let class = if stated.told_apart { 1 } else { stated.class };
     let reference = compare(dataset, &mut candidates, class)?;
@@ -225,7 +227,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     Ok(check)
 }
 
-/// A convention on its way to being judged.
+/// A convention that is being evaluated.
 #[derive(Clone)]
 struct Trial {
     convention: Convention,
@@ -241,7 +243,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// How much is wrong.
+    /// Number of differences from the stated convention.
     fn faults(&self) -> usize {
         self.convention.faults() + usize::from(self.resemblance.is_some_and(|r| r.quarter_turns != 0))
     }
@@ -260,7 +262,7 @@ impl Trial {
     }
 }
 
-/// All conventions, each with the offset at which its class explains the data best. One of each class is tried.
+/// All conventions, each with the offset at which its class explains the data best; one per class is evaluated.
 fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
     let d = &dataset.scanner.detector;
     let maybe_degrees = dataset.train.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);
@@ -273,7 +275,7 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
     }
     let coarse = Reduced::new(dataset, COARSE);
     let along_u = first_scan(d.offset_u, d.columns as f64 * d.pitch_u, coarse.pitch()[0]);
-    // A class has members with the rows reversed, for which the sign is the other one.
+    // A class has members with the rows reversed, for which the offset has the opposite sign.
     let mut along_v = vec![d.offset_v];
     if d.offset_v != 0.0 && matches!(beam, Beam::Cone { .. }) {
         along_v.push(-d.offset_v);
@@ -282,14 +284,14 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
     let hypotheses: Vec<Hypothesis> =
         representatives.iter().flat_map(|&c| offsets.iter().map(move |&offset| (c, offset))).collect();
     let results: Vec<f64> = held_out(&coarse, &hypotheses)?.iter().map(HeldOut::residual).collect();
-    steps.done("first scan of the detector's place")?;
+    steps.done("first scan of detector offsets")?;
     let mut found = Vec::new();
     for (&convention, results) in representatives.iter().zip(results.chunks_exact(offsets.len())) {
         let least = (0..offsets.len()).reduce(|a, b| if results[b] < results[a] { b } else { a });
         let offset = offsets[least.expect("there is at least what is stated")];
         found.push(refine(&coarse, convention, offset, 0, FIRST_SEARCH)?.offset);
     }
-    steps.done("its refinement")?;
+    steps.done("refinement of the offset")?;
     let trial = |convention: &Convention| {
         let class = representatives.iter().position(|other| convention.looks_like(other, beam));
         let class = class.expect("every convention is represented");
@@ -308,7 +310,7 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
     Ok(all.iter().map(trial).collect())
 }
 
-/// Tries all conventions and numbers their classes from the best on.
+/// Evaluates all conventions and numbers their classes, the best first.
 fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
     let hypotheses: Vec<Hypothesis> = trials.iter().map(|trial| (trial.convention, trial.offset)).collect();
     let results = held_out(scan, &hypotheses)?;
@@ -332,7 +334,7 @@ fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
     Ok(())
 }
 
-/// Compares what the members of a class see with what is known about the object.
+/// Compares reconstructions under the members of a class with the known object.
 fn compare(dataset: &Dataset, trials: &mut [Trial], class: usize) -> Result<Option<Source>> {
     let coarse = Reduced::new(dataset, COARSE);
     let Some(reference) = Reference::new(dataset, coarse.grid()) else { return Ok(None) };
@@ -347,7 +349,7 @@ fn compare(dataset: &Dataset, trials: &mut [Trial], class: usize) -> Result<Opti
     Ok(Some(reference.source))
 }
 
-/// Counts steps and shows them.
+/// Counts steps and reports them.
 struct Steps<'a, 'b> {
     observe: &'a mut Observe<'b>,
     done: usize,
@@ -358,9 +360,10 @@ impl Steps<'_, '_> {
         self.done += 1;
         match (self.observe)(&Step { what, done: self.done, steps: Step::ALL }) {
             ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => {
-                Err(Error::Interrupted { step: self.done, remedy: "nothing was written; start it again".into() })
-            }
+            ControlFlow::Break(()) => Err(Error::Interrupted {
+                step: self.done,
+                remedy: "nothing was written; run the same command again".into(),
+            }),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Where the detector is.
+//! Estimation of the detector offset.
 
 use super::Convention;
 use super::held_out::{HeldOut, held_out};
@@ -7,45 +7,46 @@ use crate::error::Result;
 use crate::numeric::reduce;
 use serde::Serialize;
 
-/// Part of the detector's width by which it may be displaced from where it is said to be, or from the centre.
+/// Largest displacement searched, from the stated place or from the centre, as a fraction of the detector's width.
 const RANGE: f64 = 0.1;
-/// Distance of the offsets of the first scan, coarse pixels.
+/// Spacing of the offsets in the first scan, coarse pixels.
 const STEP: f64 = 0.8;
-/// Part of the five offsets around their middle in which a minimum is one, in distances of them.
+/// A minimum counts if it is this close to the middle of the five offsets, in units of their spacing.
 const INSIDE: f64 = 1.5;
-/// Errors of minima along u and v that coarse pixels and voxels make, coarse pixels: on phantoms, where the place is known,
-/// up to 0.06 and 0.51 were seen.
+/// Errors along u and v caused by coarse pixels and voxels, coarse pixels.
+///
+/// On phantoms with known offsets, errors up to 0.06 and 0.51 were seen.
 const SYSTEMATIC: [f64; 2] = [0.06, 0.5];
 
-/// How a minimum is looked for.
+/// Parameters of the search for a minimum.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
-    /// Distance of the five offsets, coarse pixels.
+    /// Spacing of the five offsets, coarse pixels.
     pub(super) step: f64,
-    /// Times that they are tried, at most.
+    /// Largest number of rounds.
     pub(super) rounds: usize,
 }
 
-/// Where along one direction the detector explains the data best.
+/// The detector offset along one direction that explains the data best.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OffsetScan {
-    /// As stated, pixels of the detector.
+    /// The stated offset, pixels of the detector.
     pub stated: f64,
-    /// Where the held-out residual is least, pixels of the detector.
+    /// The offset of least held-out residual, pixels of the detector.
     pub found: f64,
-    /// Standard error of `found`, pixels: from leaving out one view after another (jackknife), and a part of a coarse pixel.
+    /// Standard error of `found`, pixels: from a jackknife over the views, plus a fraction of a coarse pixel.
     pub uncertainty: f64,
-    /// The same place, scene units.
+    /// The offset found, scene units.
     pub found_length: f64,
-    /// The residual there.
+    /// The residual at the offset found.
     pub residual: f64,
-    /// The residual with the detector as stated along this direction, and as found along the other.
+    /// The residual with the stated offset along this direction and the found offset along the other.
     pub residual_stated: f64,
-    /// Offsets, pixels, and their held-out residuals, as they were tried in the last refinement.
+    /// Offsets (pixels) and held-out residuals of the last refinement.
     pub curve: Vec<[f64; 2]>,
 }
 
-/// All offsets along u of the first scan, scene units: around the centre, what is stated, and its opposite.
+/// Offsets along u of the first scan, scene units: around the centre, the stated offset, and its opposite.
 pub(super) fn first_scan(stated: f64, width: f64, pitch: f64) -> Vec<f64> {
     let (step, mut all) = (STEP * pitch, Vec::<f64>::new());
     let reach = (RANGE * width / step).ceil() as i32;
@@ -66,15 +67,16 @@ pub(super) struct Minimum {
     pub(super) offset: [f64; 2],
     /// Standard error along the direction, scene units.
     pub(super) uncertainty: f64,
-    /// The least residual that was seen.
+    /// The least residual found.
     pub(super) residual: f64,
     /// Offsets along the direction, scene units, and their residuals.
     pub(super) curve: Vec<[f64; 2]>,
 }
 
 impl OffsetScan {
-    /// Of a minimum along `axis` that was found on `scan`, in pixels of `pitch`; `stated` is the offset as
-    /// stated and the residual there; lengths in scene units.
+    /// The result for a minimum along `axis` that was found on `scan`.
+    ///
+    /// `pitch` is the size of a pixel; `stated` holds the stated offset and its residual; lengths are in scene units.
     pub(super) fn new(scan: &Reduced, axis: usize, minimum: &Minimum, stated: [f64; 2], pitch: f64) -> Self {
         let (by_chance, systematic) = (minimum.uncertainty, SYSTEMATIC[axis] * scan.pitch()[axis]);
         let [stated, residual_stated] = stated;
@@ -90,8 +92,9 @@ impl OffsetScan {
     }
 }
 
-/// Refines an offset along `axis` (0: u, 1: v) by the parabola through five offsets; as long as its minimum is at the end
-/// of what they cover, again around that.
+/// Refines an offset along `axis` (0: u, 1: v) by a parabola through five offsets.
+///
+/// While the minimum is at the end of their range, the range is centred on it and the step repeated.
 pub(super) fn refine(
     scan: &Reduced,
     convention: Convention,
@@ -118,8 +121,9 @@ pub(super) fn refine(
     unreachable!("the last round returns")
 }
 
-/// Where the parabola through the squared residuals at -2, -1, 0, 1, 2 is least, by least squares, and the standard error
-/// of that from leaving out one view after another.
+/// The minimum of the least-squares parabola through the squared residuals at -2, -1, 0, 1, 2.
+///
+/// The second value is its standard error, from a jackknife over the views.
 fn vertex(results: &[HeldOut]) -> (f64, f64) {
     let views = results[0].residuals.len();
     let along = |weights: [f64; 5], view: usize| {
@@ -129,7 +133,7 @@ fn vertex(results: &[HeldOut]) -> (f64, f64) {
     let bends: Vec<f64> = (0..views).map(|view| along([2.0, -1.0, -2.0, -1.0, 2.0], view) / 14.0).collect();
     let (slope, bend) = (reduce::sum(&slopes), reduce::sum(&bends));
     let least = |slope: f64, bend: f64| {
-        // Without a minimum: downhill as far as was looked.
+        // Without a minimum: downhill to the end of the range.
         if bend > 0.0 {
             (-slope / (2.0 * bend)).clamp(-2.0, 2.0)
         } else if slope != 0.0 {

@@ -1,4 +1,4 @@
-//! A scan small enough to be reconstructed many times in a second.
+//! A scan reduced so far that it can be reconstructed many times per second.
 
 use super::Convention;
 use crate::numeric::threads;
@@ -6,15 +6,15 @@ use crate::scene::{Beam, Dataset, Detector, Grid, Projections, Scanner};
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
 
-/// Views that are used, at most.
+/// Largest number of views used.
 const VIEWS: usize = 24;
-/// Part of the distance to the source that the grid may reach.
+/// Largest extent of the grid, as a fraction of the distance to the source.
 const REACH: f64 = 0.95;
 
-/// A part of the training views on a coarse detector, as they were read.
+/// A subset of the training views on a coarse detector, as read.
 pub(super) struct Reduced {
     beam: Beam,
-    /// Its offsets are 0: they are what is looked for.
+    /// Its offsets are 0, since they are to be found.
     detector: Detector,
     grid: Grid,
     /// In the order of the angles, as read.
@@ -22,8 +22,9 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
-    /// Some views of `dataset`, evenly spaced, with means of pixels such that there are at most `pixels` rows and columns,
-    /// and three voxels for four of the longer side.
+    /// Evenly spaced views of `dataset`, averaged to at most `pixels` rows and columns.
+    ///
+    /// The grid has three voxels for four pixels of the longer side.
     pub(super) fn new(dataset: &Dataset, pixels: usize) -> Self {
         let Scanner { beam, detector: d, grid } = dataset.scanner;
         let train = &dataset.train;
@@ -50,14 +51,14 @@ impl Reduced {
         Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
     }
 
-    /// The views if they follow a convention, and their scanner with the detector at `offset` `[u, v]`, scene units.
+    /// Views corrected for a convention, and their scanner with the detector at `offset` `[u, v]`, scene units.
     pub(super) fn read_as(&self, convention: &Convention, offset: [f64; 2]) -> (Scanner, Projections) {
         let [offset_u, offset_v] = offset;
         let detector = Detector { offset_u, offset_v, ..self.detector };
         (Scanner { beam: self.beam, detector, grid: self.grid }, convention.correct(&self.views))
     }
 
-    /// The grid that is reconstructed.
+    /// The grid of the reconstructions.
     pub(super) fn grid(&self) -> &Grid {
         &self.grid
     }
@@ -68,8 +69,9 @@ impl Reduced {
     }
 }
 
-/// A grid of cubes around the axis that holds `grid` and all its mirror images and quarter turns: an object that a wrong
-/// convention mirrors or turns is not to leave it.
+/// A cubic grid around the axis that contains `grid` with all its mirror images and quarter turns.
+///
+/// An object that a wrong convention mirrors or rotates must not leave it.
 fn symmetric(grid: &Grid, beam: &Beam, voxels: usize) -> Grid {
     let reach = grid.min.abs().max(grid.max().abs());
     let mut across = reach.x.max(reach.y);
@@ -92,7 +94,7 @@ fn reduce(image: ArrayView2<'_, f32>, rows: usize, columns: usize) -> Array2<f32
     })
 }
 
-/// For each of `parts` equal parts of `n` elements the elements that it overlaps, and their shares of it.
+/// For each of `parts` equal parts of `n` elements: the elements it overlaps and their weights.
 fn shares(n: usize, parts: usize) -> Vec<Vec<(usize, f64)>> {
     let width = n as f64 / parts as f64;
     let part = |i: usize| {

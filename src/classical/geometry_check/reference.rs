@@ -1,4 +1,4 @@
-//! What is known about the object: it tells apart what projections cannot.
+//! The known object, which resolves ambiguities that projections cannot.
 
 use super::held_out::reconstruct;
 use super::reduced::Reduced;
@@ -11,16 +11,16 @@ use glam::DVec3;
 use ndarray::{Array2, Array3};
 use serde::Serialize;
 
-/// Points along each axis of a coarse voxel whose mean is the reference there.
+/// Points along each axis of a coarse voxel, for the mean of the reference there.
 const SAMPLES: usize = 2;
 
-/// What reconstructions are compared with.
+/// The source of the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
     /// The true volume.
     TrueVolume,
-    /// The points that a reconstruction is to start from. They may have been made from these very views.
+    /// The initial points of a reconstruction. They may have been made from these very views.
     InitialPoints,
 }
 
@@ -30,17 +30,17 @@ pub(super) struct Reference {
     values: Array3<f64>,
 }
 
-/// How a reconstruction resembles the reference.
+/// Resemblance of a reconstruction to the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Resemblance {
-    /// Pearson's correlation of the voxels, of the best of the four turns.
+    /// Pearson's correlation of the voxels, for the best of the four quarter turns.
     pub correlation: f64,
-    /// Quarter turns to add to every angle, after what the convention does to it.
+    /// Quarter turns to add to every angle, after the convention's correction.
     pub quarter_turns: usize,
 }
 
 impl Reference {
-    /// The true volume, or else the initial points, or nothing.
+    /// The true volume, or else the initial points; `None` without either.
     pub(super) fn new(dataset: &Dataset, grid: &Grid) -> Option<Self> {
         let found = match (&dataset.truth, &dataset.initial_points) {
             (Some(truth), _) => (Source::TrueVolume, sample(&Trilinear::new(truth), grid)),
@@ -51,7 +51,7 @@ impl Reference {
         varies.then_some(Self { source: found.0, values: found.1 })
     }
 
-    /// How the reconstruction from all views looks like it if they follow each of the conventions with its offset.
+    /// Resemblance of reconstructions from all views, under each convention with its offset.
     pub(super) fn compare(&self, scan: &Reduced, hypotheses: &[(Convention, [f64; 2])]) -> Result<Vec<Resemblance>> {
         let one = |i: usize| {
             let (scanner, views) = scan.read_as(&hypotheses[i].0, hypotheses[i].1);
@@ -72,7 +72,7 @@ impl Reference {
     }
 }
 
-/// `f(R x)` with R by a number of quarter turns, counter-clockwise: what views of f look like that say too small an angle.
+/// `f(R x)` with R a number of quarter turns counter-clockwise: the object seen when angles are stated too small.
 fn turned(values: &Array3<f64>, quarter_turns: usize) -> Array3<f64> {
     let (nx, ny, _) = values.dim();
     Array3::from_shape_fn(values.dim(), |(x, y, z)| match quarter_turns {
@@ -108,7 +108,7 @@ fn gather(points: &Array2<f64>, grid: &Grid) -> Array3<f64> {
     values
 }
 
-/// Pearson's correlation; 0 where one of both is constant.
+/// Pearson's correlation; 0 if either volume is constant.
 fn correlation(a: &Array3<f32>, b: &Array3<f64>) -> f64 {
     let (a, b): (Vec<f64>, Vec<f64>) = (a.iter().map(|&value| f64::from(value)).collect(), b.iter().copied().collect());
     let mean = |values: &[f64]| reduce::sum(values) / values.len() as f64;

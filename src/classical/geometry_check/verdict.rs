@@ -1,20 +1,21 @@
-//! What the numbers mean, in sentences.
+//! Turns the numbers of a check into sentences.
 
 use super::{Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, Source, TOLD_APART};
 use crate::scene::{Beam, Dataset};
 use std::f64::consts::FRAC_PI_2;
 
-/// Pixels by which the detector may lie beside where it is said to be.
+/// Allowed displacement of the detector, pixels.
 const TOLERANCE: f64 = 0.5;
-/// Standard errors that are allowed beyond that.
+/// Standard errors allowed in addition.
 const SIGNIFICANT: f64 = 2.0;
-/// Times by which the residual must fall for a detector displaced along v: what coarse voxels add to the residual of a body
-/// that hardly shows its height makes false minima a tenth deep.
+/// Factor by which the residual must fall for a displacement along v to count.
+///
+/// Coarse voxels add to the residual of a body whose height is hardly visible; this makes false minima a tenth deep.
 const VISIBLE: f64 = 1.25;
-/// Relative residual of the best convention from which on none explains the data.
+/// If the best relative residual exceeds this, no convention explains the data.
 const UNEXPLAINED: f64 = 0.4;
 
-/// Fills in whether the scan is as stated, and the sentences.
+/// Sets `agrees` and the sentences of the verdict.
 pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
     let Dataset { scanner, scale, .. } = dataset;
     let chosen = check.candidates[0].clone();
@@ -56,15 +57,15 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
     check.agrees = as_stated && explained && !displaced_u && !displaced_v;
 }
 
-/// Whether the detector is beside where it is said to be, beyond tolerance and doubt.
+/// Whether the offset differs from the stated one by more than tolerance and uncertainty.
 fn is_displaced(scan: &OffsetScan) -> bool {
     (scan.found - scan.stated).abs() > TOLERANCE + SIGNIFICANT * scan.uncertainty
 }
 
-/// What the data look like.
+/// The sentence about the convention found.
 fn conventions(check: &GeometryCheck, as_stated: bool, turns: usize) -> String {
     let chosen = &check.candidates[0];
-    let foretold = format!("views that were left out are foretold to {}", percent(chosen.residual));
+    let foretold = format!("held-out views are predicted to within {}", percent(chosen.residual));
     if as_stated {
         return format!("The data agree with the conventions as stated: {foretold}.");
     }
@@ -91,7 +92,7 @@ fn conventions(check: &GeometryCheck, as_stated: bool, turns: usize) -> String {
     format!("The data look like {words}: {foretold}{instead}. Remedy: {}.", remedies.join(", or "))
 }
 
-/// The best of the other classes, and whether it can be excluded.
+/// The sentence about the best of the other classes, and whether the data exclude it.
 fn alternatives(check: &GeometryCheck, class: usize) -> Option<String> {
     let other = check.candidates.iter().find(|c| c.class != class)?;
     let words = simplest(check, other.class);
@@ -109,13 +110,13 @@ fn alternatives(check: &GeometryCheck, class: usize) -> Option<String> {
     })
 }
 
-/// What is equal to what was chosen.
+/// The sentence about conventions that are equivalent to the chosen one.
 fn equals(check: &GeometryCheck, class: usize, beam: &Beam) -> String {
     let members: Vec<&Candidate> = check.candidates.iter().filter(|c| c.class == class).collect();
     let others: Vec<&str> = members[1..].iter().map(|c| c.words.as_str()).collect();
     let parallel =
         if matches!(beam, Beam::Parallel { .. }) { " For parallel rays mirrored columns are half a turn." } else { "" };
-    // In a parallel beam a member with mirrored columns is one without, half a turn later.
+    // In a parallel beam a member with mirrored columns equals one without, half a turn later.
     let same = |c: &Candidate| {
         let (a, b) = (c.convention, members[0].convention);
         (a.rows_reversed, a.rotation_reversed) == (b.rows_reversed, b.rotation_reversed)
@@ -139,7 +140,7 @@ fn equals(check: &GeometryCheck, class: usize, beam: &Beam) -> String {
     format!("Projections cannot tell this from {}, of a mirrored or turned object.{parallel}{told}", others.join("; "))
 }
 
-/// Where the detector is along one direction.
+/// The sentence about the detector offset along one direction.
 fn place(direction: &str, scan: &OffsetScan, displaced: bool) -> String {
     let OffsetScan { stated, found, uncertainty, .. } = *scan;
     let text =

@@ -1,14 +1,13 @@
-//! The rays of one column of the detector: they share a vertical plane, so the way through the grid seen from above is
-//! one for all of them.
+//! The rays of one detector column: they share a vertical plane and thus one path through the grid in x and y.
 
 use crate::classical::resample::Places;
 use crate::scene::{Beam, Scanner, View};
 use std::ops::Range;
 
-/// The rays through the pixels of one column, in units of voxels: the centre of voxel i has the coordinate i.
+/// The rays through the pixels of one column, in voxel units: the centre of voxel i has the coordinate i.
 ///
 /// A point of ray k, counted from the lowest row, is `(x, y) = origin + s·direction`, `z = height + (low + k·pitch)·m`
-/// with `m = s` in a cone beam, whose rays part from the source, and `m = 1` in a parallel one.
+/// with `m = s` in a cone beam, whose rays diverge from the source, and `m = 1` in a parallel beam.
 pub(super) struct Fan {
     pub(super) origin: [f64; 2],
     pub(super) direction: [f64; 2],
@@ -16,7 +15,7 @@ pub(super) struct Fan {
     low: f64,
     pitch: f64,
     is_cone: bool,
-    /// Length of the direction seen from above, and the spacing along z, scene units.
+    /// Length of the direction in the x-y plane, and the spacing along z, scene units.
     horizontal: f64,
     spacing_z: f64,
 }
@@ -49,42 +48,42 @@ impl Fan {
         usize::from(self.direction[0].abs() < self.direction[1].abs())
     }
 
-    /// Voxels that ray k rises while s grows by 1.
+    /// Voxels that ray k rises per unit of s.
     pub(super) fn slope(&self, k: usize) -> f64 {
         if self.is_cone { self.low + k as f64 * self.pitch } else { 0.0 }
     }
 
-    /// The heights of the rays at s: row k at `first + k·pitch`.
+    /// The heights of the rays at s, in voxels: row k at `first + k·pitch`.
     pub(super) fn level(&self, s: f64) -> Places {
         let m = if self.is_cone { s } else { 1.0 };
         Places { first: self.height + self.low * m, pitch: self.pitch * m }
     }
 
-    /// The s at which ray k has the height z; `None` if it stays at its height.
+    /// The s at which ray k reaches the height z; `None` for a horizontal ray.
     pub(super) fn crossing(&self, k: usize, z: f64) -> Option<f64> {
         let slope = self.slope(k);
         (slope != 0.0).then(|| (z - self.height) / slope)
     }
 
-    /// Scene units of length that ray k runs while s grows by 1.
+    /// Length of ray k per unit of s, scene units.
     pub(super) fn length(&self, k: usize) -> f64 {
         let rise = self.slope(k) * self.spacing_z;
         (self.horizontal * self.horizontal + rise * rise).sqrt()
     }
 
-    /// The rays, of `rows`, that rise at most one voxel while they pass one along the main axis.
+    /// The rays, of `rows`, that rise at most one voxel per voxel along the main axis.
     pub(super) fn shallow(&self, rows: usize) -> Range<usize> {
         let steepest = self.direction[self.main_axis()].abs();
         let is_shallow = |k: &usize| self.slope(*k).abs() <= steepest;
-        // Slopes grow with k, so what lies between two shallow rays is shallow.
+        // Slopes grow with k, so rays between two shallow rays are shallow.
         let first = (0..rows).find(is_shallow).unwrap_or(rows);
         let last = (first..rows).rev().find(is_shallow);
         first..last.map_or(first, |last| last + 1)
     }
 
-    /// The part of s where the rays, seen from above, are within `low < coordinate < high` on both axes.
+    /// The interval of s in which the rays satisfy `low < coordinate < high` on both axes, x and y.
     pub(super) fn within(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
-        // The grid lies in front of the source of a cone beam.
+        // The grid is in front of the source of a cone beam.
         let mut part = (if self.is_cone { 0.0 } else { f64::NEG_INFINITY }, f64::INFINITY);
         for axis in 0..2 {
             let (origin, direction) = (self.origin[axis], self.direction[axis]);

@@ -1,8 +1,8 @@
-//! Joseph's rays: planes of voxel centres, interpolated bilinearly.
+//! Joseph's method: planes of voxel centres with bilinear interpolation.
 //!
-//! All rays of a fan cross a plane perpendicular to the main axis on one vertical line. So the two lines of voxels beside
-//! it are blended once into a profile along z, which every ray then reads; the adjoint is the same backwards. Steep rays,
-//! if there are any, go one by one.
+//! All rays of a fan cross a plane perpendicular to the main axis on one vertical line. The two lines of voxels next to
+//! it are therefore blended once into a profile along z, which every ray then reads; the adjoint reverses the steps.
+//! Steep rays, if there are any, are computed one by one.
 
 use super::fan::Fan;
 use crate::classical::resample::{Places, interpolate, margin, spread};
@@ -11,15 +11,15 @@ use std::ops::Range;
 
 /// A plane of voxel centres that the rays of a fan cross.
 struct Plane {
-    /// The line of voxels below the crossing, and the one above it; `None` outside of the slab.
+    /// The line of voxels below the crossing and the one above it; `None` outside the slab.
     lines: [Option<usize>; 2],
-    /// Their shares.
+    /// Their interpolation weights.
     shares: [f64; 2],
-    /// Where the rays cross it.
+    /// Heights at which the rays cross it.
     heights: Places,
 }
 
-/// The grid, and the part of it that is looked at.
+/// A range of slices of the grid.
 pub(super) struct Slab {
     pub(super) shape: [usize; 3],
     /// The slices in x.
@@ -27,7 +27,7 @@ pub(super) struct Slab {
 }
 
 impl Slab {
-    /// Number of the line of voxels at (x, y), counted from the slab's first one; `None` outside.
+    /// Index of the line of voxels at (x, y), counted from the slab's first line; `None` outside.
     fn line(&self, x: f64, y: f64) -> Option<usize> {
         let inside = x >= self.x.start as f64 && x < self.x.end as f64 && y >= 0.0 && y < self.shape[1] as f64;
         inside.then(|| (x as usize - self.x.start) * self.shape[1] + y as usize)
@@ -60,13 +60,13 @@ impl Fan {
         })
     }
 
-    /// Each ray's scene units of length from one plane to the next.
+    /// The length of each ray from one plane to the next, scene units.
     fn steps<R: Real>(&self, rows: Range<usize>) -> Vec<R> {
         let step = 1.0 / self.direction[self.main_axis()].abs();
         rows.map(|k| real(self.length(k) * step)).collect()
     }
 
-    /// Calls `visit(line, z, k, weight)` for all voxels of the slab that the steep ray k weighs: planes perpendicular to z.
+    /// Calls `visit(line, z, k, weight)` for the voxels of the slab on the steep ray k: planes perpendicular to z.
     pub(super) fn visit_steep(&self, k: usize, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
         let step = self.length(k) / self.slope(k).abs();
         for z in 0..slab.shape[2] {
@@ -97,7 +97,7 @@ impl Fan {
             return;
         }
         profile.clear();
-        // From height -1 on; places reach up to nz, where rounding may end them.
+        // The profile starts at height -1; positions reach up to nz, where rounding may end them.
         profile.resize(nz + 2 + margin::<R>(), R::ZERO);
         out[rows.clone()].fill(R::ZERO);
         for plane in self.planes(slab) {
@@ -113,7 +113,7 @@ impl Fan {
         }
     }
 
-    /// A column of an image, of which the shallow rays count, times their steps: what [`Self::joseph_adjoint`] spreads.
+    /// The shallow rays' pixels of an image column times their steps: the input of [`Self::joseph_adjoint`].
     pub(super) fn weighted<R: Real>(&self, column: &[R], out: &mut [R]) {
         let rows = self.shallow(column.len());
         let steps = self.steps::<R>(rows.clone());
@@ -123,7 +123,7 @@ impl Fan {
         }
     }
 
-    /// [`Self::joseph_forward`] of one ray through a volume of one slice, before its step: lines of one voxel.
+    /// [`Self::joseph_forward`] for one ray through a volume of one slice, before the factor of its step.
     fn flat_forward<R: Real>(&self, volume: &[R], slab: &Slab, row: usize) -> R {
         let mut sum = R::ZERO;
         for plane in self.planes(slab) {
@@ -151,7 +151,9 @@ impl Fan {
         }
     }
 
-    /// Adds what the shallow rays with the [`Self::weighted`] values `columns` give to the voxels of the slab, in their order.
+    /// Adds the contribution of the shallow rays to the voxels of the slab, in their order.
+    ///
+    /// `columns` are values from [`Self::weighted`].
     pub(super) fn joseph_adjoint<R: Real, const N: usize>(
         &self,
         columns: [&[R]; N],
@@ -187,7 +189,7 @@ impl Fan {
 }
 
 impl Plane {
-    /// The two lines' sum by shares, at the heights `touched`.
+    /// The weighted sum of the two lines, at the heights `touched`.
     fn blend<R: Real>(&self, volume: &[R], nz: usize, touched: Range<usize>, profile: &mut [R]) {
         let out = &mut profile[touched.start + 1..=touched.end];
         let line = |line: usize| &volume[line * nz..][..nz][touched.clone()];
@@ -205,7 +207,7 @@ impl Plane {
     }
 }
 
-/// The voxels along z that rays of these rows can read, of a line of `nz`.
+/// The voxels along z, of `nz`, that rays of these rows can read.
 fn touched(heights: Places, rows: &Range<usize>, nz: usize) -> Range<usize> {
     let clamped = |z: f64| z.clamp(0.0, nz as f64) as usize;
     clamped(heights.at(rows.start).floor() - 1.0)..clamped(heights.at(rows.end - 1).floor() + 3.0)

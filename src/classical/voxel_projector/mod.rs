@@ -1,7 +1,7 @@
-//! Projections of a volume of voxels and their adjoint: `A x`, and `Aᵀ y` with the same weights.
+//! Projections of a voxel volume and their exact adjoint: `A x`, and `Aᵀ y` with the same weights.
 //!
 //! ```text
-//! (A x)_i = Σ_j a_ij x_j        a_ij: what ray i, through the centre of a pixel, weighs voxel j with, scene units of length
+//! (A x)_i = Σ_j a_ij x_j        a_ij: weight of voxel j in ray i, through a pixel centre, scene units
 //! (Aᵀ y)_j = Σ_i a_ij y_i
 //! ```
 //!
@@ -10,9 +10,9 @@
 //! | [`RayModel::Siddon`] `[Siddon85]` | length of the ray in the voxel: exact for a density that is constant in each voxel |
 //! | [`RayModel::Joseph`] `[Joseph82]` | planes of voxel centres perpendicular to the axis that the ray is closest to (in voxels), bilinear in them, zero around the volume |
 //!
-//! Rays are the scanner's, cone or parallel, with all offsets, for voxels and pixels of any shape and views at any angles.
-//! Each voxel adds what it gets in the order of views, columns and rows, whoever computes it: no atomics, and the number
-//! of threads changes no bit. Not in the paper, which compares with methods that rest on such a projector.
+//! Rays are the scanner's, cone or parallel, with all offsets, for voxels and pixels of any shape and views at any
+//! angles. Each voxel sums its contributions in the order of views, columns and rows: there are no atomics, and the
+//! number of threads changes no bit. Not in the paper, which compares with methods that use such a projector.
 //!
 //! `[Siddon85]`: R. L. Siddon, *Fast calculation of the exact radiological path*, Med. Phys. 12 (1985) 252.
 //! `[Joseph82]`: P. M. Joseph, *An improved algorithm for reprojecting rays through pixel images*, IEEE TMI 1 (1982) 192.
@@ -34,17 +34,17 @@ use joseph::Slab;
 use ndarray::{Array3, ArrayView3};
 use serde::{Deserialize, Serialize};
 
-/// Columns that are projected by one piece of work: neighbours meet the same voxels.
+/// Columns per task in projection: neighbouring columns meet the same voxels.
 const COLUMNS: usize = 8;
-/// Slices in x that get what they get from one piece of work, and more of small ones: so many voxels.
+/// Slices in x per task in the adjoint; small slices are grouped up to this many voxels.
 const SLICES: usize = 4;
 const VOXELS: usize = 1 << 13;
 
-/// How a ray weighs the voxels on its way.
+/// The weights of the voxels on a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RayModel {
-    /// Bilinear interpolation in planes of voxel centres: smooth, and the faster of both.
+    /// Bilinear interpolation in planes of voxel centres: smooth, and the faster of the two.
     #[default]
     Joseph,
     /// The length of the ray in each voxel.
@@ -62,14 +62,15 @@ impl VoxelProjector {
     /// The projector of a scanner.
     ///
     /// # Errors
-    /// When the scanner cannot work.
+    /// When the scanner is invalid.
     pub fn new(scanner: &Scanner, model: RayModel) -> Result<Self> {
         scanner.validate()?;
         Ok(Self { scanner: *scanner, model })
     }
 
-    /// `A x`: line integrals `[view, v, u]`, scene units of length × density, of a `volume` `[x, y, z]` at `angles`
-    /// (radians).
+    /// `A x`: line integrals `[view, v, u]`, scene units of length × density.
+    ///
+    /// `volume` is `[x, y, z]`; `angles` are in radians.
     ///
     /// Accuracy: f64 1e-13 of the largest value against [`naive`]; f32 1e-6.
     ///
@@ -102,12 +103,12 @@ impl VoxelProjector {
         Ok(volume)
     }
 
-    /// What it projects for.
+    /// The scanner.
     pub(super) fn scanner(&self) -> &Scanner {
         &self.scanner
     }
 
-    /// The views at `angles`.
+    /// The views at `angles`, in radians.
     pub(super) fn views(&self, angles: &[f64]) -> Result<Vec<View>> {
         if angles.is_empty() || angles.iter().any(|angle| !angle.is_finite()) {
             return Err(Error::invalid("angles", format!("{angles:?}"), "finite radians, at least one", "check them"));
@@ -115,7 +116,7 @@ impl VoxelProjector {
         Ok(angles.iter().map(|&angle| self.scanner.view(angle)).collect())
     }
 
-    /// `A x` of a volume in the order of its array.
+    /// `A x` of a volume in array order.
     pub(super) fn project<R: Real>(&self, views: &[View], volume: &[R]) -> Columns<R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let grid = &self.scanner.grid;
@@ -145,8 +146,7 @@ impl VoxelProjector {
         Columns { values, rows, columns }
     }
 
-    /// Gives every voxel of `volume`, in the order of its array, what `Aᵀ y` of N images `[view][column][row from below]`
-    /// says about it.
+    /// Passes `Aᵀ y` of N images `[view][column][row from below]` to every voxel of `volume`, in array order.
     pub(super) fn adjoin<R: Real, const N: usize>(
         &self,
         views: &[View],
@@ -204,7 +204,7 @@ impl VoxelProjector {
     }
 }
 
-/// Refuses another shape.
+/// Rejects an array of another shape.
 fn check(what: &str, got: &[usize], expected: &[usize], remedy: &str) -> Result<()> {
     if got == expected {
         return Ok(());

@@ -1,10 +1,12 @@
-//! The rays' weights as plainly as they can be written, one ray at a time, in world coordinates. Not in the paper.
+//! The ray weights written as plainly as possible, one ray at a time in world coordinates.
+//!
+//! Not in the paper.
 
 use super::RayModel;
 use crate::scene::{Grid, Ray};
 use glam::DVec3;
 
-/// `([x, y, z], a)` of all voxels that a ray weighs; [`super`] says with what. A voxel may stand more than once.
+/// `([x, y, z], a)` of all voxels with a weight on a ray, scene units; a voxel may occur more than once.
 pub fn weights(model: RayModel, grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
     match model {
         RayModel::Siddon => siddon(grid, ray),
@@ -12,7 +14,7 @@ pub fn weights(model: RayModel, grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)
     }
 }
 
-/// `[Siddon85]`: all crossings with planes between voxels in order; each piece belongs to the voxel of its middle.
+/// `[Siddon85]`: all crossings with planes between voxels, in order; each segment belongs to the voxel of its midpoint.
 fn siddon(grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
     let mut crossings: Vec<f64> = (0..3)
         .filter(|&axis| ray.direction[axis] != 0.0)
@@ -32,7 +34,7 @@ fn siddon(grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
         .collect()
 }
 
-/// `[Joseph82]`: one sample for each plane of centres along the axis that the ray is closest to, counted in voxels.
+/// `[Joseph82]`: one sample for each plane of centres along the axis closest to the ray, in voxels.
 fn joseph(grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
     let per_voxel = (ray.direction / grid.spacing).abs();
     let horizontal = if per_voxel.x >= per_voxel.y { 0 } else { 1 };

@@ -1,10 +1,10 @@
-//! Siddon's rays: the length of the ray in each voxel.
+//! Siddon's method: the length of the ray in each voxel.
 
 use super::fan::Fan;
 use super::joseph::Slab;
 use std::ops::Range;
 
-/// A voxel seen from above, between s = from and s = to.
+/// A voxel in the x-y plane, entered at s = from and left at s = to.
 struct Cell {
     x: usize,
     y: usize,
@@ -13,7 +13,7 @@ struct Cell {
 }
 
 impl Fan {
-    /// Calls `visit(line, z, k, length)` for all voxels of the slab that a ray k of `rows` runs through.
+    /// Calls `visit(line, z, k, length)` for all voxels of the slab on each ray k of `rows`.
     pub(super) fn visit_siddon(
         &self,
         rows: Range<usize>,
@@ -25,10 +25,10 @@ impl Fan {
         self.for_each_cell(slab, |cell| {
             let line = (cell.x - slab.x.start) * slab.shape[1] + cell.y;
             let (enter, leave) = (self.level(cell.from), self.level(cell.to));
-            // The union of what is inside at either end, as heights in between lie between.
+            // The union of the rays inside at either end: heights in between lie between both.
             let (a, b) = (enter.within(&rows, -0.5, nz - 0.5), leave.within(&rows, -0.5, nz - 0.5));
             for k in a.start.min(b.start)..a.end.max(b.end) {
-                // Voxel z reaches from z to z + 1 here.
+                // Voxel z spans z to z + 1 here.
                 let (a, b) = (enter.at(k) + 0.5, leave.at(k) + 0.5);
                 let (low, high) = if a < b { (a, b) } else { (b, a) };
                 let length = (cell.to - cell.from) * lengths[k - rows.start];
@@ -38,7 +38,7 @@ impl Fan {
                 }
                 let (first, last) = (from.floor(), to.floor());
                 if first == last {
-                    // Also rays that stay at their height.
+                    // Includes rays of constant height.
                     let part = if low == high { 1.0 } else { (to - from) / (high - low) };
                     visit(line, first as usize, k, length * part);
                     continue;
@@ -52,7 +52,7 @@ impl Fan {
         });
     }
 
-    /// The voxels that the rays pass, seen from above, on their way.
+    /// The voxels in the x-y plane that the rays pass, in order.
     fn for_each_cell(&self, slab: &Slab, mut f: impl FnMut(&Cell)) {
         let ends = [slab.x.clone(), 0..slab.shape[1]];
         let (low, high) =
@@ -62,7 +62,8 @@ impl Fan {
             let at = (self.origin[axis] + from * self.direction[axis] + 0.5).floor();
             at.clamp(ends[axis].start as f64, ends[axis].end as f64 - 1.0)
         });
-        // From the number of the border, not from the crossing before: rounding does not add up.
+        // Computed from the index of the border and not from the previous crossing, so that rounding errors do not add
+        // up.
         let crossing = |axis: usize, at: f64| {
             let (direction, origin) = (self.direction[axis], self.origin[axis]);
             let border = if direction > 0.0 { at + 0.5 } else { at - 0.5 };

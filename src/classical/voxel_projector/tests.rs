@@ -6,14 +6,14 @@ use glam::DVec3;
 
 const MODELS: [RayModel; 2] = [RayModel::Joseph, RayModel::Siddon];
 
-/// Off-centre, anisotropic, a detector that is not square and shifted, and rays above the volume.
+/// Off-centre, anisotropic, with a shifted non-square detector and rays above the volume.
 fn scanner(beam: Beam) -> Scanner {
     let detector = Detector { rows: 37, columns: 22, pitch_v: 0.11, pitch_u: 0.17, offset_u: 0.13, offset_v: -0.07 };
     let grid = Grid::new([11, 14, 9], DVec3::new(-0.8, -0.9, -1.0), DVec3::new(0.95, 0.7, 0.9)).unwrap();
     Scanner { beam, detector, grid }
 }
 
-/// Cone, parallel, a cone so close that its outer rays rise more than a voxel per voxel, and one row through one slice.
+/// Cone, parallel, a cone so close that its outer rays are steep, and one row through one slice.
 fn scanners() -> [Scanner; 4] {
     let mut flat = scanner(Beam::Cone { dso: 4.0, dsd: 6.0 });
     flat.detector = Detector { rows: 1, columns: 150, pitch_u: 0.023, offset_v: 0.01, ..flat.detector };
@@ -23,7 +23,7 @@ fn scanners() -> [Scanner; 4] {
     [scanner(Beam::Cone { dso: 4.0, dsd: 6.0 }), scanner(Beam::Parallel { dso: 4.0 }), close, flat]
 }
 
-/// Multiples of a right angle too, where rays run along planes of voxels.
+/// Includes multiples of a right angle, where rays run along planes of voxels.
 const ANGLES: [f64; 5] = [0.3, 0.0, 2.1, std::f64::consts::FRAC_PI_2, 5.0];
 
 fn noise(n: usize, salt: u64) -> Vec<f64> {
@@ -76,7 +76,7 @@ fn the_adjoint_is_the_transpose() {
             let (left, right) = (dot(&forward, &y), dot(&x, &adjoint));
             let size = dot(&forward, &forward).sqrt() * dot(&y, &y).sqrt();
             assert!((left - right).abs() < 1e-12 * size, "{model:?}: {left} and {right}");
-            // The factor that fits the one to the other.
+            // The factor that fits one product to the other.
             assert!((left / right - 1.0).abs() < 1e-12, "{model:?}: {}", left / right);
         }
     }

@@ -5,9 +5,9 @@
 //! y = x + β·(x - x before);  x ← prox(y - Aᵀ(A y - p)/L),  prox: step of λ/L·TV and x ≥ 0
 //! ```
 //!
-//! FISTA `[BT09]` with L from a power iteration of AᵀA. Its momentum begins anew when it points up the function or the
-//! function has grown (`[OC15]`), and a step that makes the function grow is not taken. λ grows with the unit of density, of
-//! length and with the number of views as the first term does, so the weight is a number without a unit.
+//! FISTA `[BT09]` with L from a power iteration of AᵀA. Its momentum restarts when it points uphill or F has grown
+//! (`[OC15]`), and a step that increases F is rejected. λ scales with the unit of density, the unit of length and the
+//! number of views as the first term does, so the weight is dimensionless.
 //!
 //! `[BT09]`: A. Beck, M. Teboulle, *Fast gradient-based algorithms for constrained total variation image denoising and
 //! deblurring problems*, IEEE Trans. Image Process. 18 (2009) 2419.
@@ -28,16 +28,16 @@ use crate::scene::{Projections, View, Volume};
 use proximal::Proximal;
 use std::mem::swap;
 
-/// What the reconstruction with total variation is told.
+/// Parameters of the reconstruction with total variation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TvSettings {
-    /// λ as a fraction of the largest entry of Aᵀp; 0: no total variation.
+    /// λ as a fraction of the largest entry of Aᵀp; 0 disables the total variation.
     pub weight: f64,
-    /// Iterations at most.
+    /// Largest number of iterations.
     pub iterations: usize,
-    /// Ends when a step is shorter than this fraction of the volume.
+    /// Ends when a step is shorter than this fraction of the volume's norm.
     pub tolerance: f64,
-    /// Steps of the dual of the total variation in each iteration.
+    /// Steps of the dual problem of the total variation per iteration.
     pub steps: usize,
 }
 
@@ -47,19 +47,20 @@ impl Default for TvSettings {
     }
 }
 
-/// Iterations of the power iteration at most.
+/// Largest number of power iterations.
 const POWER: usize = 30;
-/// It ends when its value grows by less than this fraction.
+/// The power iteration ends when its value grows by less than this fraction.
 const POWER_TOLERANCE: f64 = 2e-3;
-/// Its value is below the norm: this factor leads beyond.
+/// The power iteration underestimates the norm; this factor makes it an upper bound.
 const SAFETY: f64 = 1.02;
 
-/// The volume of the least F, from zeros or from `start`, which must have the projector's shape `[BT09]`.
+/// Minimises F from zeros or from `start`, which must have the projector's shape `[BT09]`.
 ///
-/// Rays that meet less than half a voxel do not count, as in [`super::sart()`]. F never grows.
+/// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
+/// ignored, as in [`super::sart()`]. F never grows.
 ///
 /// # Errors
-/// As [`super::sart()`], and for a start of another shape.
+/// Those of [`super::sart()`], and for a start of another shape.
 ///
 /// Tests: `the_least_objective_is_found`, `powers_of_two_change_no_bit`, `a_solution_is_a_fixed_point`.
 pub fn tv<R: Real>(
@@ -78,23 +79,23 @@ pub fn tv<R: Real>(
     run.volume()
 }
 
-/// A reconstruction with total variation, an iteration at a time.
+/// A reconstruction with total variation, run one iteration at a time.
 pub struct TvRun<'a, R> {
     system: System<'a, R>,
     views: Vec<View>,
-    /// Rays that meet less than half a voxel.
+    /// Marks rays that intersect less than half a voxel in length.
     idle: Vec<bool>,
     settings: TvSettings,
     lambda: f64,
-    /// L.
+    /// L, the bound of `‖AᵀA‖`.
     lipschitz: f64,
     proximal: Proximal<R>,
     x: Vec<R>,
     before: Vec<R>,
-    /// `A x` of both, and what was measured for rays that do not count.
+    /// `A x` of both volumes; measured values for ignored rays.
     seen: Vec<R>,
     seen_before: Vec<R>,
-    /// For y and the next x.
+    /// Buffers for y and the next x.
     y: Vec<R>,
     next: Vec<R>,
     /// t of the momentum, and β.
@@ -108,7 +109,7 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// Begins at zeros or at `start`.
     ///
     /// # Errors
-    /// When projections or start are not the projector's.
+    /// When the projections or `start` do not fit the projector.
     pub fn new(
         projector: &'a VoxelProjector,
         projections: &'a Projections,
@@ -119,7 +120,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         if let Some(start) = start {
             let (got, expected) = (start.values.shape(), projector.scanner().grid.shape);
             if got != expected {
-                let remedy = "take one on the scan's grid";
+                let remedy = "give a starting volume on the scan's grid";
                 return Err(Error::invalid("start", format!("shape {got:?}"), format!("{expected:?}"), remedy));
             }
             run.x = start.values.iter().map(|&v| if v > 0.0 { real(f64::from(v)) } else { R::ZERO }).collect();
@@ -129,7 +130,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         Ok(run)
     }
 
-    /// All but L and what follows from x.
+    /// The state without L and the values derived from x.
     fn prepared(projector: &'a VoxelProjector, projections: &'a Projections, settings: &TvSettings) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
         let views = projector.views(system.angles)?;
@@ -160,7 +161,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         Ok(run)
     }
 
-    /// λ of the weight.
+    /// Computes λ from the weight.
     fn set_lambda(&mut self) {
         let counted = self.system.measured.iter().zip(&self.idle);
         let counted: Vec<R> = counted.map(|(&p, &idle)| if idle { R::ZERO } else { p }).collect();
@@ -181,7 +182,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.begin();
     }
 
-    /// All that follows from x.
+    /// Computes the values derived from x.
     fn begin(&mut self) {
         self.momentum = [1.0, 0.0];
         self.before.copy_from_slice(&self.x);
@@ -191,7 +192,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.change = f64::INFINITY;
     }
 
-    /// `A x`, and p for rays that do not count.
+    /// `A x`; measured values for ignored rays.
     fn project(&self, x: &[R]) -> Vec<R> {
         let mut seen = self.system.projector.project(&self.views, x).values;
         let known = self.idle.iter().zip(&self.system.measured);
@@ -229,15 +230,15 @@ impl<'a, R: Real> TvRun<'a, R> {
         SAFETY * norm_before
     }
 
-    /// Whether there is nothing more to do.
+    /// Whether the run has converged or reached its last iteration.
     pub fn is_finished(&self) -> bool {
         self.iteration >= self.settings.iterations || self.change < self.settings.tolerance
     }
 
-    /// One iteration.
+    /// Runs one iteration.
     ///
     /// # Errors
-    /// When values grow beyond all bounds.
+    /// When values become non-finite.
     pub fn step(&mut self) -> Result<Pass> {
         self.iteration += 1;
         let beta: R = real(self.momentum[1]);
@@ -286,7 +287,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         })
     }
 
-    /// `‖next - y‖²`, `‖next‖²` and `⟨y - next, next - x⟩`, where y is before the step down the gradient.
+    /// `‖next - y‖²`, `‖next‖²` and `⟨y - next, next - x⟩`, where y is before the gradient step.
     fn compare(&self, beta: R) -> [f64; 3] {
         let (x, before, next) = (&self.x, &self.before, &self.next);
         let of = |i: usize| {
@@ -301,20 +302,20 @@ impl<'a, R: Real> TvRun<'a, R> {
         [0, 1, 2].map(|k| reduce::sum_by(parts.len(), &|i| parts[i][k]))
     }
 
-    /// The present volume, in the order of its array.
+    /// The current volume, in array order.
     pub(super) fn values(&self) -> &[R] {
         &self.x
     }
 
-    /// F of the present volume.
+    /// F of the current volume.
     pub fn objective(&self) -> f64 {
         self.objective
     }
 
-    /// The present volume.
+    /// The current volume, `[x, y, z]`.
     ///
     /// # Errors
-    /// None, for the shape is the grid's.
+    /// None, since the shape is the grid's.
     pub fn volume(self) -> Result<Volume> {
         self.system.volume(self.x)
     }

@@ -1,25 +1,27 @@
-//! The step of total variation: the volume that is not negative, near another, and smooth. Not in the paper.
+//! The proximal step of total variation with a non-negativity constraint. Not in the paper.
 
 use crate::numeric::threads::{chunks, for_each_chunk, for_each_of, map};
 use crate::numeric::{Lanes, Real, real, reduce};
 use crate::scene::Grid;
 use std::ops::{Add, Mul};
 
-/// Voxels that one worker goes through at a time.
+/// Voxels per parallel task.
 const SHARE: usize = 1 << 14;
 
-/// Solves `min ½‖x - z‖² + τ·TV(x)` over `x ≥ 0` by its dual `[BT09]`, and keeps the dual for the next one, which is near.
+/// Solves `min ½‖x - z‖² + τ·TV(x)` over `x ≥ 0` by its dual `[BT09]`.
+///
+/// The dual is kept as a warm start for the next call, whose solution is near.
 ///
 /// ```text
 /// TV(x) = Σ_j √(Σ_a ((D_a x)_j)²)     (D_a x)_j = w_a·(x_{j+e_a} - x_j), 0 at the last voxel along a
 /// x(q) = max(0, z - τ·Dᵀq)            |q_j| ≤ 1
-/// q ← (r + D x(r)/(τ‖D‖²)) cut to length 1;  r: q with momentum
+/// q ← (r + D x(r)/(τ‖D‖²)) projected to length 1;  r: q with momentum
 /// ```
 ///
 /// w_a is the smallest spacing of the voxels divided by the one along a.
 #[derive(Clone, Debug)]
 pub(super) struct Proximal<R> {
-    /// Lines of voxels: how many along the first two axes, and their length.
+    /// Numbers of lines of voxels along the first two axes, and their length.
     shape: [usize; 3],
     weights: [f64; 3],
     q: [Vec<R>; 3],
@@ -31,7 +33,7 @@ impl<R: Real> Proximal<R> {
     pub(super) fn new(grid: &Grid) -> Self {
         let least = grid.spacing.min_element();
         let [x, y, z] = [0, 1, 2].map(|axis| least / grid.spacing[axis]);
-        // A volume of one slice has the same order in memory with its long lines last.
+        // A volume with a single slice has the same memory order with its long lines last.
         let (shape, weights) = match grid.shape {
             [nx, ny, 1] => ([1, nx, ny], [z, x, y]),
             shape => (shape, [x, y, z]),
@@ -40,12 +42,12 @@ impl<R: Real> Proximal<R> {
         Self { shape, weights, q: empty(), r: empty(), zeros: vec![R::ZERO; shape[2]] }
     }
 
-    /// The dual.
+    /// The dual variable q.
     pub(super) fn dual(&self) -> &[Vec<R>; 3] {
         &self.q
     }
 
-    /// Goes on from the dual of another.
+    /// Sets the dual variable to continue from.
     pub(super) fn set_dual(&mut self, dual: [Vec<R>; 3]) {
         self.q = dual;
     }
@@ -59,7 +61,7 @@ impl<R: Real> Proximal<R> {
         (SHARE / self.shape[2]).max(1)
     }
 
-    /// x for z after so many steps; τ in units of z.
+    /// Solves for x given z by `steps` steps; τ is in units of z.
     pub(super) fn solve(&mut self, z: &[R], tau: f64, steps: usize, x: &mut [R]) {
         let bound = self.bound();
         if tau == 0.0 || bound == 0.0 {
@@ -95,7 +97,7 @@ impl<R: Real> Proximal<R> {
         });
     }
 
-    /// A step up the dual from r, with momentum β for the next.
+    /// An ascent step of the dual from r, with momentum β for the next.
     fn ascend(&mut self, x: &[R], step: f64, beta: f64) {
         let ([nx, ny, nz], lines) = (self.shape, self.lines());
         let factors: [R; 3] = self.weights.map(|weight| real(step * weight));
@@ -110,7 +112,7 @@ impl<R: Real> Proximal<R> {
                 let (line, part) = (chunk * lines + i, i * nz..(i + 1) * nz);
                 let at = line * nz;
                 let here = &x[at..at + nz];
-                // Of the last line there is no difference to the next.
+                // The last line has no difference to a next line.
                 let next = |last: bool, stride: usize| if last { here } else { &x[at + stride..][..nz] };
                 let next = [next(line / ny + 1 == nx, ny * nz), next(line % ny + 1 == ny, nz)];
                 let q = [&mut q0[part.clone()], &mut q1[part.clone()], &mut q2[part.clone()]];
@@ -143,13 +145,13 @@ impl<R: Real> Proximal<R> {
     }
 }
 
-/// The square of a length.
+/// The squared length of a vector.
 #[inline(always)]
 fn square<T: Copy + Add<Output = T> + Mul<Output = T>>([a, b, c]: [T; 3]) -> T {
     a * a + b * b + c * c
 }
 
-/// [`Proximal::primal`] of a line.
+/// [`Proximal::primal`] for one line.
 fn primal_line<L: Lanes>(
     q: [&[L::Scalar]; 3],
     before: [&[L::Scalar]; 2],
@@ -171,7 +173,7 @@ fn primal_line<L: Lanes>(
     }
 }
 
-/// [`Proximal::ascend`] of a line.
+/// [`Proximal::ascend`] for one line.
 fn dual_line<L: Lanes>(
     x: &[L::Scalar],
     next: [&[L::Scalar]; 2],
@@ -197,7 +199,7 @@ fn dual_line<L: Lanes>(
     }
 }
 
-/// The values after those from k on; the last has itself.
+/// The values one after each of those from k on; the last element repeats itself.
 #[inline(always)]
 fn above<L: Lanes>(x: &[L::Scalar], k: usize) -> L {
     let last = x.len() - 1;

@@ -1,4 +1,4 @@
-//! What a reconstruction with total variation must remember to go on to the same bits.
+//! The state from which a reconstruction with total variation resumes to the same bits.
 
 use super::{TvRun, TvSettings};
 use crate::classical::VoxelProjector;
@@ -7,7 +7,7 @@ use crate::numeric::{Real, real};
 use crate::scene::Projections;
 use serde::{Deserialize, Serialize};
 
-/// The state of a [`TvRun`] after an iteration, to be kept in a file.
+/// The state of a [`TvRun`] after an iteration, for a checkpoint file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TvState {
     iteration: usize,
@@ -15,11 +15,11 @@ pub struct TvState {
     objective: f64,
     change: f64,
     lipschitz: f64,
-    /// x, x before, and the dual of the total variation.
+    /// x, the previous x, and the dual of the total variation.
     arrays: [Numbers; 5],
 }
 
-/// Numbers in their own precision.
+/// Numbers in the precision of the run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum Numbers {
     Single(Vec<f32>),
@@ -51,7 +51,7 @@ impl TvState {
 }
 
 impl<'a, R: Real> TvRun<'a, R> {
-    /// What [`Self::resume`] goes on from.
+    /// The state that [`Self::resume`] continues from.
     pub fn state(&self) -> TvState {
         let [q0, q1, q2] = self.proximal.dual();
         TvState {
@@ -64,10 +64,10 @@ impl<'a, R: Real> TvRun<'a, R> {
         }
     }
 
-    /// Goes on from a state of a run with the same projections and settings, to the same bits as if never stopped.
+    /// Continues a run with the same projections and settings, bit-identical to an uninterrupted run.
     ///
     /// # Errors
-    /// When it is the state of a volume of another size, or projections are not the projector's.
+    /// When the state belongs to a volume of another size, or the projections do not fit the projector.
     pub fn resume(
         projector: &'a VoxelProjector,
         projections: &'a Projections,

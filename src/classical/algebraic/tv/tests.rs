@@ -14,7 +14,7 @@ fn scanner(shape: [usize; 3]) -> Scanner {
     Scanner { beam: Beam::Cone { dso: 4.0, dsd: 6.0 }, detector, grid }
 }
 
-/// A block in a box, seen with errors, times `unit`.
+/// Noisy projections of a block in a box, times `unit`.
 fn scan(shape: [usize; 3], unit: f32) -> (VoxelProjector, Projections) {
     let projector = VoxelProjector::new(&scanner(shape), RayModel::Joseph).unwrap();
     let inside = |i: usize, n: usize| 4 * i >= n && 4 * i < 3 * n || n == 1;
@@ -43,7 +43,7 @@ fn run<R: Real>(scan: &(VoxelProjector, Projections), settings: &TvSettings) -> 
     (volume, passes)
 }
 
-/// `D x` along an axis and its transpose, as plainly as they can be written.
+/// `D x` along an axis and its transpose, written as plainly as possible.
 fn differences(grid: &Grid, x: &Array3<f64>, axis: usize) -> Array3<f64> {
     let weight = grid.spacing.min_element() / grid.spacing[axis];
     Array3::from_shape_fn(x.dim(), |(i, j, k)| {
@@ -100,14 +100,14 @@ fn the_step_of_total_variation_is_the_plain_one() {
         let variation: f64 = (0..plain.len()).map(|i| square(i).sqrt()).sum();
         let fast = proximal.variation(plain.as_slice().unwrap());
         assert!((fast - variation).abs() < 1e-12 * variation, "{shape:?}: {fast}, {variation}");
-        // A second one begins where the first ended.
+        // A second call continues from the first one's dual.
         proximal.solve(z.as_slice().unwrap(), tau, 1, &mut found);
         let worst = found.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-4, "{shape:?}: {worst}");
     }
 }
 
-/// Against the primal-dual method of Chambolle and Pock, which has another way to the same point.
+/// Compares with the primal-dual method of Chambolle and Pock, which reaches the same minimum another way.
 #[test]
 fn the_least_objective_is_found() {
     let scan = scan(SHAPE, 1.0);
@@ -115,7 +115,7 @@ fn the_least_objective_is_found() {
     let found = passes.last().unwrap().objective.unwrap();
     let (projector, projections) = &scan;
     let (grid, angles) = (projector.scanner().grid, &projections.angles);
-    // Rays that meet less than half a voxel do not count.
+    // Rays that intersect less than half a voxel are ignored.
     let lengths = projector.forward(angles, Array3::<f64>::ones(SHAPE).view()).unwrap();
     let least = 0.5 * grid.spacing.min_element();
     let counts = lengths.mapv(|length| if length > least { 1.0 } else { 0.0 });
