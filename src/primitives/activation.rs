@@ -1,10 +1,10 @@
-//! Raw ↔ physical parameters: the raw ones are free real numbers that an optimiser may move anywhere.
+//! Raw ↔ physical parameters. Raw parameters are unconstrained real numbers for the optimiser.
 //!
 //! | physical | raw | range |
 //! |---|---|---|
 //! | μ | itself | everywhere |
 //! | s | `min + (max-min)·σ(raw)` | open interval |
-//! | q | itself; its length does not matter | not zero |
+//! | s | `min + (max-min)·σ(raw)` | open interval |
 //! | ρ | `softplus(raw)` | positive |
 //! | ν | `min + (max-min)·σ(raw)` | open interval |
 //!
@@ -16,24 +16,24 @@ use crate::numeric::exponentials::{expm1, sigmoid, softplus};
 use crate::numeric::threads;
 use crate::numeric::vectors::{self, Eight, all};
 
-/// Primitives worked on together.
+/// Primitives per parallel task.
 const CHUNK: usize = 256;
-/// How close to a bound a value may be given, as a fraction of the interval.
+/// Smallest distance of a value from a bound, as a fraction of the interval.
 const MARGIN: f64 = 1e-5;
 
 /// An open interval that a sigmoid maps onto.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// Lower end, not reached.
+    /// Lower end, exclusive.
     pub min: f64,
-    /// Upper end, not reached.
+    /// Upper end, exclusive.
     pub max: f64,
 }
 
-/// The map from raw to physical parameters.
+/// The map between raw and physical parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Activation {
-    /// The kernel of the primitives it makes.
+    /// The kernel of the resulting primitives.
     pub kernel: Kernel,
     /// Range of the scales, scene units.
     pub scale: Interval,
@@ -46,13 +46,13 @@ impl Interval {
         all(self.min) + all(self.max - self.min) * sigmoid(raw)
     }
 
-    /// The raw value; what lies outside is first moved just inside.
+    /// The raw value of a physical value; values outside the interval are first moved just inside.
     fn raw(&self, value: f64) -> f64 {
         let fraction = (value - self.min) / (self.max - self.min);
         logit(fraction.clamp(MARGIN, 1.0 - MARGIN))
     }
 
-    /// d physical / d raw, from the physical value.
+    /// d physical / d raw, computed from the physical value.
     fn slope(&self, value: f64) -> f64 {
         (value - self.min) * (self.max - value) / (self.max - self.min)
     }
@@ -66,7 +66,7 @@ impl Activation {
         physical
     }
 
-    /// [`Self::forward`] in the place of others.
+    /// [`Self::forward`] into existing primitives.
     pub(crate) fn forward_into(&self, raw: &Parameters, physical: &mut Primitives) {
         physical.kernel = self.kernel;
         physical.parameters.resize(raw.len());
@@ -84,7 +84,7 @@ impl Activation {
         });
     }
 
-    /// Raw parameters of physical values; values at or outside of a range come to lie just inside.
+    /// Raw parameters of physical values; values at or outside a bound are first moved just inside.
     pub fn inverse(&self, physical: &Parameters) -> Parameters {
         let mut raw = physical.clone();
         raw.scale.as_flattened_mut().iter_mut().for_each(|s| *s = self.scale.raw(*s));
@@ -96,7 +96,7 @@ impl Activation {
         raw
     }
 
-    /// Turns a gradient to the physical values into the gradient to the raw ones, in place.
+    /// Converts a gradient with respect to physical values into one with respect to raw values, in place.
     pub fn vjp(&self, physical: &Primitives, gradient: &mut Parameters) {
         let values = &physical.parameters;
         let Parameters { scale, density, nu, .. } = gradient;
@@ -107,7 +107,7 @@ impl Activation {
                 }
             });
         };
-        // d softplus / d raw = 1 - e^-ρ, without the raw value.
+        // d softplus / d raw = 1 - e^-ρ needs no raw value.
         let of_density = || {
             threads::for_each_chunk(density, CHUNK, |chunk, gradient| {
                 let mut slopes = [0.0; CHUNK];

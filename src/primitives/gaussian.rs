@@ -3,7 +3,7 @@
 use crate::numeric::Real;
 use std::f64::consts::{LN_2, TAU};
 
-/// δ is measured in units of this, so that the kernel is a power of two: `exp(-δ/2) = 2^-(δ/UNIT)`.
+/// Unit of δ in which the kernel is a power of two: `exp(-δ/2) = 2^-(δ/UNIT)`.
 pub(crate) const UNIT: f64 = 2.0 * LN_2;
 
 /// `√(2π)`: the integral of `exp(-t²/2)` over the whole line, the limit of `[Eq. 5]`.
@@ -11,12 +11,12 @@ pub fn line_integral() -> f64 {
     TAU.sqrt()
 }
 
-/// The Mahalanobis distance δ where the kernel has fallen to 2^-`bits` `[X2]`.
+/// The Mahalanobis distance δ at which the kernel is 2^-`bits` `[X2]`.
 pub(crate) fn reach(bits: f64) -> f64 {
     UNIT * bits
 }
 
-/// The largest δ/UNIT at which kernels in `R` hold `2^-(δ/UNIT)`.
+/// The largest δ/UNIT at which `R` can represent the kernel `2^-(δ/UNIT)`.
 pub(crate) fn horizon<R: Real>() -> f64 {
     R::HORIZON
 }

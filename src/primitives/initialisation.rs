@@ -1,6 +1,6 @@
-//! Where the primitives start: on the bright voxels of a first reconstruction, on given points, or anywhere.
+//! Initial primitives: on bright voxels of a first reconstruction, on given points, or at random points.
 //!
-//! Not in the paper: the rules are R²-Gaussian's, with points at voxel centres (its own lie at voxel corners).
+//! Not in the paper: the rules are R²-Gaussian's, but points lie at voxel centres (R²-Gaussian's lie at voxel corners).
 
 use super::{Kernel, Parameters, Primitives};
 use crate::error::{Error, Result};
@@ -11,12 +11,12 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::RngExt;
 use rand::seq::index;
 
-/// Points worked on together.
+/// Points per parallel task.
 const CHUNK: usize = 512;
-/// Smallest distance of neighbours that is believed, scene units squared.
+/// Lower bound on squared distances of neighbours, scene units squared.
 const CLOSEST: f64 = 1e-6;
 
-/// A point with the density that was measured there.
+/// An initial point and the density there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Position, scene units.
@@ -25,7 +25,9 @@ pub struct Point {
     pub density: f64,
 }
 
-/// `n` voxels above `threshold`, drawn without replacement (all of them if there are fewer), in the order of the volume.
+/// Draws `n` voxels above `threshold` without replacement, in the order of the volume.
+///
+/// All of them are returned if there are fewer. `threshold` is attenuation per scene unit.
 ///
 /// # Errors
 /// When fewer than four voxels are above the threshold.
@@ -39,7 +41,7 @@ pub fn bright_voxels(volume: &Volume, threshold: f64, n: usize, seed: u64) -> Re
             "initialisation.threshold",
             format!("{threshold} with {} voxels above it", bright.len()),
             "at least 4 voxels of the first reconstruction above it",
-            "lower it, or start from random points with --set initialisation.from=random",
+            "lower initialisation.threshold, or start at random with --set initialisation.from=random",
         ));
     }
     let mut random = rng::stream(seed, rng::Purpose::Initialisation, 0, 0);
@@ -53,7 +55,7 @@ pub fn bright_voxels(volume: &Volume, threshold: f64, n: usize, seed: u64) -> Re
     Ok(chosen.into_iter().map(point).collect())
 }
 
-/// `n` points uniformly in the box of the grid with densities uniform in [0, 1).
+/// Draws `n` points uniformly in the grid's box, with densities uniform in [0, 1).
 pub fn random_points(grid: &Grid, n: usize, seed: u64) -> Vec<Point> {
     let point = |i: usize| {
         let mut random = rng::stream(seed, rng::Purpose::Initialisation, 1, i as u64);
@@ -63,20 +65,27 @@ pub fn random_points(grid: &Grid, n: usize, seed: u64) -> Vec<Point> {
     (0..n).map(point).collect()
 }
 
-/// Round primitives on points: scale = root mean square distance to the three nearest others, density × `factor`.
+/// Round primitives on points, with density × `factor` and degrees of freedom `nu`.
+///
+/// The scale is the root mean square distance to the three nearest other points, scene units.
 ///
 /// # Errors
 /// With fewer than four points, or a coordinate or density that is not finite.
 pub fn primitives(points: &[Point], kernel: Kernel, factor: f64, nu: f64) -> Result<Primitives> {
     if points.len() < 4 {
-        return Err(Error::invalid("initial points", points.len(), "at least 4", "ask for more with --points"));
+        return Err(Error::invalid(
+            "initial points",
+            points.len(),
+            "at least 4",
+            "raise the number of points with --points",
+        ));
     }
     if let Some(i) = points.iter().position(|p| !(p.position.is_finite() && p.density.is_finite())) {
         return Err(Error::invalid(
             format!("initial point {i}"),
             format!("{:?}", points[i]),
             "finite numbers",
-            "repair the file of initial points",
+            "correct this row in the file of initial points, or delete it",
         ));
     }
     let positions: Vec<[f64; 3]> = points.iter().map(|p| p.position.to_array()).collect();
@@ -85,7 +94,7 @@ pub fn primitives(points: &[Point], kernel: Kernel, factor: f64, nu: f64) -> Res
             "initial points",
             format!("{error:?}"),
             "points that a kd-tree can hold",
-            "remove repeated points",
+            "remove repeated points from the file of initial points",
         )
     })?;
     let mut spread = vec![0.0; points.len()];

@@ -1,4 +1,4 @@
-//! What is fitted: M kernels, each with a mean, three scales, a rotation, a density and degrees of freedom.
+//! Primitives: M kernels, each with a mean, three scales, a rotation, a density and degrees of freedom.
 //!
 //! `f(x) = Σ ρᵢ Tᵢ(x)` `[Eq. 1]`, with `T = (1+δ/ν)^(-(ν+3)/2)` `[Eq. 2]` or its limit `exp(-δ/2)`,
 //! `δ = (x-μ)ᵀΣ⁻¹(x-μ)` and `Σ = R diag(s²) Rᵀ` `[Eq. 3]`.
@@ -17,7 +17,7 @@ use crate::numeric::threads;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Which profile all primitives of a scene have.
+/// The profile shared by all primitives of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
     /// `(1+δ/ν)^(-(ν+3)/2)`.
@@ -26,14 +26,14 @@ pub enum Kernel {
     Gaussian,
 }
 
-/// Twelve numbers per primitive, an array per kind: parameters, their gradients, an optimiser's moments.
+/// Twelve numbers per primitive, one array per group: parameters, gradients, or optimiser moments.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {
     /// Centre μ, scene units, `[M,3]`.
     pub mean: Vec<[f64; 3]>,
     /// Standard deviations s along the principal axes, scene units, `[M,3]`.
     pub scale: Vec<[f64; 3]>,
-    /// Rotation (w,x,y,z), of any length: the largest entry is at least 1e-150 in size, `[M,4]`.
+    /// Rotation (w,x,y,z) of any length; the largest entry has magnitude at least 1e-150, `[M,4]`.
     pub quaternion: Vec<[f64; 4]>,
     /// Density ρ at the centre, attenuation per scene unit, `[M]`.
     pub density: Vec<f64>,
@@ -41,7 +41,7 @@ pub struct Parameters {
     pub nu: Vec<f64>,
 }
 
-/// Rows of [`Parameters`] that lie side by side.
+/// A contiguous range of rows of [`Parameters`].
 pub(crate) struct Rows<'a> {
     pub(crate) mean: &'a mut [[f64; 3]],
     pub(crate) scale: &'a mut [[f64; 3]],
@@ -50,7 +50,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) nu: &'a mut [f64],
 }
 
-/// Physical parameters with their kernel.
+/// Physical parameters and their kernel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Primitives {
     /// The profile.
@@ -59,7 +59,7 @@ pub struct Primitives {
     pub parameters: Parameters,
 }
 
-/// The five kinds of parameters, in the order of all files and logs.
+/// The five groups of parameters, in the order of all files and logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// μ
@@ -107,7 +107,7 @@ impl Parameters {
         zeros
     }
 
-    /// Room for `m` primitives: rows that were there stay, new ones are zeros.
+    /// Resizes to `m` primitives: existing rows stay, new ones are zeros.
     pub(crate) fn resize(&mut self, m: usize) {
         self.mean.resize(m, [0.0; 3]);
         self.scale.resize(m, [0.0; 3]);
@@ -116,7 +116,7 @@ impl Parameters {
         self.nu.resize(m, 0.0);
     }
 
-    /// Calls `f(chunk, rows)` for `length` primitives after `length` others (the last may be fewer), in parallel.
+    /// Calls `f(chunk, rows)` in parallel, for chunks of `length` primitives (the last may be shorter).
     pub(crate) fn for_each_chunk(&mut self, length: usize, f: impl Fn(usize, Rows<'_>) + Sync + Send) {
         let Self { mean, scale, quaternion, density, nu } = self;
         let chunks = (
@@ -163,8 +163,10 @@ impl Parameters {
         }
     }
 
-    /// The covariance of primitive `i`, scene units squared: `Σ = R diag(s²) Rᵀ` `[Eq. 3]`, R the rotation of its
-    /// quaternion, normalised. Symmetric to the bit; an entry is within 1e-15 of the largest.
+    /// The covariance of primitive `i`, scene units squared: `Σ = R diag(s²) Rᵀ` `[Eq. 3]`.
+    ///
+    /// R is the rotation of its normalised quaternion. The matrix is exactly symmetric; an entry is within 1e-15 of the
+    /// largest entry.
     ///
     /// Tests: `covariance_agrees_with_the_entries_of_a_rotation_written_out`, and against the projector's whitening.
     ///
@@ -176,14 +178,14 @@ impl Parameters {
         root * root.transpose()
     }
 
-    /// The first number that is not finite, as an error of the given stage.
+    /// Reports the first non-finite number as an error of the given stage.
     ///
     /// # Errors
     /// [`Error::NonFinite`] with the group's number, the primitive and the component as index.
     pub fn check_finite(&self, stage: &'static str, step: usize) -> Result<()> {
         for (number, group) in Group::ALL.into_iter().enumerate() {
             let values = self.group(group);
-            // Without a way out, so that several are asked at a time.
+            // Without an early exit, so that the loop vectorises.
             let finite = values.iter().fold(true, |finite, value| finite & value.is_finite());
             if !finite && let Some(i) = values.iter().position(|value| !value.is_finite()) {
                 let index = vec![number, i / group.width(), i % group.width()];
@@ -205,11 +207,12 @@ impl Primitives {
         self.parameters.is_empty()
     }
 
-    /// Checked primitives: equal lengths, finite numbers, positive scales and ν, quaternions that have a direction.
+    /// Checks primitives: equal lengths, finite numbers, positive scales and ν, usable quaternions.
+    ///
     /// The kernel is Gaussian if every ν is infinite.
     ///
     /// # Errors
-    /// One clear error for the first value that is unusable.
+    /// An error for the first value that cannot be used.
     pub fn new(mut parameters: Parameters) -> Result<Self> {
         let m = parameters.len();
         for group in Group::ALL {
@@ -219,7 +222,7 @@ impl Primitives {
                     group.key(),
                     format!("{got} rows"),
                     format!("{m}, as many as densities"),
-                    "all arrays of a model have one row per primitive",
+                    "give every array of the model one row per primitive",
                 ));
             }
         }

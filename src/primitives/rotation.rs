@@ -4,24 +4,24 @@ use crate::numeric::Lanes;
 use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, powers_of_two_below};
 use glam::DQuat;
 
-/// Smallest largest entry of a usable quaternion: a gradient, which grows like 1/length, can still be squared.
+/// Smallest allowed largest entry of a quaternion: its gradient, which grows like 1/length, can still be squared.
 pub(crate) const SMALLEST: f64 = 1e-150;
 
-/// Whether a quaternion has a direction: finite entries, the largest at least [`SMALLEST`] in size.
+/// Whether a quaternion has a direction: finite entries, the largest of magnitude at least [`SMALLEST`].
 pub(crate) fn is_usable(q: [f64; 4]) -> bool {
     q.iter().all(|x| x.is_finite()) && largest(q) >= SMALLEST
 }
 
 /// The unit quaternion `q/|q|` and the length `|q|` of a usable quaternion.
 ///
-/// The length is found in units of the power of two below the largest entry. Its square neither overflows nor
-/// vanishes, and no bit of the result differs from the plain formula's where that one works.
+/// The length is computed in units of the power of two below the largest entry. Its square neither overflows nor
+/// underflows, and the bits equal those of the plain formula where that formula works.
 pub(crate) fn unit(q: [f64; 4]) -> (DQuat, f64) {
     let (units, norms) = Units::new(q.map(all));
     (units.to_array()[0], norms.to_array()[0])
 }
 
-/// Unit quaternions, one in each lane.
+/// Unit quaternions, one per lane.
 #[derive(Clone, Copy)]
 pub(crate) struct Units {
     w: Eight,
@@ -29,7 +29,7 @@ pub(crate) struct Units {
 }
 
 impl Units {
-    /// What [`unit()`] says of each lane: quaternions (w,x,y,z) of any length, with that.
+    /// [`unit()`] of each lane: unit quaternions and lengths of quaternions (w,x,y,z) of any length.
     #[inline(always)]
     pub(crate) fn new(q: [Eight; 4]) -> (Self, Eight) {
         let largest = q.iter().fold(all(0.0), |largest, entry| entry.abs().at_least(largest));
@@ -46,7 +46,7 @@ impl Units {
         std::array::from_fn(|i| DQuat::from_xyzw(v[i].x, v[i].y, v[i].z, w[i]))
     }
 
-    /// The matrix of the rotation back, the transposed one, with the bits of glam's.
+    /// The transposed rotation matrix, which is the inverse rotation; bit-identical to glam's.
     #[inline(always)]
     pub(crate) fn transposed(self) -> Matrices {
         let (one, Self { w, v: Vectors { x, y, z } }) = (all(1.0), self);
@@ -62,7 +62,7 @@ impl Units {
     }
 }
 
-/// The largest size of an entry.
+/// The largest magnitude of an entry.
 fn largest(q: [f64; 4]) -> f64 {
     q.iter().fold(0.0, |largest, x| if x.abs() > largest { x.abs() } else { largest })
 }
@@ -73,7 +73,7 @@ mod tests {
     use crate::numeric::rng::{Purpose, stream};
     use rand::RngExt;
 
-    /// A quaternion with entries of very different sizes.
+    /// A quaternion with entries of very different magnitudes.
     fn quaternion(id: u64) -> [f64; 4] {
         let mut random = stream(1, Purpose::Phantom, 0, id);
         std::array::from_fn(|_| {

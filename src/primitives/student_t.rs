@@ -1,4 +1,4 @@
-//! The Student's t-kernel's own constants: its integral along a line and how far it reaches.
+//! Constants of the Student's t kernel: its integral along a line and its support.
 
 use crate::numeric::elementary::{exp2, log2};
 use crate::numeric::exponentials::expm1;
@@ -6,7 +6,9 @@ use crate::numeric::vectors::{Eight, all};
 use crate::numeric::{Lanes, Real};
 use std::f64::consts::PI;
 
-/// Series of `Γ(z)/Γ(z+½)·√w` in powers of `1/w²`, w = z-¼, exact fractions; the remainder at w ≥ 10 is below 1e-18.
+/// Series of `Γ(z)/Γ(z+½)·√w` in powers of `1/w²`, w = z-¼, as exact fractions.
+///
+/// The remainder at w ≥ 10 is below 1e-18.
 const GAMMA_RATIO: [f64; 9] = [
     1.0,
     -1.0 / 64.0,
@@ -19,7 +21,7 @@ const GAMMA_RATIO: [f64; 9] = [
     5_099_063_967_524_835.0 / 36_028_797_018_963_968.0,
 ];
 
-/// Series of `ln(Γ(z)/Γ(z+½)) + ½ ln w` in powers of `1/w²`, from the first power on.
+/// Series of `ln(Γ(z)/Γ(z+½)) + ½ ln w` in powers of `1/w²`, starting with the first power.
 const LOG_GAMMA_RATIO: [f64; 8] = [
     -1.0 / 64.0,
     5.0 / 2048.0,
@@ -31,23 +33,23 @@ const LOG_GAMMA_RATIO: [f64; 8] = [
     19_391_512_145.0 / 137_438_953_472.0,
 ];
 
-/// Smallest w at which the series are used; smaller arguments are shifted up by the recurrence of Γ.
+/// Smallest w for the series; smaller arguments are shifted up by the recurrence of Γ.
 const SERIES_FROM: f64 = 10.0;
 
-/// `√(νπ)·Γ((ν+2)/2)/Γ((ν+3)/2)`: the integral of `(1+t²/ν)^(-(ν+3)/2)` over the whole line `[Eq. 5]`,
-/// and its derivative to ν; the completed square of `[A]`.
+/// The integral of `(1+t²/ν)^(-(ν+3)/2)` over the whole line, and its derivative with respect to ν `[Eq. 5]`.
 ///
-/// ν > 0. Relative error below 4e-16 (value) and 1e-13 (derivative) against 50 digits. The ratio is taken as
-/// one number: a difference of two log-gammas loses five digits at ν = 10⁴.
+/// The integral is `√(νπ)·Γ((ν+2)/2)/Γ((ν+3)/2)`, from the completed square of `[A]`. ν > 0. Relative error below 4e-16
+/// (value) and 1e-13 (derivative) against 50 digits. The ratio of gamma functions is computed as one number: a
+/// difference of two log-gammas loses five digits at ν = 10⁴.
 pub fn line_integral(nu: f64) -> (f64, f64) {
     let (value, derivative) = line_integrals(all(nu));
     (value.to_array()[0], derivative.to_array()[0])
 }
 
-/// [`line_integral`] of eight.
+/// [`line_integral`] of eight ν.
 pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
     let (quarter, half, one, two, zero) = (all(0.25), all(0.5), all(1.0), all(2.0), all(0.0));
-    // Γ(z)/Γ(z+½) = Γ(z+1)/Γ(z+3/2)·(z+½)/z, as often as the series asks for.
+    // Γ(z)/Γ(z+½) = Γ(z+1)/Γ(z+3/2)·(z+½)/z, applied until the series is accurate.
     let mut z = (nu + two) / two;
     let (mut shift, mut shift_log_derivative) = (one, zero);
     loop {
@@ -69,25 +71,30 @@ pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
     (value, value * (half / nu + half * log_derivative_z))
 }
 
-/// The Mahalanobis distance δ where the projected kernel has fallen to 2^-`bits`: `(1+δ/ν)^(-(ν+2)/2) = 2^-bits` `[X2]`.
+/// The Mahalanobis distance δ at which the projected kernel is 2^-`bits` `[X2]`.
+///
+/// It solves `(1+δ/ν)^(-(ν+2)/2) = 2^-bits`.
 pub(crate) fn reach(nu: f64, bits: f64) -> f64 {
     reaches(all(nu), bits).to_array()[0]
 }
 
-/// [`reach`] of eight.
+/// [`reach`] of eight ν.
 pub(crate) fn reaches(nu: Eight, bits: f64) -> Eight {
     nu * expm1(all(std::f64::consts::LN_2 * bits * 2.0) / (nu + all(2.0)))
 }
 
-/// The largest δ/ν at which kernels in `R` hold every power of 1+δ/ν in use. The largest exponent is that of the
-/// voxel gradient, (ν+3)/2 + 1.
+/// The largest δ/ν at which `R` can represent all powers of 1+δ/ν in use.
+///
+/// The largest exponent is that of the voxel gradient, (ν+3)/2 + 1.
 pub(crate) fn horizon<R: Real>(nu: f64) -> f64 {
     exp2(R::HORIZON / ((nu + 5.0) / 2.0)) - 1.0
 }
 
-/// The smaller one of [`reach`] and [`horizon`], which is the latter only for a cutoff near what `R` can hold: both in units of ν.
+/// The smaller of [`reach`] and [`horizon`], both in units of ν.
+///
+/// The horizon is smaller only for a cutoff near what `R` can represent.
 pub(crate) fn limits<R: Real>(nu: Eight, bits: f64, reaches: Eight) -> Eight {
-    // Exponents of 2 that are apart tell the powers apart.
+    // Clearly different exponents of 2 decide without computing the powers.
     let within = all(bits) / (nu + all(2.0));
     let held = all(R::HORIZON) / (nu + all(5.0));
     if within.simd_lt(held * all(0.999)).all() {
@@ -97,7 +104,7 @@ pub(crate) fn limits<R: Real>(nu: Eight, bits: f64, reaches: Eight) -> Eight {
     Eight::from_fn(|i| reaches[i].min(horizon::<R>(nu[i])))
 }
 
-/// `-log2 ε` for a relative cutoff, infinite for none.
+/// `-log2 ε` of a relative cutoff; infinite without a cutoff.
 pub(crate) fn bits(epsilon: f64) -> f64 {
     if epsilon > 0.0 { -log2(epsilon) } else { f64::INFINITY }
 }
@@ -115,7 +122,7 @@ mod tests {
             let log = 0.5 * libm::log(nu * PI) + ln_gamma(a) - ln_gamma(b);
             let slope = 0.5 / nu + 0.5 * (digamma(a) - digamma(b));
             approx::assert_relative_eq!(value, libm::exp(log), max_relative = 3e-11);
-            // The slope is a small difference of large terms in both, worst at large ν.
+            // In both, the slope is a small difference of large terms, worst at large ν.
             approx::assert_relative_eq!(derivative, value * slope, max_relative = 1e-9, epsilon = 1e-13);
         }
     }

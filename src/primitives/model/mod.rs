@@ -1,9 +1,9 @@
-//! Files of primitives. What one is follows from its name, and of an archive from its keys:
+//! Model files. The format follows from the file's name, and for an archive from its keys:
 //!
 //! | file | content |
 //! |---|---|
 //! | MODEL.npz, GRAD.npz | `mean [M,3]`, `scale [M,3]`, `quaternion [M,4]`, `density [M]`, `nu [M]`, physical values |
-//! | `.ply` | the same as properties of vertices, and a colour: [`ply`] |
+//! | `.ply` | the same as vertex properties, and a colour: [`ply`] |
 //! | R²-Gaussian's `.pickle`, or its arrays as `.npz` | `xyz`, `density`, `scale`, `rotation`, `scale_bound`, raw values: [`r2`] |
 
 pub mod ply;
@@ -16,19 +16,19 @@ use ndarray::{Array1, Array2, ArrayView, IxDyn};
 use std::ffi::OsStr;
 use std::path::Path;
 
-/// Reads a model in any of the formats. Without `nu`, or with infinite ones, the kernel is Gaussian.
+/// Reads a model in any of the formats. Without `nu`, or with infinite ν only, the kernel is Gaussian.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Format`] for a damaged file or the first unusable value.
+/// [`Error::Read`], or [`Error::Format`] for a damaged file or the first value that cannot be used.
 pub fn read(path: &Path) -> Result<Primitives> {
     let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
 }
 
-/// Reads the content of a model's file; `path` tells the format, and names it in errors.
+/// Parses the content of a model file; `path` determines the format and names it in errors.
 ///
 /// # Errors
-/// [`Error::Format`] for a damaged file or the first unusable value.
+/// [`Error::Format`] for a damaged file or the first value that cannot be used.
 pub fn parse(content: &[u8], path: &Path) -> Result<Primitives> {
     match path.extension().and_then(OsStr::to_str) {
         Some("ply") => return ply::parse(content, path).map(|(primitives, _)| primitives),
@@ -67,10 +67,10 @@ fn rows<const N: usize>(path: &Path, npz: &Npz, group: Group) -> Result<Vec<[f64
     Ok(array.rows().into_iter().map(|row| std::array::from_fn(|k| row[k])).collect())
 }
 
-/// Writes parameters or a gradient, f64.
+/// Writes parameters or a gradient as f64 arrays.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] with the error of the operating system.
 pub fn write(path: &Path, parameters: &Parameters) -> Result<()> {
     let m = parameters.len();
     let entry = |group: Group| {

@@ -1,4 +1,4 @@
-//! Primitives as the vertices of a PLY, for programs that show point clouds.
+//! Primitives as vertices of a PLY file, for programs that display point clouds.
 //!
 //! | property | type | |
 //! |---|---|---|
@@ -10,9 +10,9 @@
 //! | `confidence` | double | c `[Eq. 8]`, if it was computed |
 //! | `red`, `green`, `blue` | uchar | the colour map viridis of c, otherwise of ln ν, otherwise of ρ |
 //!
-//! Values are physical, in scene units. A PLY of 3D Gaussian splatting has the logarithms of scales in `scale_0` to
-//! `scale_2`, and colours as harmonics: the names here are others, so that no viewer of splats takes one for the other.
-//! Any order, encoding and types of properties are read, and what is not in the table is left alone.
+//! Values are physical, in scene units. A PLY of 3D Gaussian splatting stores logarithms of scales in `scale_0` to
+//! `scale_2` and colours as spherical harmonics. The property names here differ, so that no splat viewer mistakes one
+//! for the other. Properties are read in any order, encoding and type; properties outside the table are ignored.
 
 use crate::error::{Error, Result};
 use crate::numeric::elementary::log;
@@ -24,10 +24,10 @@ use serde_ply::{PlyReader, SerializeOptions};
 use std::io;
 use std::path::Path;
 
-/// What a model must have.
+/// Properties that a model must have.
 const NEEDED: [&str; 11] =
     ["x", "y", "z", "scale_x", "scale_y", "scale_z", "rotation_w", "rotation_x", "rotation_y", "rotation_z", "density"];
-/// Characters of a reader's complaint that are worth showing.
+/// Number of characters shown of a parser's error message.
 const LONGEST: usize = 200;
 
 #[derive(Serialize, Deserialize)]
@@ -55,11 +55,11 @@ struct Vertex {
     blue: u8,
 }
 
-/// A row of another element, which is passed over.
+/// A row of another element; ignored.
 #[derive(Deserialize)]
 struct Other {}
 
-/// The file.
+/// The content of a file.
 #[derive(Serialize)]
 struct Ply {
     vertex: Vec<Vertex>,
@@ -68,7 +68,7 @@ struct Ply {
 /// Reads primitives, and their confidence if the file has it.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Format`] for a damaged file, a missing property or the first unusable value.
+/// [`Error::Read`], or [`Error::Format`] for a damaged file, a missing property or the first value that cannot be used.
 pub fn read(path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
     let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
@@ -81,7 +81,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
         Error::format(path, "PLY", found, "a whole file, ASCII or binary", "get the file again")
     };
     let mut reader = PlyReader::from_reader(content).map_err(damaged)?;
-    // A header is believed only as far as the file has bytes for it: a property takes one at least.
+    // A header is accepted only if the file has bytes for it: a property takes at least one.
     for element in &reader.header().elem_defs {
         let least = element.count.checked_mul(element.properties.len());
         if element.count > 0 && least.is_none_or(|least| least == 0 || least > content.len()) {
@@ -98,7 +98,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
         if let Some(missing) = NEEDED.into_iter().find(|name| !element.has_property(name)) {
             let names: Vec<&str> = element.properties.iter().map(|property| property.name.as_str()).collect();
             let names: String = names.join(", ").chars().take(LONGEST).collect();
-            let remedy = "give primitives as trgs writes them; splats of 3DGS are something else";
+            let remedy = "give a PLY written by trgs; splats of 3D Gaussian splatting are not supported";
             return Err(Error::format(path, "vertices", format!("[{names}]"), format!("a property {missing}"), remedy));
         }
         let (has_nu, has_confidence) = (element.has_property("nu"), element.has_property("confidence"));
@@ -118,13 +118,13 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
     Err(Error::format(path, "PLY", "no vertices", "an element vertex", "give primitives as trgs writes them"))
 }
 
-/// Writes primitives, with their `confidence` if it is given, binary and little-endian.
+/// Writes primitives, with their `confidence` if given; binary, little-endian.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] with the error of the operating system.
 ///
 /// # Panics
-/// When there is not one confidence for each primitive.
+/// When the number of confidences is not the number of primitives.
 pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     assert!(confidence.is_none_or(|c| c.len() == density.len()), "one confidence for each primitive");
@@ -169,7 +169,7 @@ pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>) -
     write_atomically(path, |out| serde_ply::to_writer(&file, options, out).map_err(io::Error::other))
 }
 
-/// Values as places between the smallest and the largest; a half where they are equal.
+/// Values scaled to [0, 1] from smallest to largest; ½ where all are equal.
 fn spread(values: Vec<f64>) -> Vec<f64> {
     let (low, high) =
         values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));

@@ -7,10 +7,10 @@
 //! | `scale` | `[M,3]` | `s = min + (max-min)/(1+e^-scale)`; `s = e^scale` without bounds |
 //! | `rotation` | `[M,4]` | q (w,x,y,z), of any length |
 //! | `scale_bound` | `[2]`, or none | min and max of s |
-//! | `nu` | `[M]` | ν, physical; ours, if the kernel is Student's t: R²-Gaussian leaves it alone and takes Gaussians |
+//! | `nu` | `[M]` | ν, physical; this project's own key for Student's t; R²-Gaussian ignores it and uses Gaussians |
 //!
-//! Both have scenes whose longest side is 2, so no length changes. Not in the paper: its formulas are R²-Gaussian's.
-//! R²-Gaussian itself reads the pickle, which Python makes of the archive:
+//! Both projects scale the longest side of the scene to 2, so lengths are unchanged. Not in the paper: the formulas are
+//! R²-Gaussian's. R²-Gaussian itself reads the pickle, which Python makes from the archive:
 //! `pickle.dump(dict(numpy.load("point_cloud.npz")), open("point_cloud.pickle", "wb"))`.
 
 use super::super::{Kernel, Parameters, Primitives};
@@ -21,16 +21,16 @@ use crate::scene::npz::{self, Entry, Npz};
 use ndarray::{ArrayView, IxDyn};
 use std::path::Path;
 
-/// R²-Gaussian's own bounds of scales.
+/// R²-Gaussian's own bounds of scales, scene units.
 const BOUND: [f64; 2] = [0.001, 1.0];
 
-/// An array by its key: shape and values.
+/// The array of a key: shape and values.
 type Found = Option<(Vec<usize>, Vec<f64>)>;
 
-/// R²-Gaussian's pickle; no code in it is run.
+/// Parses R²-Gaussian's pickle without running its code.
 ///
 /// # Errors
-/// [`Error::Format`] for anything else than a point cloud, or the first unusable value.
+/// [`Error::Format`] for anything but a point cloud, or for the first value that cannot be used.
 pub(super) fn parse_pickle(content: &[u8], path: &Path) -> Result<Primitives> {
     let data = pickle::parse(content, path)?;
     let array = |key: &str| match data.get(key) {
@@ -41,7 +41,7 @@ pub(super) fn parse_pickle(content: &[u8], path: &Path) -> Result<Primitives> {
     interpret(path, array, bound)
 }
 
-/// The same arrays from an archive.
+/// Reads the same arrays from an archive.
 pub(super) fn of_archive(path: &Path, npz: &Npz) -> Result<Primitives> {
     let array = |key: &str| {
         let array = npz.entry(key)?.numbers.clone().into_f64();
@@ -89,10 +89,10 @@ fn interpret(path: &Path, array: impl Fn(&str) -> Found, bound: Option<Vec<f64>>
     .map_err(|error| error.in_file(path))
 }
 
-/// Writes the arrays as `.npz`, f64. The bounds are R²-Gaussian's, or wider ones that hold all scales.
+/// Writes the arrays as `.npz`, f64. The bounds are R²-Gaussian's, widened if a scale is outside.
 ///
 /// # Errors
-/// [`Error::Write`], or [`Error::Invalid`] for a density that is not positive: the format has none.
+/// [`Error::Write`], or [`Error::Invalid`] for a density that is not positive, which the format cannot store.
 pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     if let Some(i) = density.iter().position(|density| *density <= 0.0) {
@@ -152,7 +152,7 @@ mod tests {
             assert_eq!(found.kernel, written.kernel);
             for group in Group::ALL {
                 for (x, y) in found.parameters.group(group).iter().zip(written.parameters.group(group)) {
-                    // A scale's digits are those of the wide end of its interval.
+                    // The precision of a scale is that of the upper end of its interval.
                     let close =
                         if group == Group::Scale { (x - y).abs() < 1e-15 } else { (x - y).abs() < 1e-14 * y.abs() };
                     assert!(x == y || close, "{group:?}: {x} instead of {y}");
