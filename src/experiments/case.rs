@@ -1,4 +1,4 @@
-//! What is scanned: the fifteen stand-ins, or the volumes and scans of a folder.
+//! Scanned objects: the fifteen stand-ins, or the volumes and scans of a folder.
 
 use super::scale::Scale;
 use crate::error::{Error, Result};
@@ -9,12 +9,12 @@ use crate::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volum
 use ndarray::Array3;
 use std::path::{Path, PathBuf};
 
-/// Something to scan, or a scan.
+/// An object to scan, or an existing scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Case {
-    /// As it is printed.
+    /// Name for display.
     pub name: String,
-    /// SHA-256 of its data; of a phantom, which is part of the program, its name.
+    /// SHA-256 of its data; for a phantom, which is part of the program, its name.
     pub digest: String,
     source: Source,
 }
@@ -26,7 +26,7 @@ enum Source {
     Scan(PathBuf),
 }
 
-/// How a case is seen in a cell.
+/// The acquisition of a case in a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sight {
     pub(super) views: usize,
@@ -41,20 +41,22 @@ impl Case {
         named.map(|p| Self { name: p.name.into(), digest: p.name.into(), source: Source::Phantom }).collect()
     }
 
-    /// One stand-in by its name.
+    /// The stand-in with a name.
     ///
     /// # Errors
-    /// When there is none of that name.
+    /// For an unknown name.
     pub fn phantom(name: &str) -> Result<Self> {
         Phantom::by_name(name, 0)?;
         Ok(Self { name: name.into(), digest: name.into(), source: Source::Phantom })
     }
 
-    /// Every scan and every volume in a folder, by name: the volumes whose longest side has `size` voxels, or where there
-    /// is none, those where it has a multiple of that. Others are left out, as are files that are no volumes.
+    /// All scans in a folder, and its volumes whose longest side has `size` voxels, ordered by name.
+    ///
+    /// If no volume has that size, those whose longest side is a multiple of it are used. Other volumes and files that
+    /// are no volumes are skipped.
     ///
     /// # Errors
-    /// When the folder cannot be read, or nothing in it can be used.
+    /// When the folder cannot be read, or holds nothing usable.
     pub fn in_folder(folder: &Path, size: usize) -> Result<Vec<Self>> {
         let entries = folder.read_dir().map_err(|source| Error::read(folder, source))?;
         let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
@@ -84,13 +86,15 @@ impl Case {
         Ok(cases)
     }
 
-    /// Whether noise can be chosen: not for a scan that was taken.
+    /// Whether noise can be chosen; false for an existing scan.
     pub fn takes_noise(&self) -> bool {
         !matches!(self.source, Source::Scan(_))
     }
 
-    /// The scan. Phantoms and volumes are seen by a cone beam over a full turn, with the distances of R²-Gaussian's
-    /// synthetic data; of a scan that was taken, so many training views, evenly spaced.
+    /// The scan of a cell.
+    ///
+    /// Phantoms and volumes are scanned by a cone beam over a full turn, with the distances of R²-Gaussian's synthetic
+    /// data. Of an existing scan, evenly spaced training views are selected.
     pub(super) fn scan(&self, scale: Scale, sight: &Sight) -> Result<Dataset> {
         let plan = Plan { views: sight.views, test_views: scale.test_views(), noise: sight.noise, seed: sight.seed };
         match &self.source {
@@ -119,14 +123,14 @@ fn scanner(scale: Scale, grid: Grid) -> Scanner {
     Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid }
 }
 
-/// A volume with means over blocks for voxels, cubes, and densities up to 1.
+/// A volume with cubic voxels, averaged over blocks, and densities scaled to at most 1.
 fn normalised(path: &Path, size: usize) -> Result<Volume> {
     let fine = volume_file::read(path)?.values;
     let factor = longest(&fine) / size;
     let shape: [usize; 3] = <[usize; 3]>::from(fine.dim()).map(|n| n / factor);
     let top = fine.iter().fold(0.0_f32, |top, &value| top.max(value));
     if top <= 0.0 || shape.contains(&0) {
-        let expected = "a volume with something in it, as thick as one voxel of the result";
+        let expected = "a volume with positive values, at least as thick as one voxel of the result";
         return Err(Error::format(path, "volume", format!("shape {shape:?}, maximum {top}"), expected, "leave it out"));
     }
     let voxels = (factor * factor * factor) as f32 * top;

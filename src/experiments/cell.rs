@@ -1,4 +1,4 @@
-//! One run of an experiment: a case, how it is seen, and the settings of a method.
+//! One run of an experiment: a case, its acquisition, and the settings of a method.
 
 use super::case::{Case, Sight};
 use super::scale::Scale;
@@ -13,51 +13,51 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
-/// Digits of an id: no two of a million cells share as many by chance.
+/// Digits of an id: among a million cells, two equal ids are improbable.
 const ID_DIGITS: usize = 20;
 
-/// A run that can be done by itself, anywhere, once.
+/// A run that is independent of all others and is needed only once.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Follows from configuration, data, and the version of the program.
+    /// Id, derived from configuration, data and program version.
     pub id: String,
-    /// What is scanned.
+    /// The object or scan.
     pub case: Case,
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
     /// Level of noise.
     pub noise: String,
-    /// All random choices of scan and run follow from it.
+    /// Seed of all random choices of scan and run.
     pub seed: u64,
-    /// The size that all else follows from.
+    /// The size that all sizes are derived from.
     pub scale: Scale,
     config: Config,
 }
 
-/// What a cell found. Equal cells find equal bits, so there is no time in it.
+/// The result of a cell. Equal cells give equal bits, so it holds no time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
-    /// Of the cell.
+    /// Id of the cell.
     pub id: String,
-    /// What was scanned.
+    /// Name of the case.
     pub case: String,
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
     /// Level of noise.
     pub noise: String,
-    /// Of scan and run.
+    /// Seed of scan and run.
     pub seed: u64,
-    /// How the volume was found.
+    /// The reconstruction method.
     pub method: Method,
-    /// Of [`super::METRICS`], those that there are.
+    /// Those of [`super::METRICS`] that were computed.
     pub metrics: BTreeMap<String, f64>,
-    /// Primitives at the end.
+    /// Number of primitives at the end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub primitives: Option<usize>,
 }
 
 impl Table {
-    /// Its cells, those of one scan together.
+    /// The cells of the table; cells of one scan are adjacent.
     pub fn cells(&self, cases: &[Case], scale: Scale, seeds: u64) -> Vec<Cell> {
         let mut cells = Vec::new();
         for seed in 0..seeds {
@@ -73,7 +73,7 @@ impl Table {
         cells
     }
 
-    /// The cell of a row; None where the row runs nothing, or the case has a noise of its own.
+    /// The cell of a row; `None` if the row runs nothing, or the case has other noise.
     pub(super) fn cell(
         &self,
         row: &Row,
@@ -88,7 +88,7 @@ impl Table {
 }
 
 impl Cell {
-    /// None where the case has a noise of its own, which is not the one asked for.
+    /// `None` if the case has other noise than the one asked for.
     fn new(mut config: Config, case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> Option<Self> {
         if !case.takes_noise() && level != "low" {
             return None;
@@ -106,25 +106,25 @@ impl Cell {
         format!("{} {} {views} {level} {seed}", case.digest, scale.size)
     }
 
-    /// Cells of the same scan have the same.
+    /// Id of the scan; equal for cells of the same scan.
     pub(super) fn scan_id(&self) -> String {
         Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed)
     }
 
-    /// In a few words.
+    /// A short description for display.
     pub fn description(&self) -> String {
         let method = serde_json::to_value(self.config.method).expect("a name");
         let method = method.as_str().unwrap_or_default();
         format!("{}, {} views, {} noise, seed {}, {method}", self.case.name, self.views, self.noise, self.seed)
     }
 
-    /// The scan that it begins with.
+    /// The scan that the cell reconstructs.
     pub(super) fn scan(&self) -> Result<Dataset> {
         let sight = Sight { views: self.views, noise: noise(&self.noise), seed: self.seed };
         self.case.scan(self.scale, &sight)
     }
 
-    /// Runs it on its scan; with the [`picture`] of what it found.
+    /// Runs the cell on its scan; also returns the [`picture`] of its result.
     pub(super) fn run(
         &self,
         dataset: &Dataset,
@@ -156,7 +156,7 @@ impl Cell {
     }
 }
 
-/// The slice across z in the middle, densities from 0 to 1 from black to white, as a PNG file.
+/// The middle slice across z, densities 0 to 1 as black to white, as a PNG file.
 pub(super) fn picture(volume: &Volume) -> Vec<u8> {
     let cut = Cut { axis: 2, index: volume.grid.shape[2] / 2 };
     Picture::grey(&cut.values(volume), Window { low: 0.0, high: 1.0 }).png()

@@ -1,8 +1,9 @@
-//! The paper's tables, one command each: cells that are run once, anywhere, and what they say together.
+//! The paper's tables, one command each: cells that run once on any machine, and their summary.
 //!
-//! A [`Table`] is data (`src/experiments/tables/*.toml`): rows, numbers of views, levels of noise. Each combination with
-//! a case and a seed is a [`Cell`], whose id follows from configuration, data and program. [`run`] does those that are
-//! not in the [`Store`] yet; a [`Summary`] sets ours beside the paper's figures (`reference/paper/*.csv`).
+//! A [`Table`] is data (`src/experiments/tables/*.toml`): rows, numbers of views, levels of noise. Each combination
+//! with a case and a seed is a [`Cell`], whose id follows from configuration, data and program. [`run`] runs the cells
+//! that are not in the [`Store`] yet; a [`Summary`] compares the results with the paper's figures
+//! (`reference/paper/*.csv`).
 //!
 //! ```text
 //! Table × Case × Scale × seeds ── cells ──▶ run ──▶ Store ──▶ Summary ──▶ CSV, Markdown, LaTeX, HTML
@@ -27,5 +28,5 @@ pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
 pub use table::{NAMES, Row, Table};
 
-/// What a cell may find.
+/// All metrics of a cell.
 pub const METRICS: [&str; 5] = ["spearman", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];

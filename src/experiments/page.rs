@@ -1,4 +1,4 @@
-//! A summary as one HTML file that needs nothing but itself.
+//! A summary as one self-contained HTML file.
 
 use super::case::Case;
 use super::plot::plot;
@@ -10,8 +10,9 @@ use base64::prelude::{BASE64_STANDARD, Engine as _};
 use std::fmt::Write;
 
 impl Summary {
-    /// The page. `cases` are those of the summary; its pictures are of the first of them, its first seed, and the
-    /// block in the middle.
+    /// The page as HTML. `cases` are those of the summary.
+    ///
+    /// Pictures show the first case with its first seed, in the middle block.
     pub fn html(&self, cases: &[Case], store: &Store) -> String {
         let heading = format!("Table {}: {}", self.table.number, self.table.title);
         let mut content = String::new();
@@ -102,7 +103,7 @@ impl Summary {
         )
     }
 
-    /// Every case by itself.
+    /// The figures of each case.
     fn appendix(&self) -> String {
         let mut html = String::from("<section>\n<h2>Each case</h2>\n");
         for (column, metric) in self.table.metrics.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! A metric against what a table varies: a line per row, or one line where the rows themselves are numbered.
+//! Plots a metric against the varied parameter: a line per row, or one line through numbered rows.
 
 use super::summary::{Estimate, Figure, Summary};
 use super::table::Row;
@@ -6,7 +6,7 @@ use crate::report::escape;
 use plotters::prelude::*;
 use std::collections::BTreeSet;
 
-/// Colours that readers with any colour vision can tell apart (Okabe and Ito), on light and on dark ground.
+/// The colours of Okabe and Ito, distinguishable with any colour vision, on light and dark backgrounds.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(230, 159, 0),
@@ -18,14 +18,14 @@ const COLOURS: [RGBColor; 7] = [
 ];
 const SIZE: (u32, u32) = (720, 340);
 
-/// One line of ours with its band, and the paper's.
+/// One line: our figures with their band, and the paper's figures.
 struct Series {
     name: String,
     ours: Vec<(f64, Estimate)>,
     paper: Vec<(f64, f64)>,
 }
 
-/// The plot as inline SVG with its legend; None where the table varies nothing, or no cell is finished.
+/// The plot as inline SVG with its legend; `None` if the table varies nothing, or no cell is finished.
 pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
     summary.table.against.as_ref()?;
     let column = summary.table.metrics.iter().position(|known| known == metric)?;

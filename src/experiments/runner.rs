@@ -1,4 +1,4 @@
-//! Runs cells side by side, each on one thread.
+//! Runs cells in parallel, each on one thread.
 
 use super::cell::{Cell, picture};
 use super::store::Store;
@@ -10,25 +10,26 @@ use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Called when a cell is finished, and `None` while one is at work; `Break` stops all.
+/// Observer: called for each finished cell, and with `None` during runs; `Break` stops all.
 pub type Observe<'a> = dyn Fn(Option<&Done<'_>>) -> ControlFlow<()> + Sync + 'a;
 
-/// A cell is finished.
+/// A finished cell.
 #[derive(Clone, Copy, Debug)]
 pub struct Done<'a> {
-    /// Which.
+    /// The cell.
     pub cell: &'a Cell,
-    /// So many are, with it.
+    /// Number of finished cells, including this one.
     pub done: usize,
-    /// Of so many.
+    /// Number of all cells.
     pub cells: usize,
 }
 
-/// Runs all cells that are not in the store, `workers` at a time. Cells that another process is at work on come last;
-/// those that it finishes meanwhile are not done again.
+/// Runs all cells that are not in the store, `workers` at a time.
+///
+/// Cells that another process is running come last; if that process finishes them, they are not run again.
 ///
 /// # Errors
-/// The first of any cell, or [`Error::Interrupted`] when `observe` breaks. What was finished before is kept.
+/// The first error of any cell, or [`Error::Interrupted`] when `observe` breaks. Cells finished before are kept.
 pub fn run(cells: &[Cell], store: &Store, workers: usize, observe: &Observe<'_>) -> Result<()> {
     let mut known = BTreeSet::new();
     let cells: Vec<&Cell> = cells.iter().filter(|cell| known.insert(&cell.id)).collect();
@@ -41,7 +42,7 @@ pub fn run(cells: &[Cell], store: &Store, workers: usize, observe: &Observe<'_>)
             }
         }
         let work = Work { store, observe, cells: cells.len(), done: AtomicUsize::new(cells.len() - open.len()) };
-        // Those of one scan together: it is made once.
+        // Cells of one scan are adjacent: the scan is made once.
         let groups: Vec<&[&Cell]> = open.chunk_by(|a, b| a.scan_id() == b.scan_id()).collect();
         work.all(&groups, workers.clamp(1, groups.len().max(1)), wait)?;
     }
@@ -61,7 +62,7 @@ impl Work<'_> {
         threads::side_by_side(workers, |_| {
             while let Some(group) = groups.get(next.fetch_add(1, Ordering::Relaxed)) {
                 if let Err(error) = self.group(group, wait) {
-                    // The others end with the cells that they are at.
+                    // The other workers stop after their current cells.
                     next.store(groups.len(), Ordering::Relaxed);
                     failure.lock().expect("nobody panics with it").get_or_insert(error);
                 }
@@ -70,7 +71,7 @@ impl Work<'_> {
         failure.into_inner().expect("nobody panics with it").map_or(Ok(()), Err)
     }
 
-    /// Cells of one scan.
+    /// Runs the cells of one scan.
     fn group(&self, group: &[&Cell], wait: bool) -> Result<()> {
         let mut dataset: Option<Dataset> = None;
         for cell in group {
@@ -82,7 +83,7 @@ impl Work<'_> {
                 let (finding, picture) = cell.run(dataset, &mut || (self.observe)(None)).map_err(say_how_to_go_on)?;
                 self.store.keep(cell, &finding, &picture)?;
             } else if !wait {
-                // Another process is at work on it.
+                // Another process is running it.
                 continue;
             }
             let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -105,9 +106,10 @@ impl Work<'_> {
 
 fn say_how_to_go_on(error: Error) -> Error {
     match error {
-        Error::Interrupted { step, .. } => {
-            Error::Interrupted { step, remedy: "the same command goes on with the cells that are left".into() }
-        }
+        Error::Interrupted { step, .. } => Error::Interrupted {
+            step,
+            remedy: "run the same command again: it continues with the remaining cells".into(),
+        },
         other => other,
     }
 }

@@ -1,35 +1,35 @@
-//! The paper's experiments at another size: what is made smaller, and by how much.
+//! The paper's experiments at another size: how all settings scale.
 
 use crate::config::{Auto, Config, DensityControl, Finish, Sampling, Start};
 use crate::numeric::elementary::pow;
 
-/// Of the volume in the paper.
+/// Voxels along a side of the paper's volumes.
 const PAPER_SIZE: f64 = 256.0;
 /// Smallest scale of a primitive in R²-Gaussian, as a fraction of the volume's longest side.
 const PAPER_SMALLEST_SCALE: f64 = 0.0005;
-/// Primitives that the paper starts from.
+/// Initial number of primitives in the paper.
 const PAPER_POINTS: f64 = 50_000.0;
-/// Training steps in the paper.
+/// Training iterations in the paper.
 const PAPER_ITERATIONS: f64 = 30_000.0;
 
 /// Experiments on volumes of `size`³ voxels.
 ///
-/// | what | at 256 | at a size of N |
+/// | quantity | at 256 | at a size of N |
 /// |---|---|---|
 /// | detector | 512² | (2N)² |
 /// | primitives at the start | 50,000 | 50,000 (N/256)² |
-/// | most primitives | 100,000 | 100,000 (N/256)²; with ADC, which ends beyond its cap, that is four fifths of it |
+/// | most primitives | 100,000 | 100,000 (N/256)²; with ADC, which ends above its cap, the cap is four fifths of it |
 /// | iterations n | 30,000 | 30,000 (N/256)^8/3 |
 /// | iterations between two steps of density control | 100 | n/60, at most 100 |
 /// | iterations between two computations of confidence | 500 | n/12, at most 500 |
 /// | wavelet block, block of the total variation | 32³ | at most (N/4)³ |
-/// | passes of a method on voxels | its own | its own |
+/// | passes of a voxel method | its own | its own |
 /// | test views | 50 | 50 (N/256), at least 8 |
-/// | density that counts as 1 | 1 | 1: densities of the paper's scans lie from 0 to about 1 |
+/// | density that counts as 1 | 1 | 1: densities of the paper's scans are from 0 to about 1 |
 ///
-/// Surfaces carry primitives, so they go with N². Iterations fall faster than that, which keeps a cell at 64³ under half
-/// a minute of one core; parts of a run that are stated as fractions stay where they were, and learning rates follow
-/// the number of iterations by themselves ([`pace`](crate::optim::schedule::pace)).
+/// Primitives cover surfaces, so their number scales with N². Iterations fall faster than that, which keeps a cell at
+/// 64³ under half a minute of one core. Settings stated as fractions are unchanged, and learning rates follow the
+/// number of iterations ([`pace`](crate::optim::schedule::pace)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scale {
     /// Voxels along the longest side.
@@ -42,12 +42,12 @@ impl Scale {
         2 * self.size
     }
 
-    /// Views to judge by.
+    /// Number of test views.
     pub fn test_views(self) -> usize {
         (50 * self.size).div_ceil(256).max(8)
     }
 
-    /// Fits the settings of a method to the size.
+    /// Scales the settings of a method to the size.
     pub fn apply(self, config: &mut Config) {
         config.density_unit = Auto::Fixed(1.0);
         if !config.method.fits_primitives() {
@@ -57,7 +57,7 @@ impl Scale {
         let scaled = |paper: f64, power: f64| ((paper * pow(ratio, power)).round() as usize).max(1);
         config.model.points = scaled(PAPER_POINTS, 2.0);
         config.density_control.cap = match config.density_control.method {
-            // Its last step leads beyond, to about as many as the others have.
+            // ADC's last step exceeds its cap; this gives about as many primitives as the other methods.
             DensityControl::Adc => config.model.points * 8 / 5,
             DensityControl::Ar | DensityControl::None => 2 * config.model.points,
         };
@@ -65,12 +65,12 @@ impl Scale {
         config.density_control.every = (config.iterations / 60).clamp(1, 100);
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
         config.checkpoint_every = config.iterations;
-        // As the paper and R²-Gaussian do, whatever the scan.
+        // As in the paper and R²-Gaussian, for all scans.
         (config.sampling, config.finish) = (Sampling::Point, Finish::None);
         if config.initialisation.from == Start::Sart {
             config.initialisation.from = Start::Fdk;
         }
-        // R²'s fraction of the side, at any size.
+        // R²-Gaussian's fraction of the side, at any size.
         config.model.smallest_scale = PAPER_SMALLEST_SCALE * self.size as f64;
         config.report_every = config.iterations;
         let block = (self.size / 4).clamp(4, 32) & !1;

@@ -1,7 +1,7 @@
-//! A folder of finished cells, which any number of processes may share.
+//! A folder of finished cells that any number of processes can share.
 //!
-//! `cells/ID.json` is what a cell found, `cells/ID.png` a slice of it, `cells/ID.lock` is locked by the process that
-//! is at work on it: the system frees the lock of a process that dies, so a kill loses no more than one cell.
+//! `cells/ID.json` is the result of a cell, `cells/ID.png` a slice of it. `cells/ID.lock` is locked by the process that
+//! runs the cell: the system releases the lock of a process that dies, so a kill loses at most one cell.
 
 use super::cell::{Cell, Finding};
 use crate::error::{Error, Result};
@@ -10,24 +10,24 @@ use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// The folder.
+/// The folder of cells.
 #[derive(Clone, Debug)]
 pub struct Store {
     cells: PathBuf,
 }
 
-/// The right to do a cell.
+/// The exclusive right to run a cell.
 pub(super) struct Claim {
-    /// Locked until it is dropped.
+    /// Locked until dropped.
     _lock: File,
     path: PathBuf,
 }
 
 impl Store {
-    /// The cells below `folder`, which is made if it does not exist.
+    /// Opens the cells below `folder`, which is created if it does not exist.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// When the folder cannot be created.
     pub fn open(folder: &Path) -> Result<Self> {
         let cells = folder.join("cells");
         create_folder(&cells)?;
@@ -38,7 +38,7 @@ impl Store {
         self.cells.join(format!("{name}.{extension}"))
     }
 
-    /// What a cell found, if it is finished.
+    /// The result of a cell, if it is finished.
     ///
     /// # Errors
     /// When its file is damaged.
@@ -50,17 +50,22 @@ impl Store {
             Err(error) => return Err(Error::read(&path, error)),
         };
         let finding: Finding = serde_json::from_slice(&text).map_err(|error| {
-            Error::format(&path, "finished cell", error, "what this program writes", "remove the file to run it again")
+            Error::format(
+                &path,
+                "finished cell",
+                error,
+                "a file written by this program",
+                "delete the file to run the cell again",
+            )
         })?;
         if finding.id != id {
-            let remedy = "remove the file to run it again";
+            let remedy = "delete the file to run the cell again";
             return Err(Error::format(&path, "id", &finding.id, "that of the file's name", remedy));
         }
         Ok(Some(finding))
     }
 
-    /// The right to do a cell that is not finished; None while another process has it and one may not `wait`, and when
-    /// it is finished.
+    /// Claims a cell that is not finished; `None` if it is finished, or another process has it and `wait` is false.
     pub(super) fn claim(&self, id: &str, wait: bool) -> Result<Option<Claim>> {
         let path = self.path(id, "lock");
         let lock = File::create(&path).map_err(|source| Error::write(&path, source))?;
@@ -74,11 +79,11 @@ impl Store {
             }
         }
         let claim = Claim { _lock: lock, path };
-        // It may have been finished between the question and the lock.
+        // The cell may have been finished between the first check and the lock.
         Ok(self.find(id)?.is_none().then_some(claim))
     }
 
-    /// Removes the lock of a finished cell whose process died between the two.
+    /// Removes the lock of a finished cell whose process died before it could.
     pub(super) fn clear(&self, id: &str) {
         let path = self.path(id, "lock");
         if let Ok(lock) = File::open(&path)
@@ -88,25 +93,25 @@ impl Store {
         }
     }
 
-    /// Keeps what a cell found.
+    /// Stores the result of a cell.
     pub(super) fn keep(&self, cell: &Cell, finding: &Finding, picture: &[u8]) -> Result<()> {
         let text = serde_json::to_string_pretty(finding).expect("a finding has string keys") + "\n";
         write_atomically(&self.path(&cell.id, "png"), |file| file.write_all(picture))?;
         write_atomically(&self.path(&cell.id, "json"), |file| file.write_all(text.as_bytes()))
     }
 
-    /// Keeps the slice of the truth that goes with those of the cells.
+    /// Stores the slice of the truth that belongs to those of the cells.
     pub(super) fn keep_truth(&self, cell: &Cell, picture: &[u8]) -> Result<()> {
         let path = self.path(&truth(cell), "png");
         if path.exists() { Ok(()) } else { write_atomically(&path, |file| file.write_all(picture)) }
     }
 
-    /// The slice of what a cell found, as a PNG file, where there is one.
+    /// The slice of a cell's result as a PNG file, if there is one.
     pub(super) fn picture(&self, cell: &Cell) -> Option<Vec<u8>> {
         std::fs::read(self.path(&cell.id, "png")).ok()
     }
 
-    /// The same of the truth.
+    /// The slice of its truth as a PNG file, if there is one.
     pub(super) fn picture_of_truth(&self, cell: &Cell) -> Option<Vec<u8>> {
         std::fs::read(self.path(&truth(cell), "png")).ok()
     }
@@ -118,8 +123,8 @@ fn truth(cell: &Cell) -> String {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // Whoever holds the removed file locked finds the cell finished, or does it; two never write it at once with
-        // different content, as equal cells have equal bits.
+        // A process that locks the removed file finds the cell finished, or runs it. Two processes never write
+        // different content, since equal cells have equal bits.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -1,4 +1,4 @@
-//! What the cells of a table say together: means, intervals, differences, and whether they agree with the paper.
+//! Summary of a table's cells: means, intervals, differences, and agreement with the paper.
 
 use super::METRICS;
 use super::case::Case;
@@ -10,86 +10,88 @@ use crate::error::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Resamples of a bootstrap.
+/// Resamples of the bootstrap.
 const RESAMPLES: usize = 2000;
-/// Part of them that an interval leaves out at each end.
+/// Fraction of the resamples outside the interval at each end.
 const TAIL: f64 = 0.025;
 
-/// A table with our figures in it.
+/// A table with our figures.
 #[derive(Clone, Debug)]
 pub struct Summary {
-    /// What it is a summary of.
+    /// The table summarised.
     pub table: Table,
-    /// The cases that means are over.
+    /// Names of the cases that means are over.
     pub cases: Vec<String>,
-    /// Seeds of each.
+    /// Number of seeds per case.
     pub seeds: u64,
-    /// The size of everything.
+    /// The size of all cells.
     pub scale: Scale,
-    /// For each number of views and noise.
+    /// One block for each number of views and level of noise.
     pub blocks: Vec<Block>,
-    /// Cells that are not finished.
+    /// Number of unfinished cells.
     pub missing: usize,
-    /// Finished ones.
+    /// Results of the finished cells.
     pub findings: Vec<Finding>,
 }
 
 /// The rows of a table for one number of views and one level of noise.
 #[derive(Clone, Debug)]
 pub struct Block {
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
     /// Level of noise.
     pub noise: String,
-    /// For each row of the table, for each of its metrics.
+    /// Indexed by row of the table, then by metric.
     pub figures: Vec<Vec<Figure>>,
-    /// For each metric.
+    /// Indexed by metric.
     pub agreement: Vec<Agreement>,
 }
 
-/// A row's value of a metric.
+/// A row's value for a metric.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figure {
-    /// Over cases and seeds.
+    /// Our mean over cases and seeds.
     pub ours: Option<Estimate>,
-    /// Ours less that of the full model, pair by pair.
+    /// Our difference from the full model, over pairs of cells.
     pub difference: Option<Estimate>,
-    /// As printed.
+    /// The figure printed in the paper.
     pub paper: Option<f64>,
-    /// 1 is the best of ours in its block.
+    /// Rank among our figures in the block; 1 is the best.
     pub rank: Option<usize>,
-    /// Means over seeds, for each case.
+    /// Means over seeds, one per case.
     pub by_case: Vec<Option<f64>>,
 }
 
-/// A mean over cases and seeds. The interval is that of 95 % of 2,000 resamples of the seeds within each case
-/// (stratified bootstrap); there is none for a single seed.
+/// A mean over cases and seeds, with its 95 % interval.
+///
+/// The interval contains 95 % of 2,000 resamples of the seeds within each case (stratified bootstrap); there is none
+/// for a single seed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// Mean over cases of means over seeds.
     pub mean: f64,
-    /// Ends of the interval.
+    /// Both ends of the interval.
     pub interval: Option<(f64, f64)>,
 }
 
-/// How far our figures stand to each other as those of the paper do.
+/// Agreement of the order and signs of our figures with those of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Agreement {
-    /// Pairs of rows that differ in the paper, and how many are in the same order here.
+    /// Number of pairs of rows that differ in the paper.
     pub pairs: usize,
-    /// See `pairs`.
+    /// Number of those pairs that have the same order here.
     pub pairs_kept: usize,
-    /// Rows that differ from the full model in the paper, and how many do to the same side here.
+    /// Number of rows that differ from the full model in the paper.
     pub signs: usize,
-    /// See `signs`.
+    /// Number of those rows that differ with the same sign here.
     pub signs_kept: usize,
 }
 
 impl Summary {
-    /// From the cells that are finished.
+    /// Summarises the finished cells.
     ///
     /// # Errors
-    /// When one of their files is damaged.
+    /// When a file of a cell is damaged.
     pub fn new(table: &Table, cases: &[Case], scale: Scale, seeds: u64, store: &Store) -> Result<Self> {
         let mut summary = Self {
             table: table.clone(),
@@ -191,7 +193,7 @@ impl Agreement {
     }
 }
 
-/// Of `[case][seed]`, over what there is; None when there is nothing.
+/// Estimate from `[case][seed]` over the values present; `None` without any.
 fn estimate(values: &[Vec<Option<f64>>]) -> Option<Estimate> {
     let cases: Vec<Vec<f64>> = values.iter().map(|seeds| seeds.iter().flatten().copied().collect()).collect();
     let cases: Vec<Vec<f64>> = cases.into_iter().filter(|seeds: &Vec<f64>| !seeds.is_empty()).collect();
@@ -200,7 +202,7 @@ fn estimate(values: &[Vec<Option<f64>>]) -> Option<Estimate> {
     if cases.iter().any(|seeds| seeds.len() < 2) {
         return Some(Estimate { mean: centre, interval: None });
     }
-    // Its chance is always the same, so that equal cells make equal tables.
+    // The seed is fixed, so that equal cells give equal tables.
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut resamples: Vec<f64> = (0..RESAMPLES)
         .filter_map(|_| {
@@ -217,7 +219,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| sum / count as f64)
 }
 
-/// Decimals that a metric is printed with.
+/// Number of decimals that a metric is printed with.
 pub(super) fn decimals(metric: &str) -> usize {
     debug_assert!(METRICS.contains(&metric), "{metric}");
     if metric.starts_with("psnr") { 2 } else { 3 }
@@ -232,7 +234,7 @@ mod tests {
         let values = [vec![Some(1.0), Some(3.0), None], vec![Some(10.0), Some(10.0), Some(10.0)]];
         let Estimate { mean, interval } = estimate(&values).unwrap();
         assert_eq!(mean, 6.0);
-        // Two seeds of one case alone vary: 1, 2 or 3 on the mean, so 5.5, 6 or 6.5.
+        // Only two seeds of one case vary: their mean is 1, 2 or 3, so the total is 5.5, 6 or 6.5.
         assert_eq!(interval, Some((5.5, 6.5)));
         assert_eq!(estimate(&[vec![Some(1.0)], vec![Some(2.0), Some(3.0)]]).unwrap().interval, None);
         assert_eq!(estimate(&[vec![None], vec![]]), None);
@@ -240,7 +242,7 @@ mod tests {
 
     #[test]
     fn an_interval_is_as_wide_as_the_mean_is_uncertain() {
-        // 16 seeds with a standard deviation of 1: the mean's is 1/4, and 95 % of a normal law lie within 1.96 of it.
+        // 16 seeds with a standard deviation of 1: the mean has 1/4, and 95 % of a normal distribution lie within 1.96.
         let seeds: Vec<Option<f64>> = (0..16).map(|i| Some(if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
         let (low, high) = estimate(&[seeds]).unwrap().interval.unwrap();
         assert!((high - low - 2.0 * 1.96 / 4.0).abs() < 0.15, "{low} {high}");

@@ -1,4 +1,4 @@
-//! The paper's tables as data: which rows, what each of them runs, and where its figures stand in the paper.
+//! The paper's tables as data: rows, what each row runs, and which figures of the paper belong to it.
 
 use crate::config::{Config, Method};
 use crate::error::{Error, Result};
@@ -19,58 +19,58 @@ struct Definitions;
 #[folder = "reference/paper"]
 struct Printed;
 
-/// A table: every row for every number of views and every noise.
+/// A table: every row for every number of views and every level of noise.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// As on the command line.
+    /// Name on the command line.
     #[serde(skip)]
     pub name: &'static str,
-    /// In the paper.
+    /// Number in the paper.
     pub number: u8,
-    /// What it is about.
+    /// Title for display.
     pub title: String,
-    /// Columns: of [`super::METRICS`].
+    /// Columns, from [`super::METRICS`].
     pub metrics: Vec<String>,
     /// Numbers of training views.
     pub views: Vec<usize>,
-    /// Levels of noise, of [`Noise::NAMED`].
+    /// Levels of noise, from [`Noise::NAMED`].
     pub noise: Vec<String>,
-    /// What selects its part of the paper's table, beside the rows' own: column → value.
+    /// Selects the part of the paper's table, in addition to the rows' own selection: column → value.
     #[serde(default)]
     pub paper: BTreeMap<String, String>,
     /// The row that the others are compared with.
     pub full: String,
-    /// What is plotted from left to right: views, noise, or a column that numbers the rows in the paper.
+    /// The x axis of the plot: views, noise, or a column that numbers the rows in the paper.
     pub against: Option<String>,
-    /// From top to bottom.
+    /// Rows from top to bottom.
     pub rows: Vec<Row>,
     /// The paper's figures.
     #[serde(skip)]
     printed: Vec<BTreeMap<String, String>>,
 }
 
-/// A row of each block of a table.
+/// A row in each block of a table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
-    /// As it is printed.
+    /// Name for display.
     pub name: String,
-    /// What selects it in the paper's table: column → value. None: the paper does not have it.
+    /// Selects the row in the paper's table: column → value. Empty if the paper does not have it.
     #[serde(default)]
     pub paper: BTreeMap<String, String>,
-    /// What it runs. None: only the paper has it.
+    /// The method to run. `None` if only the paper has the row.
     pub method: Option<Method>,
-    /// Settings, as after `--set`.
+    /// Settings in the form of `--set`.
     #[serde(default)]
     pub set: Vec<String>,
 }
 
 impl Table {
-    /// A table by its name.
+    /// The table with a name.
     ///
     /// # Errors
-    /// When there is none of that name.
+    /// For an unknown name.
     pub fn by_name(name: &str) -> Result<Self> {
         let known = NAMES.into_iter().find(|known| *known == name);
         known.map(Self::load).ok_or_else(|| {
@@ -78,7 +78,7 @@ impl Table {
         })
     }
 
-    /// Beside the paper's figures on measured scans; None for a table that has none of them.
+    /// The table with the paper's figures on measured scans; `None` if the paper has none.
     pub fn measured(mut self) -> Option<Self> {
         let data = self.paper.get_mut("data")?;
         "real".clone_into(data);
@@ -86,7 +86,7 @@ impl Table {
         Some(self)
     }
 
-    /// All of them.
+    /// All tables.
     pub fn all() -> Vec<Self> {
         NAMES.into_iter().map(Self::load).collect()
     }
@@ -104,7 +104,7 @@ impl Table {
         table
     }
 
-    /// The figure that the paper prints for a row, if it does.
+    /// The figure that the paper prints for a row, if any.
     pub fn printed(&self, row: &Row, views: usize, noise: &str, metric: &str) -> Option<f64> {
         if row.paper.is_empty() {
             return None;
@@ -118,7 +118,7 @@ impl Table {
         line.get(metric)?.parse().ok()
     }
 
-    /// Where a row stands from left to right in a plot.
+    /// The position of a row on the x axis of a plot.
     pub fn place(&self, row: &Row, views: usize, noise: &str) -> Option<f64> {
         match self.against.as_deref()? {
             "views" => Some(views as f64),
@@ -129,11 +129,12 @@ impl Table {
 }
 
 impl Row {
-    /// Its configuration before it is scaled; None for one that only the paper has. Both methods on primitives project
-    /// as the paper does, affinely, unless the row says otherwise.
+    /// Its configuration before scaling; `None` for a row that only the paper has.
+    ///
+    /// Both methods on primitives use the paper's affine projection, unless the row says otherwise.
     ///
     /// # Panics
-    /// When a setting is wrong.
+    /// When a setting is invalid.
     pub fn config(&self) -> Option<Config> {
         let mut config = Config::of(self.method?);
         config.projection = crate::projector::Projection::Affine;
@@ -144,10 +145,10 @@ impl Row {
     }
 }
 
-/// Noise by its name.
+/// The level of noise with a name.
 ///
 /// # Panics
-/// When there is none of that name.
+/// For an unknown name.
 pub(super) fn noise(name: &str) -> Noise {
     let known = Noise::NAMED.into_iter().find(|(known, _)| *known == name);
     known.unwrap_or_else(|| panic!("noise {name}")).1

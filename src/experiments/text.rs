@@ -3,7 +3,7 @@
 use super::summary::{Agreement, Block, Estimate, Figure, Summary, decimals};
 use std::fmt::Write;
 
-/// Titles of the metrics, as people write them.
+/// Titles of the metrics for display.
 pub(super) fn title(metric: &str) -> &str {
     match metric {
         "psnr_3d" => "PSNR 3D",
@@ -28,14 +28,14 @@ pub(super) fn with_interval(estimate: Option<Estimate>, metric: &str, signed: bo
 }
 
 impl Block {
-    /// As in "18 views, low noise".
+    /// For example "18 views, low noise".
     pub(super) fn title(&self) -> String {
         format!("{} views, {} noise", self.views, self.noise)
     }
 }
 
 impl Agreement {
-    /// Whether the paper's order and signs hold, in words.
+    /// A sentence on whether the paper's order and signs hold.
     pub(super) fn sentence(&self, metric: &str) -> String {
         let Self { pairs, pairs_kept, signs, signs_kept } = *self;
         let all = |kept, of| if kept == of { "holds" } else { "does not hold" };
@@ -49,7 +49,7 @@ impl Agreement {
 }
 
 impl Summary {
-    /// What the figures are means of, and how small it all is.
+    /// A sentence on what the figures are means of, and at which size.
     pub fn conditions(&self) -> String {
         let (cases, seeds, size) = (self.cases.len(), self.seeds, self.scale.size);
         let spread = if seeds > 1 { "; in brackets the 95 % interval over seeds (stratified bootstrap)" } else { "" };
@@ -65,7 +65,7 @@ impl Summary {
         )
     }
 
-    /// A line per block, row and metric.
+    /// CSV with one line per block, row and metric.
     pub fn csv(&self) -> String {
         let header = [
             "views",
@@ -108,7 +108,7 @@ impl Summary {
         written(&lines)
     }
 
-    /// A line per block, row, metric and case: means over seeds.
+    /// CSV with one line per block, row, metric and case: means over seeds.
     pub fn cases_csv(&self) -> String {
         let mut lines = vec![["views", "noise", "row", "metric", "case", "ours"].map(str::to_owned)];
         self.for_each(|block, row, metric, figure| {
@@ -132,7 +132,7 @@ impl Summary {
         }
     }
 
-    /// With the three best of ours in bold, italics and underlined, as far as Markdown can.
+    /// Markdown; our three best are marked as far as Markdown can: bold, italic, underlined.
     pub fn markdown(&self) -> String {
         let mut text = format!("# Table {}: {}\n\n{}\n", self.table.number, self.table.title, self.conditions());
         for block in &self.blocks {
@@ -165,7 +165,7 @@ impl Summary {
         text
     }
 
-    /// For `\input`: needs `booktabs`. The three best of ours are bold, underlined and in italics.
+    /// LaTeX for `\input`; needs `booktabs`. Our three best are bold, underlined and italic.
     pub fn latex(&self) -> String {
         let columns = "rr".repeat(self.table.metrics.len());
         let mut text = format!("% {}\n\\begin{{tabular}}{{l{columns}}}\n\\toprule\n", self.footer());
@@ -196,7 +196,7 @@ impl Summary {
         text + "\\bottomrule\n\\end{tabular}\n"
     }
 
-    /// Where the figures come from.
+    /// The origin of the figures.
     pub fn footer(&self) -> String {
         let mut ids: Vec<String> =
             self.findings.iter().map(|finding| serde_json::to_string(finding).expect("string keys")).collect();
@@ -218,7 +218,7 @@ fn written<const N: usize>(lines: &[[String; N]]) -> String {
     String::from_utf8(writer.into_inner().expect("memory takes all")).expect("text")
 }
 
-/// Text as LaTeX takes it.
+/// Text escaped for LaTeX.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {
