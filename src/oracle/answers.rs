@@ -1,4 +1,4 @@
-//! This program's own answers, in both of its precisions: a stage's name → the functions that compute it.
+//! This program's own answers in both precisions: stage name → function that computes it.
 
 use super::manifest::Case;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
@@ -70,10 +70,10 @@ pub const STAGES: [&str; 41] = [
     "metrics",
 ];
 
-/// What this program answers, with its pixel kernels and losses running in a precision.
+/// This program's outputs for a question, with pixel kernels and losses in the given precision.
 ///
 /// # Errors
-/// When the question lacks an input or is of a stage that is not among [`STAGES`].
+/// When an input is missing, or the stage is not in [`STAGES`].
 pub fn answer(question: &Question, precision: Precision) -> Result<Outputs> {
     match precision {
         Precision::F32 => answer_in::<f32>(question),
@@ -198,16 +198,16 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "random" => random(q)?,
         "metrics" => metrics(q)?,
         stage => {
-            let remedy = "use vectors and program of one version";
+            let remedy = "export the vectors again with this version: `trgs oracle export`";
             return Err(Error::invalid("stage", stage, format!("one of {}", STAGES.join(", ")), remedy));
         }
     })
 }
 
-/// Writes the outputs of a case below `folder`, f64, under the names that the manifest gives them.
+/// Writes the outputs of a case below `folder` as f64, under the names of the manifest.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] with the error of the operating system.
 pub fn write(folder: &Path, case: &Case, outputs: &Outputs) -> Result<()> {
     for (role, file) in &case.outputs {
         let Some(arrays) = outputs.get(role) else { continue };
@@ -234,7 +234,7 @@ fn covariance(primitives: &Primitives) -> Array3<f64> {
     Array3::from_shape_fn((primitives.len(), 3, 3), |(i, row, column)| matrices[i].col(column)[row])
 }
 
-/// Settings of the ray confidence, of which the number of points is told.
+/// Settings of the ray confidence; the question states the number of points.
 fn points(q: &Question) -> Result<Settings> {
     Ok(Settings { sphere_points: q.integer("sphere_points")? as usize, ..Settings::default() })
 }
@@ -257,7 +257,7 @@ fn image_gradient<R: Kernels>(q: &Question, primitives: &Primitives) -> Result<P
     Ok(projector::vjp(primitives, &q.scanner()?, &q.angles()?, q.projection()?, 0.0, cotangent.view()))
 }
 
-/// Each primitive alone.
+/// The image of each primitive alone.
 fn projected_kernels<R: Kernels>(q: &Question) -> Result<Array4<f64>> {
     let all = q.primitives()?;
     let images: Vec<Array3<f64>> = (0..all.len())
@@ -298,7 +298,7 @@ fn truncation_bound<R: Kernels>(q: &Question) -> Result<Array3<f64>> {
     Ok(ndarray::stack(Axis(0), &views).expect("images of one detector"))
 }
 
-/// Coefficients `[8, X/2, Y/2, Z/2]`, and the bands 1 to 6 alone `[6, X, Y, Z]`.
+/// Coefficients `[8, X/2, Y/2, Z/2]`, and each of the bands 1 to 6 inverted alone `[6, X, Y, Z]`.
 fn haar<R: Real>(block: Array3<R>) -> (Array4<f64>, Array4<f64>) {
     let mut subbands = wavelet::haar::forward(block.view(), 1);
     let all = subbands.levels.remove(0);
@@ -314,7 +314,7 @@ fn haar<R: Real>(block: Array3<R>) -> (Array4<f64>, Array4<f64>) {
     (all.mapv(R::to_f64), bands.mapv(R::to_f64))
 }
 
-/// The settings that a question has, and the defaults of the others.
+/// The settings of a question, with defaults for those it does not state.
 fn wavelet_settings(q: &Question) -> Result<wavelet::Settings> {
     let default = wavelet::Settings::default();
     let or = |key: &str, default: f64| if q.settings.contains_key(key) { q.setting(key) } else { Ok(default) };

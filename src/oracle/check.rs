@@ -1,4 +1,4 @@
-//! A backend's answers against the truth.
+//! Checks a backend's answers against the truth.
 
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
@@ -15,35 +15,35 @@ use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// What a backend may say of itself, in the folder of its answers.
+/// File in the folder of answers in which a backend may describe itself.
 pub const BACKEND: &str = "backend.json";
 
-/// What to check, and how strictly.
+/// The selection of cases, and the strictness.
 #[derive(Clone, Debug)]
 pub struct Options<'a> {
     /// The backend's arithmetic.
     pub format: Format,
-    /// The most that is asked: cases of higher levels are not looked at.
+    /// Highest level to check; cases of higher levels are skipped.
     pub level: Level,
-    /// Only these stages; none: all.
+    /// Only these stages; all if empty.
     pub stages: &'a [String],
-    /// Excuses.
+    /// Accepted failures.
     pub waivers: &'a [Waiver],
-    /// The day that waivers are compared with.
+    /// The date that waivers are compared with.
     pub today: Date,
 }
 
-/// How a case or an array came out, from good to bad.
+/// Outcome of a case or an array, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     /// Within the tolerances.
     Passed,
-    /// The format cannot hold the numbers of the case.
+    /// The format cannot represent the numbers of the case.
     Skipped,
-    /// Failed, and excused.
+    /// Failed, but covered by a waiver.
     Waived,
-    /// The backend wrote nothing.
+    /// The backend wrote no answer.
     Missing,
     /// Beyond a tolerance, not finite, or not readable.
     Failed,
@@ -52,19 +52,19 @@ pub enum Status {
 /// One array of an output.
 #[derive(Clone, Debug, Serialize)]
 pub struct PartResult {
-    /// The output's role, and the array's name if it is one of an archive: `grad.nu`.
+    /// The output's role, and for an archive the array's name: `grad.nu`.
     pub output: String,
-    /// The file, below the folder of answers.
+    /// The file, relative to the folder of answers.
     pub file: String,
-    /// How it came out.
+    /// Outcome.
     pub status: Status,
-    /// The errors, if there was something to compare.
+    /// The errors, if the arrays could be compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference: Option<Difference>,
-    /// The norms that are too large.
+    /// The norms above their limits.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub exceeded: Vec<Excess>,
-    /// What else is wrong.
+    /// Any other defect.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,
     /// The mistake that explains the error.
@@ -79,20 +79,20 @@ pub struct CaseResult {
     pub id: String,
     /// Part of the method.
     pub stage: String,
-    /// How much was asked.
+    /// Level of the case.
     pub level: Level,
     /// Tags of `reference/equations.md`.
     pub equations: Vec<String>,
-    /// The worst of its arrays.
+    /// The worst outcome of its arrays.
     pub status: Status,
     /// Its arrays.
     pub parts: Vec<PartResult>,
-    /// Why a failure is excused, or that the excuse has run out.
+    /// The reason of the waiver, or that the waiver has expired.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub waiver: Option<String>,
 }
 
-/// Everything that was found.
+/// The results of a check.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// This program's version.
@@ -101,36 +101,36 @@ pub struct Report {
     pub commit: Option<String>,
     /// Digest of the manifest that was checked against.
     pub vectors: String,
-    /// What the backend says of itself.
+    /// The backend's description of itself.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub backend: Option<Value>,
     /// The backend's arithmetic.
     pub format: Format,
-    /// The most that was asked.
+    /// Highest level checked.
     pub level: Level,
     /// Waivers of cases that passed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unused_waivers: Vec<String>,
-    /// All cases that were looked at.
+    /// All cases checked.
     pub results: Vec<CaseResult>,
 }
 
 impl Report {
-    /// Number of cases that came out as `status`.
+    /// Number of cases with the outcome `status`.
     pub fn count(&self, status: Status) -> usize {
         self.results.iter().filter(|result| result.status == status).count()
     }
 
-    /// Whether nothing failed or is missing.
+    /// Whether no case failed or is missing.
     pub fn passed(&self) -> bool {
         self.results.iter().all(|result| result.status <= Status::Waived)
     }
 }
 
-/// The cases of some stages up to a level.
+/// The cases of the given stages up to a level.
 ///
 /// # Errors
-/// When a stage does not exist, or nothing is left to look at.
+/// When a stage does not exist, or no case is left.
 pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Result<Vec<&'a Case>> {
     let cases = &vectors.manifest.cases;
     if let Some(unknown) = stages.iter().find(|stage| !cases.iter().any(|case| case.stage == **stage)) {
@@ -140,7 +140,7 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
             "--stage",
             unknown,
             format!("one of {}", known.join(", ")),
-            "see `trgs oracle list`",
+            "take a name that `trgs oracle list` prints",
         ));
     }
     let wanted = |case: &&Case| case.level <= level && (stages.is_empty() || stages.contains(&case.stage));
@@ -155,8 +155,8 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
 /// Compares the answers in `folder` with the truth.
 ///
 /// # Errors
-/// When the selection is empty, the folder does not exist, or the vectors are damaged. A wrong answer is no error but a
-/// result.
+/// When the selection is empty, the folder does not exist, or the vectors are damaged. A wrong answer is a result, not
+/// an error.
 pub fn check(vectors: &Vectors, tolerances: &Tolerances, folder: &Path, options: &Options<'_>) -> Result<Report> {
     let cases = select(vectors, options.level, options.stages)?;
     std::fs::read_dir(folder).map_err(|source| Error::read(folder, source))?;
@@ -178,7 +178,7 @@ pub fn check(vectors: &Vectors, tolerances: &Tolerances, folder: &Path, options:
     })
 }
 
-/// What the backend says of itself; saying nothing is allowed, nonsense is not.
+/// The backend's description of itself; a missing file is allowed, an unreadable one is an error.
 fn backend(folder: &Path) -> Result<Option<Value>> {
     let path = folder.join(BACKEND);
     if !path.exists() {
@@ -191,7 +191,7 @@ fn backend(folder: &Path) -> Result<Option<Value>> {
             "backend",
             error,
             "JSON, for example {\"name\": …, \"version\": …, \"device\": …}",
-            "mend it",
+            "correct the file, or delete it",
         )
     })
 }
@@ -231,7 +231,7 @@ fn check_case(
     Ok(CaseResult { id, stage, level: case.level, equations, status, parts, waiver: excuse })
 }
 
-/// The backend's file, or what is wrong with it.
+/// The arrays of the backend's file, or an outcome with a message.
 fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (Status, String)> {
     let path = folder.join(&file.file);
     match std::fs::read(&path) {
@@ -241,7 +241,7 @@ fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (St
     }
 }
 
-/// One array and all that judging it takes.
+/// One array with everything needed to judge it.
 struct Part<'a> {
     vectors: &'a Vectors,
     tolerances: &'a Tolerances,

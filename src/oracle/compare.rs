@@ -1,4 +1,4 @@
-//! Two files of arrays against each other, with the norms and the diagnosis of a check.
+//! Compares two files of arrays with the norms and the diagnosis of a check.
 
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
@@ -8,36 +8,37 @@ use crate::error::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
-/// One array of both files.
+/// The comparison of one array.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// Its name in the archive; empty for a file of one array.
+    /// Its name in the archive; empty for a file with a single array.
     pub array: String,
     /// Its shape in the first file.
     pub shape: Vec<usize>,
     /// The errors, if the shapes are equal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference: Option<Difference>,
-    /// What keeps the two from being compared.
+    /// The reason why the arrays cannot be compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,
-    /// The mistake that would make the second from the first.
+    /// The mistake that would turn the first array into the second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub looks_like: Option<String>,
 }
 
 impl Comparison {
-    /// Whether both were compared and the largest error is at most `tolerance` of the peak.
+    /// Whether the arrays were compared and the largest error is at most `tolerance` of the peak.
     pub fn within(&self, tolerance: f64) -> bool {
         self.difference.as_ref().is_some_and(|difference| difference.peak <= tolerance)
     }
 }
 
-/// Compares what was `expected` with what was `got`: two `.npy` files, or two `.npz` archives array by array. `axes`
-/// names the axes for the diagnosis, outermost first.
+/// Compares two `.npy` files, or two `.npz` archives array by array.
+///
+/// `axes` names the axes for the diagnosis, outermost first.
 ///
 /// # Errors
-/// [`Error::Read`] or [`Error::Format`].
+/// [`Error::Read`] or [`Error::Format`] for a file that cannot be read.
 pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Result<Vec<Comparison>> {
     let (truth, answer) = (read(expected)?, read(got)?);
     let one = |(name, e): (&String, &ndarray::ArrayD<f64>)| {

@@ -1,20 +1,20 @@
-//! How two arrays differ, in every norm that a tolerance may be given in.
+//! The difference of two arrays in every norm that a tolerance can be given in.
 
 use super::format::Format;
 use ndarray::{ArrayD, Dimension};
 use serde::Serialize;
 
-/// An element is significant where the truth is at least this part of the peak.
+/// An element is significant where the truth is at least this fraction of the peak.
 const SIGNIFICANT: f64 = 1e-3;
 
-/// The worst element of an array.
+/// The element with the largest error.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Worst {
-    /// Its place.
+    /// Its index.
     pub index: Vec<usize>,
     /// The truth.
     pub expected: f64,
-    /// What the backend wrote. As text, because JSON has no NaN.
+    /// The backend's value; serialised as text if it is not finite, because JSON has no NaN.
     #[serde(serialize_with = "as_number_or_text")]
     pub got: f64,
     /// The error in units in the last place of the truth.
@@ -25,13 +25,13 @@ pub struct Worst {
 /// Errors of an array against the truth. All are 0 for equal arrays.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Largest error, relative to the largest truth. Where the truth is 0 throughout: the largest error itself.
+    /// Largest error relative to the largest truth; the largest error itself if the truth is 0 throughout.
     #[serde(serialize_with = "as_number_or_text")]
     pub peak: f64,
-    /// Largest error of a significant element in units in the last place of its truth.
+    /// Largest error of a significant element, in units in the last place of its truth.
     #[serde(serialize_with = "as_number_or_text")]
     pub ulp: f64,
-    /// Largest error of any element relative to its own truth, where that is not 0.
+    /// Largest error of an element relative to its own truth, over elements whose truth is not 0.
     #[serde(serialize_with = "as_number_or_text")]
     pub relative: f64,
     /// `|got - expected|₂ / |expected|₂`.
@@ -40,24 +40,26 @@ pub struct Difference {
     /// 1 - cosine of the angle between the two.
     #[serde(serialize_with = "as_number_or_text")]
     pub cosine: f64,
-    /// `Σ sign(expected)·(got - expected) / Σ |expected|`: above 0 if too large on the whole.
+    /// `Σ sign(expected)·(got - expected) / Σ |expected|`: positive if magnitudes are too large on average.
     #[serde(serialize_with = "as_number_or_text")]
     pub bias: f64,
-    /// Share of the significant elements that are 0 though the truth is not.
+    /// Fraction of the significant elements that are 0 although the truth is not.
     pub zeros: f64,
-    /// Where the error is largest.
+    /// The element with the largest error.
     pub worst: Option<Worst>,
 }
 
-/// JSON has no infinity and no NaN: these become words.
+/// Serialises infinity and NaN, which JSON lacks, as text.
 pub(super) fn as_number_or_text<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     if value.is_finite() { serializer.serialize_f64(*value) } else { serializer.collect_str(value) }
 }
 
 impl Difference {
-    /// Compares two arrays of one shape. `allowance` is what each element may be off without counting (see
-    /// [`super::manifest::Case::allowances`]), and so is anything below the smallest normal number of `format`.
-    /// Infinite truths must be met exactly; NaN is an infinite error.
+    /// Compares two arrays of one shape.
+    ///
+    /// `allowance` is the error of each element that does not count (see [`super::manifest::Case::allowances`]);
+    /// neither do errors below the smallest normal number of `format`. Infinite truths must be met exactly; NaN counts
+    /// as an infinite error.
     ///
     /// # Panics
     /// When the shapes differ.
@@ -70,7 +72,7 @@ impl Difference {
         let mut result =
             Self { peak: 0.0, ulp: 0.0, relative: 0.0, l2: 0.0, cosine: 0.0, bias: 0.0, zeros: 0.0, worst: None };
         let mut largest = 0.0;
-        // Squares of numbers divided by the peak: neither overflow nor underflow.
+        // Squares of numbers divided by the peak neither overflow nor underflow.
         let (mut ee, mut gg, mut dd, mut signed, mut sum) = (0.0, 0.0, 0.0, 0.0, 0.0);
         let (mut significant, mut zero) = (0_usize, 0_usize);
         for ((index, &e), &g) in expected.indexed_iter().zip(got) {
@@ -108,7 +110,7 @@ impl Difference {
         result.l2 = if ee > 0.0 { (dd / ee).sqrt() } else { dd.sqrt() };
         result.cosine = match (ee > 0.0, gg > 0.0 && gg.is_finite()) {
             (true, true) => {
-                // |ê - ĝ|²/2 does not cancel where the angle is small.
+                // |ê - ĝ|²/2 avoids cancellation at small angles.
                 let (e_length, g_length) = (scale * ee.sqrt(), scale * gg.sqrt());
                 let finite = expected.iter().zip(got).filter(|(e, _)| e.is_finite());
                 finite.map(|(e, g)| e / e_length - g / g_length).map(|x| x * x).sum::<f64>() / 2.0

@@ -1,4 +1,4 @@
-//! Floating-point formats of backends: how far apart their numbers lie, which an error in ulp is counted in.
+//! Floating-point formats of backends, and their units in the last place.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ pub enum Format {
     F32,
     /// IEEE 754 half precision.
     F16,
-    /// The upper half of single precision.
+    /// bfloat16: the upper half of single precision.
     Bf16,
 }
 
@@ -30,7 +30,7 @@ impl Format {
         }
     }
 
-    /// Bits of the fraction, and the exponents of the smallest and the largest normal number.
+    /// Bits of the fraction, and the exponents of the smallest and the largest normal numbers.
     fn parts(self) -> (i32, i32, i32) {
         match self {
             Self::F64 => (52, -1022, 1023),
@@ -40,13 +40,13 @@ impl Format {
         }
     }
 
-    /// The distance of neighbouring numbers around `x`: one unit in the last place.
+    /// The distance between neighbouring numbers around `x`: one unit in the last place.
     pub fn ulp(self, x: f64) -> f64 {
         let (fraction, smallest, _) = self.parts();
         libm::ldexp(1.0, exponent(x).max(smallest) - fraction)
     }
 
-    /// The smallest normal number. Hardware may flush what is smaller to zero.
+    /// The smallest normal number. Hardware may flush smaller numbers to zero.
     pub fn smallest_normal(self) -> f64 {
         libm::ldexp(1.0, self.parts().1)
     }
@@ -74,7 +74,7 @@ impl std::fmt::Display for Format {
     }
 }
 
-/// The exponent e of a finite `|x| = m·2^e`, 1 ≤ m < 2; that of the smallest number for 0.
+/// The exponent e of a finite `|x| = m·2^e`, 1 ≤ m < 2; for 0, that of the smallest number.
 fn exponent(x: f64) -> i32 {
     if x == 0.0 { -1074 } else { libm::ilogb(x) }
 }

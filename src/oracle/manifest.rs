@@ -1,4 +1,4 @@
-//! The conformance vectors: their manifest, and the arrays behind it.
+//! The conformance vectors: the manifest and its arrays.
 
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder, write_atomically};
@@ -14,56 +14,56 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// The version of the manifest's format that this program speaks.
+/// The version of the manifest format that this program supports.
 pub const SCHEMA_VERSION: u32 = 2;
 /// The manifest's file name.
 const MANIFEST: &str = "manifest.json";
 
-/// How much is asked of an implementation.
+/// How demanding a case is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
-    /// What every implementation of the method should meet.
+    /// Required of every implementation of the method.
     Core,
-    /// Parametrisations and surroundings that another implementation may not have.
+    /// Parametrisations and related methods that an implementation may lack.
     Optional,
-    /// Ill-conditioned, far skirts, subnormal numbers.
+    /// Ill-conditioned scenes, distant kernel tails, subnormal numbers.
     Stress,
 }
 
-/// A file of the vectors.
+/// A file of the conformance vectors.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRef {
-    /// Path below the folder of the vectors, with `/`.
+    /// Path relative to the folder of the vectors, with `/`.
     pub file: String,
-    /// Digest of its bytes; absent where the file itself is withheld.
+    /// SHA-256 of its bytes; absent if the file is withheld.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
 }
 
-/// One question and its answer.
+/// A question and its answer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Case {
     /// `stage/name`; also the folder of its outputs.
     pub id: String,
-    /// Which part of the method is asked for.
+    /// The part of the method in question.
     pub stage: String,
-    /// One sentence.
+    /// A description in one sentence.
     pub title: String,
     /// Tags of `reference/equations.md`.
     pub equations: Vec<String>,
-    /// How much is asked.
+    /// Level of the case.
     pub level: Level,
-    /// What is special about it; the manifest explains each word.
+    /// Special properties; the manifest explains each word.
     pub flags: Vec<String>,
-    /// Numbers and words that are not arrays.
+    /// Settings that are not arrays: numbers and words.
     pub settings: Map<String, Value>,
-    /// What is given, by role.
+    /// Inputs, by role.
     pub inputs: BTreeMap<String, FileRef>,
-    /// What is asked for, by role.
+    /// Expected outputs, by role.
     pub outputs: BTreeMap<String, FileRef>,
-    /// For outputs that a cutoff makes jump: how much each element may be off because a pixel on the border of a
-    /// support may fall to either side. By the output's role.
+    /// Allowed error of each element, by output role, for outputs with a cutoff: a pixel on the border of a support may
+    /// be inside or outside.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub allowances: BTreeMap<String, FileRef>,
 }
@@ -71,30 +71,30 @@ pub struct Case {
 /// `manifest.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// [`SCHEMA_VERSION`].
+    /// Always [`SCHEMA_VERSION`].
     pub schema_version: u32,
-    /// What made the vectors.
+    /// Program and settings that generated the vectors.
     pub generator: Map<String, Value>,
-    /// What the words in [`Case::flags`] mean.
+    /// Meaning of the words in [`Case::flags`].
     pub flags: BTreeMap<String, String>,
     /// All cases, stage by stage.
     pub cases: Vec<Case>,
 }
 
-/// The arrays of one file: one without a name, or those of an archive by name.
+/// The arrays of one file: a single array without a name, or the arrays of an archive by name.
 pub type Arrays = BTreeMap<String, ArrayD<f64>>;
 
-/// Those that were built into the program.
+/// The vectors built into the program.
 #[derive(RustEmbed)]
 #[folder = "reference/vectors"]
 struct Embedded;
 
-/// Conformance vectors, in a folder or built in.
+/// Conformance vectors from a folder or built in.
 #[derive(Clone, Debug)]
 pub struct Vectors {
     /// The manifest.
     pub manifest: Manifest,
-    /// SHA-256 of the manifest, which names all other digests.
+    /// SHA-256 of the manifest, which holds all other digests.
     pub digest: String,
     root: Option<PathBuf>,
 }
@@ -108,10 +108,10 @@ impl Vectors {
         Self::new(None)
     }
 
-    /// The vectors in a folder.
+    /// Opens the vectors in a folder.
     ///
     /// # Errors
-    /// [`Error::Read`], or [`Error::Format`] for a manifest of another version or with paths that lead out of the folder.
+    /// [`Error::Read`], or [`Error::Format`] for a manifest of another version or with paths outside the folder.
     pub fn open(folder: &Path) -> Result<Self> {
         Self::new(Some(folder.into()))
     }
@@ -123,7 +123,7 @@ impl Vectors {
             let expected = format!("a manifest of schema version {SCHEMA_VERSION}");
             Error::format(&path, "manifest", error, expected, "use vectors and program of the same version")
         };
-        // The version first: another one may have other fields.
+        // The version is checked first: another version may have other fields.
         let version: Value = serde_json::from_slice(&bytes).map_err(|error| wrong(error.to_string()))?;
         if version["schema_version"] != SCHEMA_VERSION {
             return Err(wrong(format!("schema_version {}", version["schema_version"])));
@@ -138,10 +138,10 @@ impl Vectors {
         Ok(Self { manifest, digest: digest_bytes(&bytes), root })
     }
 
-    /// The bytes of a file, compared with its digest where there is one.
+    /// The bytes of a file, verified against its digest if there is one.
     ///
     /// # Errors
-    /// [`Error::Read`] or, when the digest differs, [`Error::Format`].
+    /// [`Error::Read`], or [`Error::Format`] if the digest differs.
     pub fn bytes(&self, file: &FileRef) -> Result<Cow<'static, [u8]>> {
         let bytes = bytes(self.root.as_deref(), &file.file)?;
         match &file.sha256 {
@@ -150,7 +150,7 @@ impl Vectors {
                 "SHA-256",
                 digest_bytes(&bytes),
                 format!("{expected}, as the manifest says"),
-                "the vectors were changed: take them anew",
+                "the file was changed: export the vectors again with `trgs oracle export`",
             )),
             _ => Ok(bytes),
         }
@@ -164,13 +164,14 @@ impl Vectors {
         decode(&self.bytes(file)?, &self.path(file))
     }
 
-    /// What a file is called in messages.
+    /// The path of a file for messages.
     pub(super) fn path(&self, file: &FileRef) -> PathBuf {
         self.root.as_deref().unwrap_or(Path::new("(built-in vectors)")).join(&file.file)
     }
 
-    /// Writes manifest and inputs to `folder` as a whole, and the truth to `folder/expected`; `blind`: without the truth
-    /// and its digests.
+    /// Writes manifest and inputs to `folder` atomically, and the truth to `folder/expected`.
+    ///
+    /// `blind` leaves out the truth and its digests. Returns the number of files written.
     ///
     /// # Errors
     /// Those of [`Self::bytes`] and of [`crate::output::StagedFolder::commit`].
@@ -204,7 +205,7 @@ impl Vectors {
     }
 }
 
-/// The arrays in the bytes of a `.npy` or `.npz` file; `path` tells which, and names it in errors.
+/// The arrays in the bytes of a `.npy` or `.npz` file; `path` gives the format and names it in errors.
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Arrays> {
     if path.extension().is_some_and(|extension| extension == "npz") {
         let npz = Npz::decode(Cursor::new(bytes), path)?;
@@ -228,7 +229,7 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
     }
 }
 
-/// Whether a path of the manifest stays in its folder.
+/// Whether a path of the manifest stays inside its folder.
 fn is_below(file: &str) -> bool {
     !file.is_empty() && file.split('/').all(|part| !matches!(part, "" | "." | "..") && !part.contains(['\\', ':']))
 }

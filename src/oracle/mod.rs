@@ -1,7 +1,7 @@
-//! The oracle: whether a value, a gradient or a step of some implementation is right.
+//! The oracle: checks values, gradients and optimiser steps of any implementation.
 //!
 //! Not in the paper. The truth in `reference/vectors` was computed from the equations with 50 digits, independently of
-//! this program (`reference/generate`); here it is handed out, and answers are judged. Only files are exchanged:
+//! this program (`reference/generate`). The oracle exports the vectors and checks answers. Only files are exchanged:
 //!
 //! ```text
 //! manifest ──► question ──► backend ──► answers ──► check ──► report
@@ -9,18 +9,18 @@
 //!                 └── answers (this one's) ┘      difference, tolerances, waivers; diagnosis of what failed
 //! ```
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
 //! | [`manifest`] | cases, levels, files with digests; built into the program |
 //! | [`question`] | a case with its inputs read |
-//! | [`answers`] | what this program answers, in f32 and f64 |
+//! | [`answers`] | this program's answers, in f32 and f64 |
 //! | [`format`](mod@format) | f64, f32, f16, bf16: units in the last place |
 //! | [`difference`] | the norms of an error |
 //! | [`tolerances`] | `reference/tolerances.toml` |
-//! | [`waivers`] | failures that are excused until a day |
+//! | [`waivers`] | failures that are accepted until a date |
 //! | [`check`](mod@check) | the comparison |
-//! | [`diagnosis`] | which mistake an error looks like |
-//! | [`compare`](mod@compare) | the same for two files that belong to no case |
+//! | [`diagnosis`] | the mistake that explains an error |
+//! | [`compare`](mod@compare) | the comparison of two files outside the vectors |
 //! | [`report`] | Markdown, JSON, JUnit |
 
 pub mod answers;

@@ -1,4 +1,4 @@
-//! The outputs of a case, put together.
+//! Builds the outputs of a case.
 
 use super::manifest::Arrays;
 use crate::numeric::Real;

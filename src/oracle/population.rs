@@ -39,7 +39,7 @@ pub(super) fn sghmc(q: &Question) -> Result<Array3<f64>> {
     Ok(trajectory)
 }
 
-/// A step of adding and recycling.
+/// The outputs of one step of adding and recycling.
 pub(super) fn recycled(q: &Question) -> Result<Outputs> {
     let name = q.word("relocation")?;
     let rules = [("exact", Relocation::Exact), ("sss", Relocation::Sss), ("sss-program", Relocation::SssProgram)];
@@ -58,7 +58,7 @@ pub(super) fn recycled(q: &Question) -> Result<Outputs> {
     Ok(generation(&primitives.parameters, &successors))
 }
 
-/// A step of adaptive density control.
+/// The outputs of one step of adaptive density control.
 pub(super) fn controlled(q: &Question) -> Result<Outputs> {
     let settings = adc::Settings {
         gradient: q.setting("gradient")?,
@@ -74,7 +74,7 @@ pub(super) fn controlled(q: &Question) -> Result<Outputs> {
     Ok(generation(&primitives.parameters, &successors))
 }
 
-/// Gradient to the places of all shadows, `[M, 2]`.
+/// Gradient with respect to the projected centres of all primitives, `[M, 2]`.
 pub(super) fn shadows<R: Kernels>(q: &Question) -> Result<Array2<f64>> {
     let (primitives, scanner, projection) = (q.primitives()?, q.scanner()?, q.projection()?);
     let cotangent = q.array::<Ix3>("cotangent")?.mapv(R::from_f64);

@@ -1,4 +1,4 @@
-//! A case with its inputs read: what a backend is asked.
+//! A case with its inputs: the question to a backend.
 
 use super::manifest::{Arrays, Case, Vectors, decode};
 use crate::error::{Error, Result};
@@ -10,7 +10,7 @@ use ndarray::{Array, ArrayD, Dimension};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
-/// Inputs in the terms of this program. A diagnosis changes one of them and asks what that would have given.
+/// Inputs in this program's types. A diagnosis changes one of them and recomputes the outputs.
 #[derive(Clone, Debug)]
 pub struct Question {
     pub(super) id: String,
@@ -45,7 +45,7 @@ impl Question {
             format!("case {}", self.id),
             "a manifest without it",
             what,
-            "use vectors and program of one version",
+            "export the vectors again with this version: `trgs oracle export`",
         )
     }
 
@@ -68,7 +68,7 @@ impl Question {
         Ok(self.array::<ndarray::Ix1>(role)?.to_vec())
     }
 
-    /// An input with the arrays of a model, whatever they stand for.
+    /// An input with the arrays of a model: parameters, gradients or moments.
     pub(super) fn parameters(&self, role: &str) -> Result<Parameters> {
         let arrays = self.arrays.get(role).ok_or_else(|| self.missing(&format!("input {role}")))?;
         let m = arrays.get("density").map_or(0, ArrayD::len);
@@ -87,7 +87,7 @@ impl Question {
         Primitives::new(self.parameters("model")?)
     }
 
-    /// Puts other parameters in the place of the model.
+    /// Replaces the parameters of the model.
     pub(super) fn set_model(&mut self, parameters: &Parameters) {
         let arrays = self.arrays.get_mut("model").expect("only a question with a model gets another");
         for group in Group::ALL {
@@ -118,7 +118,7 @@ impl Question {
         self.list("angles")
     }
 
-    /// The projection that the stage's name or a setting tells.
+    /// The projection given by the stage's name or by a setting.
     pub(super) fn projection(&self) -> Result<Projection> {
         match self.settings.get("projection").and_then(Value::as_str) {
             Some("affine") => Ok(Projection::Affine),

@@ -1,4 +1,4 @@
-//! The report of a check for readers (Markdown), programs (JSON) and build servers (JUnit).
+//! The report of a check as Markdown for readers, JSON for programs and JUnit for CI servers.
 
 use super::check::{CaseResult, PartResult, Report, Status};
 use crate::error::{Error, Result};
@@ -8,20 +8,20 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Cases that the list of failures shows; the others are in the JSON.
+/// Number of failures in the Markdown list; the JSON holds all of them.
 const LONGEST_LIST: usize = 60;
 
 /// Writes `file.json`, `file.md` and `file.xml`.
 ///
 /// # Errors
-/// When the path does not end in `.json`, and [`Error::Write`].
+/// For a path that does not end in `.json`; [`Error::Write`] with the error of the operating system.
 pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
     if path.extension().is_none_or(|extension| extension != "json") {
         return Err(Error::invalid(
             "--report",
             path.display(),
             "a file ending in .json",
-            "the .md and .xml stand beside it",
+            "end the name with .json: the .md and .xml are written beside it",
         ));
     }
     let paths = [path.to_owned(), path.with_extension("md"), path.with_extension("xml")];
@@ -31,7 +31,7 @@ pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
     Ok(paths)
 }
 
-/// A page with a table of stages, one of failures, and one of what was excused.
+/// A page with a table of stages, a list of failures and a list of waived cases.
 pub fn markdown(report: &Report) -> String {
     let mut text = String::new();
     let verdict = if report.passed() { "passed" } else { "FAILED" };
@@ -76,14 +76,14 @@ pub fn markdown(report: &Report) -> String {
     text
 }
 
-/// The stages that were looked at, in the manifest's order.
+/// The stages that were checked, in the manifest's order.
 fn stages(report: &Report) -> Vec<&str> {
     let mut stages: Vec<&str> = report.results.iter().map(|result| result.stage.as_str()).collect();
     stages.dedup();
     stages
 }
 
-/// A row for each stage: its worst errors and the cases that have them.
+/// One row per stage: its worst errors, and the cases that have them.
 fn stage_rows(report: &Report) -> Vec<[String; 6]> {
     let row = |stage: &str| {
         let results = || report.results.iter().filter(move |r| r.stage == stage);
@@ -103,7 +103,7 @@ fn stage_rows(report: &Report) -> Vec<[String; 6]> {
     stages(report).into_iter().map(row).collect()
 }
 
-/// A number of ulp.
+/// A number of ulp for display.
 fn short(ulp: f64) -> String {
     if ulp < 1e4 { format!("{ulp:.1}") } else { format!("{ulp:.1e}") }
 }
@@ -123,13 +123,13 @@ fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
     ]
 }
 
-/// What is wrong with an array, in a few words.
+/// The defect of an array in a few words.
 fn what(part: &PartResult) -> String {
     let norms = part.exceeded.iter().map(|e| format!("{} {:.1e} > {:.1e}", e.norm, e.value, e.limit));
     part.message.iter().cloned().chain(norms).collect::<Vec<_>>().join("; ")
 }
 
-/// A Markdown table, aligned for those who read it as text.
+/// A Markdown table, with columns aligned for plain text.
 fn table<const N: usize>(header: &[&str; N], rows: Vec<[String; N]>) -> String {
     let mut table = comfy_table::Table::new();
     table.load_style(comfy_table::presets::ASCII_MARKDOWN);
@@ -146,7 +146,7 @@ fn one_line(backend: &serde_json::Value) -> String {
     words.unwrap_or_else(|| backend.to_string())
 }
 
-/// A suite for each stage, a test for each case.
+/// One test suite per stage, one test per case.
 fn junit(report: &Report) -> quick_junit::Report {
     let mut all = quick_junit::Report::new("trgs oracle");
     for stage in stages(report) {

@@ -1,4 +1,4 @@
-//! `reference/tolerances.toml`: how far an answer may be off, by stage, format and norm, and why.
+//! `reference/tolerances.toml`: allowed errors by stage, format and norm, with reasons.
 
 use super::difference::Difference;
 use super::format::Format;
@@ -15,65 +15,65 @@ const TEXT: &str = include_str!("../../reference/tolerances.toml");
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerances {
-    /// In order: for an array, the last rule that fits it counts.
+    /// Rules in order: the last rule that matches an array applies.
     #[serde(rename = "rule")]
     pub rules: Vec<Rule>,
 }
 
-/// One row.
+/// One rule.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rule {
-    /// Stages it is for.
+    /// Stages that it applies to.
     pub stages: Vec<String>,
-    /// Cases it is for, `stage/name` or `*/name`; none: all of the stages.
+    /// Cases that it applies to, as `stage/name` or `*/name`; empty means all cases of the stages.
     #[serde(default)]
     pub cases: Vec<String>,
-    /// Arrays of an output it is for, by their names in the archive or the output's role; none: all.
+    /// Arrays that it applies to, by their names in the archive or the output's role; empty means all.
     #[serde(default)]
     pub parts: Vec<String>,
-    /// Why these numbers.
+    /// The reason for these limits.
     pub reason: String,
-    /// Limits by format.
+    /// Limits per format.
     pub limits: BTreeMap<Format, Limits>,
-    /// The envelope of this program's own answers (f16 and bf16: those in f64, rounded).
+    /// Largest errors of this program's own answers (for f16 and bf16: its f64 answers, rounded).
     pub measured: BTreeMap<Format, Limits>,
 }
 
-/// A limit for each norm of [`Difference`]; a norm without one is only reported.
+/// A limit per norm of [`Difference`]; a norm without a limit is only reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
     /// Largest error relative to the peak.
     pub peak: Option<f64>,
-    /// Largest error of a significant element in its own ulp.
+    /// Largest error of a significant element, in its own ulp.
     pub ulp: Option<f64>,
-    /// Largest error of any element relative to itself.
+    /// Largest error of an element relative to its own truth.
     pub relative: Option<f64>,
     /// Relative L2 error.
     pub l2: Option<f64>,
     /// 1 - cosine.
     pub cosine: Option<f64>,
-    /// Signed bias, either way.
+    /// Magnitude of the signed bias.
     pub bias: Option<f64>,
-    /// Share of wrong zeros.
+    /// Fraction of wrong zeros.
     pub zeros: Option<f64>,
 }
 
-/// A norm that is above its limit.
+/// A norm above its limit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Excess {
-    /// Which norm.
+    /// Name of the norm.
     pub norm: &'static str,
     /// Its value.
     #[serde(serialize_with = "super::difference::as_number_or_text")]
     pub value: f64,
-    /// What is allowed.
+    /// The limit.
     pub limit: f64,
 }
 
 impl Limits {
-    /// The norms of `difference` beside their limits.
+    /// The norms of `difference` with their limits.
     fn pairs(&self, difference: &Difference) -> [(&'static str, f64, Option<f64>); 7] {
         [
             ("peak", difference.peak, self.peak),
@@ -86,7 +86,7 @@ impl Limits {
         ]
     }
 
-    /// The norms that are above their limit, or not even numbers.
+    /// The norms that are above their limit or NaN.
     pub fn exceeded(&self, difference: &Difference) -> Vec<Excess> {
         let pairs = self.pairs(difference).into_iter();
         let limited = pairs.filter_map(|(norm, value, limit)| Some((norm, value, limit?)));
@@ -96,7 +96,7 @@ impl Limits {
 }
 
 impl Tolerances {
-    /// The table that was built into the program.
+    /// The table built into the program.
     ///
     /// # Errors
     /// None in a program that passed its tests.
@@ -104,12 +104,12 @@ impl Tolerances {
         Self::parse(TEXT, Path::new(FILE))
     }
 
-    /// The table in a file's text; `path` names it in errors.
+    /// Parses the text of a table; `path` names it in errors.
     ///
     /// # Errors
-    /// [`Error::Format`] for anything but such a table, or a rule without any limit.
+    /// [`Error::Format`] for anything but such a table, or for a rule without a limit.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let remedy = "compare it with reference/tolerances.toml of this version";
+        let remedy = "correct it after the example reference/tolerances.toml of this version";
         let table: Self = toml::from_str(text)
             .map_err(|error| Error::format(path, "tolerances", error.message(), "a list of [[rule]]", remedy))?;
         let empty = table.rules.iter().position(|rule| rule.limits.values().any(|limits| limits.peak.is_none()));

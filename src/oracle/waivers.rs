@@ -1,4 +1,4 @@
-//! Failures that are known and excused for a while: each with a reason and a last day.
+//! Known failures that are accepted until a date, each with a reason.
 //!
 //! ```toml
 //! [[waiver]]
@@ -14,14 +14,14 @@ use jiff::{Timestamp, tz::TimeZone};
 use serde::Deserialize;
 use std::path::Path;
 
-/// One excuse.
+/// A waiver for one case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waiver {
     /// The case's id.
     pub case: String,
-    /// Why it may fail.
+    /// The reason why it may fail.
     pub reason: String,
-    /// The last day on which it may.
+    /// The last day on which it may fail.
     pub expires: Date,
 }
 
@@ -40,10 +40,10 @@ struct Row {
     expires: toml::value::Datetime,
 }
 
-/// Reads a file of waivers; every one must name a case that exists, and give a reason and a day.
+/// Reads a file of waivers; each must name an existing case and give a reason and a date.
 ///
 /// # Errors
-/// [`Error::Read`] or [`Error::Format`].
+/// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
 pub fn read(path: &Path, cases: &[Case]) -> Result<Vec<Waiver>> {
     let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
     let wrong = |got: String, expected: &str| {
@@ -68,7 +68,7 @@ pub fn read(path: &Path, cases: &[Case]) -> Result<Vec<Waiver>> {
     file.waiver.into_iter().map(waiver).collect()
 }
 
-/// Today, UTC.
+/// The current date, UTC.
 pub fn today() -> Date {
     Timestamp::now().to_zoned(TimeZone::UTC).date()
 }

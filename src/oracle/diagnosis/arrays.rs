@@ -1,14 +1,14 @@
-//! Mistakes that can be told from the right and the wrong array alone.
+//! Mistakes that can be recognised from the right and the wrong array alone.
 
 use super::Suspect;
 use ndarray::{ArrayD, Axis, IxDyn, Slice};
 
-/// Wrong sign, factor, order of axes, direction or index; zeros; `1 - x`.
+/// Suspects: zeros, wrong sign or factor, `1 - x`, wrong order of axes, direction or index.
 pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Vec<Suspect> {
     let mut all = vec![
         Suspect::new("zeros: nothing was computed", ArrayD::zeros(expected.raw_dim())),
         Suspect::new("the opposite sign", -expected),
-        Suspect::new("1 - x in the place of x", expected.mapv(|x| 1.0 - x)),
+        Suspect::new("1 - x instead of x", expected.mapv(|x| 1.0 - x)),
     ];
     let name = |axis| axis_name(axes, axis);
     for axis in (0..expected.ndim()).filter(|&axis| expected.len_of(Axis(axis)) > 1) {
@@ -39,7 +39,7 @@ fn axis_name(axes: &[&str], axis: usize) -> String {
     axes.get(axis).map_or_else(|| format!("axis {axis}"), |name| (*name).to_owned())
 }
 
-/// The values with two axes exchanged, as they lie in memory, in the expected shape.
+/// The values with two axes exchanged in memory, in the expected shape.
 fn stored_as(expected: &ArrayD<f64>, a: usize, b: usize) -> ArrayD<f64> {
     let mut turned = expected.view();
     turned.swap_axes(a, b);
@@ -47,7 +47,7 @@ fn stored_as(expected: &ArrayD<f64>, a: usize, b: usize) -> ArrayD<f64> {
     ArrayD::from_shape_vec(expected.raw_dim(), values).expect("as many values")
 }
 
-/// The permutation of axes that makes the truth's shape the answer's and the values the same, in words.
+/// Describes the permutation of axes that turns the truth into the answer, if there is one.
 pub(crate) fn transposition(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Option<String> {
     let name = |axis| axis_name(axes, axis);
     for a in 0..expected.ndim() {
@@ -66,7 +66,7 @@ pub(crate) fn transposition(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&
     None
 }
 
-/// The values one place further along an axis; the place that falls free has what was answered.
+/// The values shifted by one along an axis; the vacated border is filled from the answer.
 fn shifted(expected: &ArrayD<f64>, got: &ArrayD<f64>, axis: usize, by: isize) -> ArrayD<f64> {
     let (axis, mut result) = (Axis(axis), got.clone());
     let (to, from) = if by > 0 { (Slice::from(1..), Slice::from(..-1)) } else { (Slice::from(..-1), Slice::from(1..)) };
@@ -74,7 +74,7 @@ fn shifted(expected: &ArrayD<f64>, got: &ArrayD<f64>, axis: usize, by: isize) ->
     result
 }
 
-/// The best constant factor, with a name if it has one.
+/// The best constant factor, with its meaning if it is a known one.
 fn factor(expected: &ArrayD<f64>, got: &ArrayD<f64>) -> Option<Suspect> {
     let finite = || expected.iter().zip(got).filter(|(e, _)| e.is_finite());
     let (eg, ee) = finite().fold((0.0, 0.0), |(eg, ee), (e, g)| (eg + e * g, ee + e * e));
@@ -88,20 +88,20 @@ fn factor(expected: &ArrayD<f64>, got: &ArrayD<f64>) -> Option<Suspect> {
         (2.0, "2".to_owned()),
         (0.5, "½".to_owned()),
         (-2.0, "-2".to_owned()),
-        (n, format!("{n}, the number of elements: a sum in the place of a mean")),
-        (1.0 / n, format!("1/{n}: a mean in the place of a sum")),
+        (n, format!("{n}, the number of elements: a sum instead of a mean")),
+        (1.0 / n, format!("1/{n}: a mean instead of a sum")),
         (std::f64::consts::TAU.sqrt(), "√(2π)".to_owned()),
         (1.0 / std::f64::consts::TAU.sqrt(), "1/√(2π)".to_owned()),
-        (std::f64::consts::LN_2, "ln 2: powers of two for those of e".to_owned()),
-        (std::f64::consts::PI / 180.0, "π/180: degrees for radians".to_owned()),
+        (std::f64::consts::LN_2, "ln 2: powers of 2 instead of e".to_owned()),
+        (std::f64::consts::PI / 180.0, "π/180: degrees instead of radians".to_owned()),
     ];
     let text = known.into_iter().find(|(value, _)| (k / value - 1.0).abs() < 1e-2).map(|(_, text)| text);
-    // Any two numbers have some factor between them.
+    // With two numbers or fewer, some factor always fits.
     let text = text.or_else(|| (numbers > 2).then(|| format!("{k:.6}")))?;
     Some(Suspect::new(format!("a factor of {text}"), expected * k))
 }
 
-/// Shifts by half a pixel along the last two axes, interpolated: for when there is no scene to ask.
+/// Shifts by half a pixel along the last two axes, interpolated; used if there is no scene to render.
 pub(super) fn half_shifts(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Vec<Suspect> {
     let first = expected.ndim().saturating_sub(if axes.first() == Some(&"x") { 3 } else { 2 });
     let mut all = Vec::new();
@@ -116,7 +116,9 @@ pub(super) fn half_shifts(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&st
     all
 }
 
-/// Cubic interpolation halfway before (side 0) or after (side 1) each element; borders have what was answered.
+/// Cubic interpolation halfway before (side 0) or after (side 1) each element.
+///
+/// Borders are filled from the answer.
 fn between(expected: &ArrayD<f64>, got: &ArrayD<f64>, axis: usize, side: usize) -> ArrayD<f64> {
     let length = expected.len_of(Axis(axis));
     let at = |index: &IxDyn, place: usize| {
@@ -160,7 +162,7 @@ mod tests {
         let truth = blob(8.3);
         assert_named(&-&truth, "the opposite sign");
         assert_named(&(&truth * 2.0), "a factor of 2");
-        assert_named(&(&truth * 360.0), "a sum in the place of a mean");
+        assert_named(&(&truth * 360.0), "a sum instead of a mean");
         assert_named(&truth.mapv(|x| 1.0 - x), "1 - x");
         assert_named(&ArrayD::zeros(truth.raw_dim()), "zeros");
         assert_named(&blob(8.8), "a half-pixel shift in u towards higher");

@@ -1,8 +1,7 @@
-//! What a wrong answer looks like: the truth under each of many usual mistakes is computed and held against it.
+//! Diagnosis of a wrong answer: the truth is computed under common mistakes and compared with the answer.
 //!
-//! Not in the paper. A mistake is named only where it explains the answer: what is left of the error must be a small
-//! part of it. The mistakes of [`arrays`] need the truth alone, those of `scenes` ask the question again with one thing
-//! changed.
+//! Not in the paper. A mistake is named only if it explains the answer: the remaining error must be a small fraction.
+//! The mistakes of [`arrays`] need only the truth; those of `scenes` recompute the question with one thing changed.
 
 pub mod arrays;
 mod scenes;
@@ -11,14 +10,14 @@ use super::format::Format;
 use super::question::Question;
 use ndarray::ArrayD;
 
-/// A mistake, and what the answer would be with it.
+/// A mistake, and the answer that it would give.
 #[derive(Clone, Debug)]
 pub struct Suspect {
     /// Completes "looks like …".
     pub name: String,
-    /// The array that the mistake gives.
+    /// The array that results from the mistake.
     pub array: ArrayD<f64>,
-    /// The part of the error that may be left: small for what is computed, larger for what is interpolated.
+    /// The fraction of the error that may remain: small for exact arrays, larger for interpolated ones.
     pub residual: f64,
 }
 
@@ -29,7 +28,7 @@ impl Suspect {
     }
 }
 
-/// Names the mistake behind a wrong array, if it is one of those known.
+/// Names the mistake behind a wrong array, if a known mistake explains it.
 pub(super) fn of_part(
     question: &Question,
     role: &str,
@@ -44,24 +43,28 @@ pub(super) fn of_part(
     most_likely(expected, got, suspects)
 }
 
-/// Names the mistake behind a wrong array of which nothing but the truth is known. `axes` names its axes, outermost first.
+/// Names the mistake behind a wrong array for which only the truth is known.
+///
+/// `axes` names the axes, outermost first.
 pub fn of_array(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Option<String> {
     let mut suspects = arrays::suspects(expected, got, axes);
     suspects.extend(arrays::half_shifts(expected, got, axes));
     most_likely(expected, got, suspects)
 }
 
-/// The suspect that leaves the least of the error, if that is little enough. The first of equals: they come simplest first.
+/// The suspect that leaves the least error, if that is small enough; the first of equals.
+///
+/// Suspects are ordered from simple to complex.
 fn most_likely(expected: &ArrayD<f64>, got: &ArrayD<f64>, suspects: Vec<Suspect>) -> Option<String> {
     let error = distance(expected, got);
     let likely = suspects.into_iter().map(|s| (distance(&s.array, got) / error, s));
     let likely = likely.filter(|(left, s)| *left <= s.residual);
-    // Rounding must not decide between two names for the same array.
+    // Rounding must not decide between two names for one array.
     let simplest = likely.reduce(|best, next| if next.0 < 0.5 * best.0 && best.0 > 1e-6 { next } else { best });
     simplest.map(|(_, s)| s.name)
 }
 
-/// Root of the sum of squared differences; NaN where there is one.
+/// Root of the sum of squared differences; NaN if any value is NaN.
 fn distance(a: &ArrayD<f64>, b: &ArrayD<f64>) -> f64 {
     let finite = a.iter().zip(b).filter(|(a, _)| a.is_finite());
     finite.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()

@@ -1,4 +1,4 @@
-//! Mistakes that the question is asked again for, with one thing changed.
+//! Mistakes whose result is found by recomputing the question with one change.
 
 use super::Suspect;
 use crate::config::Precision;
@@ -98,8 +98,9 @@ fn model(q: &mut Question, change: impl Fn(&mut Parameters)) -> Result<()> {
     Ok(())
 }
 
-/// Mistakes with geometry, kernels, parameters and optimisers, as far as they apply to the stage. What cannot be
-/// computed for a question is no suspect.
+/// Mistakes in geometry, kernels, parameters and optimisers, as far as they apply to the stage.
+///
+/// A mistake that cannot be computed for a question is left out.
 pub(super) fn suspects(
     question: &Question,
     role: &str,
@@ -144,7 +145,7 @@ fn take(mut outputs: Outputs, role: &str, part: &str) -> Option<ArrayD<f64>> {
 
 const NO_LOG1P: &str = "log(1 + x) for log1p(x), or a power of 1 + x [X3]";
 
-/// `(1+x)^-exponent` with 1+x rounded to the format: what is left of a small x.
+/// `(1+x)^-exponent` with 1+x rounded to the format, which loses the digits of a small x.
 fn rounded_power(x: f64, exponent: f64, format: Format) -> f64 {
     exp(-exponent * log(format.round(1.0 + x)))
 }
@@ -214,7 +215,7 @@ fn images(
     if q.stage.starts_with("projected-kernel") { kernels.into_dyn() } else { kernels.sum_axis(Axis(0)).into_dyn() }
 }
 
-/// Gradients to something else than what the model's file holds.
+/// Gradients with respect to other parametrisations than the model file's.
 fn parametrisations(q: &Question, part: &str, expected: &ArrayD<f64>) -> Result<Vec<Suspect>> {
     let role = if q.stage == "gradient-raw" { "raw" } else { "model" };
     let p = q.parameters(role)?;
@@ -255,7 +256,7 @@ fn parametrisations(q: &Question, part: &str, expected: &ArrayD<f64>) -> Result<
     })
 }
 
-/// Adam with something missing.
+/// Adam with common mistakes.
 fn adam(q: &Question) -> Result<Vec<Suspect>> {
     let (start, gradients, rates) = (q.numbers("start")?, q.array::<Ix2>("gradients")?, q.numbers("rates")?);
     let [beta1, beta2, epsilon] = [q.setting("beta1")?, q.setting("beta2")?, q.setting("epsilon")?];
