@@ -1,44 +1,44 @@
-//! A line chart as inline SVG: logarithmic upwards, one line per series, named at its end.
+//! A line chart as inline SVG with a logarithmic y axis; each line is labelled at its end.
 //!
-//! Colours are CSS variables of the page, so that the chart follows its light and dark mode.
+//! Colours are CSS variables of the page, so the chart follows its light and dark mode.
 
 use super::escape;
 use super::slice::short;
 use crate::numeric::elementary::{log10, pow};
 use std::fmt::Write;
 
-/// What goes to the right.
+/// The x axis and its labels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axes<'a> {
-    /// What the chart shows, for those who cannot see it.
+    /// Description of the chart for screen readers.
     pub(super) label: &'a str,
-    /// What the x axis is.
+    /// Label of the x axis.
     pub(super) x: &'a str,
     /// Whether it is logarithmic.
     pub(super) is_logarithmic: bool,
-    /// Where a dashed line stands.
+    /// Position of a dashed vertical line.
     pub(super) mark: Option<f64>,
 }
 
-/// A quantity followed over the iterations.
+/// A quantity over the iterations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve<'a> {
-    /// What it is.
+    /// Its name.
     pub name: &'a str,
-    /// (iteration, value); values that are not above 0 cannot be shown and are left out.
+    /// (iteration, value); values that are not above 0 are left out of the logarithmic chart.
     pub points: Vec<(f64, f64)>,
 }
 
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 300.0;
-/// Inner margins: left, right (where the names stand), top, bottom.
+/// Inner margins: left, right (for the labels), top, bottom.
 const MARGIN: [f64; 4] = [52.0, 100.0, 12.0, 40.0];
-/// Smallest distance of two names.
+/// Smallest distance between two labels.
 const LINE_HEIGHT: f64 = 16.0;
-/// Colours that the page's style defines.
+/// Number of colours in the page's style.
 const COLOURS: usize = 6;
 
-/// The chart, or nothing when there is nothing to draw.
+/// The chart; `None` if there is nothing to draw.
 pub(super) fn line_chart(curves: &[Curve], axes: &Axes<'_>) -> Option<String> {
     let across = |x: f64| if axes.is_logarithmic { log10(x) } else { x };
     let visible = |&&(x, y): &&(f64, f64)| x.is_finite() && y.is_finite() && y > 0.0;
@@ -104,7 +104,7 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.fold(None, |range, v| Some(range.map_or((v, v), |(low, high): (f64, f64)| (low.min(v), high.max(v)))))
 }
 
-/// 1, 2, 5 times the powers of ten in a range of logarithms; the powers alone where that gives more than six.
+/// Ticks at 1, 2, 5 times powers of ten, or at powers only if that gives more than six ticks.
 fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     let decades = low.floor() as i32..=high.floor() as i32;
     let ticks = |steps: &[f64]| -> Vec<f64> {
@@ -115,7 +115,7 @@ fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     if fine.len() <= 6 { fine } else { ticks(&[1.0]) }
 }
 
-/// Three to seven round numbers in a range; whole ones, they count iterations.
+/// Three to seven ticks at round integers, since they count iterations.
 fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     let span = (high - low).max(1.0);
     let decade = pow(10.0, log10(span).floor());

@@ -1,4 +1,4 @@
-//! The pictures of a page: for each axis one slice of the truth, of each result, and of their differences.
+//! The images of a page: for each axis, slices of the truth, of each result and of their differences.
 
 use super::slice::{AXES, Cut, Palette, Picture, Window, reach, short};
 use super::{escape, section};
@@ -9,11 +9,11 @@ use base64::engine::general_purpose::STANDARD;
 use ndarray::Array2;
 use std::fmt::Write;
 
-/// What is shown of some volumes on one grid, with one window and one range of differences for all.
+/// Volumes on one grid, displayed with one grey window and one range of differences.
 pub(super) struct Gallery<'a> {
     truth: Option<&'a Volume>,
     pub(super) results: Vec<(&'a str, &'a Volume)>,
-    /// The truth or else the first result: cuts and window are chosen from it.
+    /// The truth, or else the first result; it determines cuts and window.
     pub(super) reference: &'a Volume,
     pub(super) cuts: [Cut; 3],
     pub(super) window: Window,
@@ -23,7 +23,7 @@ pub(super) struct Gallery<'a> {
 }
 
 impl<'a> Gallery<'a> {
-    /// Chooses what to show; nothing of nothing.
+    /// Chooses cuts and ranges; `None` without any volume.
     ///
     /// # Errors
     /// When the volumes differ in shape.
@@ -42,11 +42,11 @@ impl<'a> Gallery<'a> {
         Ok(Some(Self { truth, results, reference, cuts, window, differences, reach }))
     }
 
-    /// The section of the page.
+    /// The section of the page as HTML.
     pub(super) fn html(&self) -> String {
         let mut html = self.explanation();
-        // One method: truth, result and difference in a row. More: each difference stands below its method, and the
-        // legends take the place below the truth.
+        // One method: truth, result and difference in a row. Several: each difference stands below its method, and the
+        // legends stand below the truth.
         let stacked = self.differences.len() > 1;
         let legends = format!("<div class=\"legends\">{}</div>\n", self.legends());
         if !stacked {
@@ -93,7 +93,7 @@ impl<'a> Gallery<'a> {
         grey + &legend("difference", Palette::Diverging, -self.reach, self.reach)
     }
 
-    /// Truth and results in grey.
+    /// Images of truth and results in grey.
     fn pictures(&self, cut: Cut) -> Vec<String> {
         let volumes = self.truth.map(|truth| ("Truth", truth)).into_iter().chain(self.results.iter().copied());
         let picture = |volume| Picture::grey(&cut.values(volume), self.window);
@@ -111,7 +111,7 @@ impl<'a> Gallery<'a> {
         named.map(figure).collect()
     }
 
-    /// A picture between its axes, with a caption.
+    /// An image between its axes, with a caption.
     fn figure(&self, picture: &Picture, cut: Cut, caption: &str, note: &str) -> String {
         let (right, up) = cut.plane();
         let (name_right, name_up, name_across) = (AXES[right], AXES[up], AXES[cut.axis]);
@@ -130,7 +130,7 @@ impl<'a> Gallery<'a> {
     }
 }
 
-/// A colour bar with the values of its ends below it.
+/// A colour bar with the values of both ends below it.
 fn legend(what: &str, palette: Palette, low: f64, high: f64) -> String {
     let indices = Array2::from_shape_fn((1, palette.colours()), |(_, index)| index as u8);
     let (bar, low, high) = (data_uri(&Picture { indices, palette }), short(low), short(high));

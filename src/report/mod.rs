@@ -1,6 +1,6 @@
-//! A page about a run that needs nothing but itself: HTML with its style, charts and pictures inside.
+//! A self-contained HTML page about a run, with its style, charts and images inside.
 //!
-//! It reads well on a phone, in the dark and on paper, loads nothing, and forbids itself to.
+//! It is readable on a phone, in dark mode and on paper, loads nothing, and forbids loading by its content policy.
 
 mod chart;
 mod gallery;
@@ -18,39 +18,39 @@ use gallery::Gallery;
 use slice::short;
 use std::fmt::Write;
 
-/// What a page is made from. Whatever is empty or missing leaves its section out.
+/// The content of a page. An empty or missing part leaves its section out.
 #[derive(Clone, Debug, Default)]
 pub struct Report<'a> {
     /// Headline.
     pub title: &'a str,
-    /// One sentence below it: what was measured and how.
+    /// One sentence below the title: what was measured and how.
     pub subtitle: &'a str,
-    /// The reconstructions, that which the page is about first.
+    /// The reconstructions; the page's main one comes first.
     pub methods: Vec<Method<'a>>,
     /// The true volume, on the grid of the reconstructions.
     pub truth: Option<&'a Volume>,
-    /// Losses over the iterations, the total first.
+    /// Losses over the iterations; the total comes first.
     pub curves: Vec<Curve<'a>>,
-    /// What was chosen by views held out.
+    /// The setting that was chosen by held-out views.
     pub choice: Option<&'a Choice>,
-    /// What else is worth knowing: (label, value).
+    /// Other facts: (label, value).
     pub facts: Vec<(String, String)>,
-    /// Where it comes from.
+    /// Origin of the run.
     pub provenance: Option<&'a Provenance>,
 }
 
-/// A reconstruction under its name.
+/// A named reconstruction.
 #[derive(Clone, Copy, Debug)]
 pub struct Method<'a> {
-    /// As in "TR-GS".
+    /// For example "TR-GS".
     pub name: &'a str,
-    /// The volume, where there is one to show.
+    /// The volume, if it is to be displayed.
     pub volume: Option<&'a Volume>,
-    /// How good it is, where that is known.
+    /// Its metrics, if known.
     pub metrics: Option<&'a Metrics>,
 }
 
-/// For each of [`Metrics::NAMES`]: title, unit, and what it means.
+/// For each of [`Metrics::NAMES`]: title, unit and meaning.
 const METRICS: [(&str, &str, &str); 4] = [
     ("PSNR 3D", "dB", "of all voxels, for a peak of 1"),
     ("SSIM 3D", "", "mean over the slices across x, y and z that are not empty in the truth"),
@@ -58,14 +58,14 @@ const METRICS: [(&str, &str, &str); 4] = [
     ("SSIM 2D", "", "of the same projections"),
 ];
 
-/// Of the chart of losses.
+/// Axes of the chart of losses.
 const LOSSES: Axes<'static> =
     Axes { label: "Loss over the iterations", x: "iteration", is_logarithmic: false, mark: None };
 
-/// Lets the page load nothing, whatever it contains.
+/// Content policy that prevents the page from loading anything.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
 
-/// The page, as the text of an HTML file.
+/// Renders the page as the text of an HTML file.
 ///
 /// # Errors
 /// When the volumes differ in shape.
@@ -84,7 +84,7 @@ pub fn render(report: &Report) -> Result<String> {
     Ok(document(report.title, report.subtitle, &content.concat()))
 }
 
-/// A whole page in this project's style; title and lead are text, the content is HTML.
+/// A complete page in the project's style; title and lead are plain text, the content is HTML.
 pub(crate) fn document(title: &str, lead: &str, content: &str) -> String {
     let (title, lead, style) = (escape(title), escape(lead), include_str!("style.css"));
     format!(
@@ -96,12 +96,12 @@ pub(crate) fn document(title: &str, lead: &str, content: &str) -> String {
     )
 }
 
-/// A part of the page under its title, or nothing where there is no content.
+/// A section under its title; empty without content.
 fn section(title: &str, content: &str) -> String {
     if content.is_empty() { String::new() } else { format!("<section>\n<h2>{title}</h2>\n{content}</section>\n") }
 }
 
-/// The metrics of the first method in large figures, those of the others below.
+/// The metrics of the first method in large figures, those of the other methods below.
 fn headline(methods: &[Method]) -> String {
     let rated = || methods.iter().filter_map(|m| Some((escape(m.name), m.metrics?)));
     let Some((first, metrics)) = rated().next() else { return String::new() };
@@ -131,11 +131,11 @@ fn losses(curves: &[Curve]) -> String {
     section("Loss", &format!("{summary}{chart}\n"))
 }
 
-/// The error of views held out over the values of a setting.
+/// The chart of held-out error over the values of a setting.
 fn choice(choice: &Choice) -> String {
     let points = choice.curve.iter().map(|trial| (trial.value, trial.error)).collect();
     let axes = Axes {
-        label: "Error of views held out",
+        label: "Error of held-out views",
         x: &choice.key,
         is_logarithmic: choice.key != "passes",
         mark: Some(choice.value),
@@ -143,7 +143,7 @@ fn choice(choice: &Choice) -> String {
     let Some(chart) = chart::line_chart(&[Curve { name: "error", points }], &axes) else { return String::new() };
     let (key, value) = (escape(&choice.key), short(choice.value));
     let text = format!(
-        "<p>Residual of views held out, as a fraction of what was measured: {key} = {value} was chosen, the dashed line. \
+        "<p>Residual of held-out views relative to the measured values: {key} = {value} was chosen, the dashed line. \
          That took as much work as {:.0} iterations over all views.</p>\n",
         choice.cost
     );
@@ -198,14 +198,14 @@ fn provenance(provenance: &Provenance) -> String {
     section("Provenance", &html)
 }
 
-/// A table of labels and values.
+/// An HTML table of labels and values.
 fn rows<'a>(rows: impl Iterator<Item = (&'a String, &'a String)>) -> String {
     let row =
         |(label, value): (&String, &String)| format!("<tr><th>{}</th><td>{}</td></tr>\n", escape(label), escape(value));
     format!("<table class=\"facts\">\n{}</table>\n", rows.map(row).collect::<String>())
 }
 
-/// Text as it may stand in HTML, between tags and in attributes.
+/// Text escaped for HTML content and attributes.
 pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,7 +1,6 @@
-//! From a volume to pictures of its slices: where to cut, which values become which colours, and PNG.
+//! Images of slices: the choice of cuts, the mapping of values to colours, and PNG.
 //!
-//! A picture shows two axes of the volume, the first to the right and the second upwards, so z is up wherever it is
-//! seen:
+//! An image shows two axes of the volume, the first to the right and the second upwards, so z is always up:
 //!
 //! | cut across | to the right | upwards |
 //! |---|---|---|
@@ -25,12 +24,12 @@ pub struct Cut {
     pub index: usize,
 }
 
-/// The values that are shown from black to white.
+/// The range of values displayed from black to white.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// Black, and all below.
+    /// Displayed as black, as is everything below.
     pub low: f64,
-    /// White, and all above.
+    /// Displayed as white, as is everything above.
     pub high: f64,
 }
 
@@ -39,7 +38,7 @@ pub struct Window {
 pub enum Palette {
     /// Black to white.
     Grey,
-    /// Blue through white to red, which readers with any colour vision can tell apart: 255 colours, 127 is white.
+    /// Blue through white to red, distinguishable with any colour vision: 255 colours, 127 is white.
     Diverging,
 }
 
@@ -48,13 +47,14 @@ pub enum Palette {
 pub struct Picture {
     /// `[row, column]`, top row first.
     pub indices: Array2<u8>,
-    /// What the indices mean.
+    /// The mapping from indices to colours.
     pub palette: Palette,
 }
 
 impl Cut {
-    /// For each axis the slice with most detail (the largest total variation), of equal ones that nearest
-    /// to the middle.
+    /// For each axis, the slice with most detail (the largest total variation).
+    ///
+    /// Of equal slices, the one nearest to the middle is taken.
     pub fn through_detail(volume: &Volume) -> [Self; 3] {
         [0, 1, 2].map(|axis| {
             let slices = volume.values.axis_iter(Axis(axis));
@@ -66,12 +66,12 @@ impl Cut {
         })
     }
 
-    /// The axes that a picture shows: to the right, upwards.
+    /// The axes of the image: to the right, upwards.
     pub fn plane(&self) -> (usize, usize) {
         [(1, 2), (0, 2), (0, 1)][self.axis]
     }
 
-    /// The values as they are looked at, `[row, column]`, top row first.
+    /// The values in image order, `[row, column]`, top row first.
     pub fn values(&self, volume: &Volume) -> Array2<f32> {
         let mut slice = volume.values.index_axis(Axis(self.axis), self.index).reversed_axes();
         slice.invert_axis(Axis(0));
@@ -85,8 +85,9 @@ impl Cut {
 }
 
 impl Window {
-    /// From 0, or the smallest value where that is negative, up to the 99.9th percentile of a volume, rounded to
-    /// two digits.
+    /// The range from 0, or from a negative minimum, to the 99.9th percentile of a volume.
+    ///
+    /// Both ends are rounded to two digits.
     pub fn of(volume: &Volume) -> Self {
         let values: Vec<f32> = volume.values.iter().copied().collect();
         let low = f64::from(values.iter().copied().fold(0.0, f32::min));
@@ -95,7 +96,7 @@ impl Window {
     }
 }
 
-/// What the strongest colours of a difference stand for: the 99.5th percentile of its size, rounded to two digits.
+/// The difference at full colour: the 99.5th percentile of the magnitudes, rounded to two digits.
 pub fn reach<'a>(differences: impl IntoIterator<Item = &'a Array2<f32>>) -> f64 {
     let sizes: Vec<f32> = differences.into_iter().flatten().map(|d| d.abs()).collect();
     let reach = significant(quantile(sizes, 0.995), 2);
@@ -115,7 +116,7 @@ impl Palette {
     pub fn colour(self, index: u8) -> [u8; 3] {
         match self {
             Self::Grey => [index; 3],
-            // `RED_BLUE` begins with red; positive differences are red here.
+            // `RED_BLUE` begins with red, but here positive differences are red.
             Self::Diverging => {
                 let colour = colorous::RED_BLUE.eval_rational(254 - usize::from(index.min(254)), 255);
                 [colour.r, colour.g, colour.b]
@@ -131,7 +132,7 @@ impl Picture {
         Self { indices: values.map(level), palette: Palette::Grey }
     }
 
-    /// Differences in colours that are symmetric about 0: the strongest stand for `±reach` and beyond.
+    /// Differences in colours symmetric about 0; full colours mean `±reach` and beyond.
     pub fn diverging(differences: &Array2<f32>, reach: f64) -> Self {
         let level = |&d: &f32| (127.0 + (f64::from(d) / reach).clamp(-1.0, 1.0) * 127.0).round() as u8;
         Self { indices: differences.map(level), palette: Palette::Diverging }
@@ -168,13 +169,13 @@ pub(super) fn encode(
     file
 }
 
-/// The value that a share `q` of the values does not exceed; 0 of no values.
+/// The `q`-quantile of the values; 0 for no values.
 fn quantile(mut values: Vec<f32>, q: f64) -> f64 {
     let rank = ((values.len() as f64 * q).ceil() as usize).saturating_sub(1);
     if values.is_empty() { 0.0 } else { f64::from(*values.select_nth_unstable_by(rank, f32::total_cmp).1) }
 }
 
-/// A number rounded to so many significant digits.
+/// A number rounded to `digits` significant digits.
 fn significant(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }

@@ -15,7 +15,7 @@ fn projections(factor: f32) -> Projections {
     Projections::new(vec![0.0, 1.0], images).unwrap()
 }
 
-/// A page with two methods and everything on it, made from the given parts.
+/// A page with two methods and all sections, made from the given parts.
 fn page() -> String {
     let (truth, good, poor) = (volume(0.1), volume(0.09), volume(0.05));
     let metrics =
@@ -78,7 +78,7 @@ fn pictures_of_a_page_read_back_with_the_size_of_their_slices() {
     let block = |size| [size, size, size, (256, 1), (255, 1), size, size];
     let expected = [(5, 6), (4, 6), (4, 5)].map(block).concat();
     assert_eq!(sizes, expected);
-    // Across x one sees y (size 1) to the right and z (size 1.8) upwards.
+    // Across x, y (size 1) is to the right and z (size 1.8) upwards.
     assert!(html.contains("aspect-ratio:0.5556"));
 }
 
