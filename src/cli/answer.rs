@@ -1,4 +1,4 @@
-//! What a command found, for a reader or for a program.
+//! The result of a command, for readers and for programs.
 
 use comfy_table::{ContentArrangement, Table, presets};
 use serde::Serialize;
@@ -7,19 +7,19 @@ use std::io::{self, Write};
 use std::path::Path;
 use trgs::{Error, Result};
 
-/// Numbers that a line of a table can hold.
+/// Largest number of list elements in a line of a table.
 const LONGEST_LIST: usize = 6;
 
 /// A result in both forms.
 pub(super) struct Answer {
     json: Value,
     text: String,
-    /// Whether a check, if the command is one, said yes.
+    /// Whether the check passed; true for commands that check nothing.
     approves: bool,
 }
 
 impl Answer {
-    /// A result whose table has a line for each of its values.
+    /// A result whose table has one line per value.
     pub(super) fn list(result: &impl Serialize) -> Self {
         let json = to_json(result);
         let mut lines = Vec::new();
@@ -27,7 +27,7 @@ impl Answer {
         Self { text: table(&[], lines).trim_fmt(), json, approves: true }
     }
 
-    /// A result with a table of its own.
+    /// A result with its own table.
     pub(super) fn table<const N: usize>(
         result: &impl Serialize,
         header: [&str; N],
@@ -48,17 +48,17 @@ impl Answer {
         Self { json: to_json(result), text, approves }
     }
 
-    /// The outcome of a check, with a text of its own.
+    /// The outcome of a check, with its own text.
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
         Self { json: to_json(result), text: text.trim_end().to_owned(), approves }
     }
 
-    /// Whether the program may end with exit code 0.
+    /// Whether the exit code is 0.
     pub(super) fn approves(&self) -> bool {
         self.approves
     }
 
-    /// Writes the result to standard output. It is no error when a reader like `head` does not want all of it.
+    /// Writes the result to standard output. A reader that closes it early, such as `head`, is no error.
     pub(super) fn print(&self, json: bool) -> Result<()> {
         let text = if json { &self.json.to_string() } else { &self.text };
         let mut output = io::stdout().lock();
@@ -85,7 +85,7 @@ fn table<const N: usize>(header: &[&str], rows: impl IntoIterator<Item = [String
     table
 }
 
-/// Dotted names and values of all that is there and no object itself. Long lists are for programs.
+/// Dotted names and values of everything that is no object. Long lists appear only with `--json`.
 fn flatten(name: &str, value: &Value, lines: &mut Vec<[String; 2]>) {
     let mut line = |text: String| lines.push([name.to_owned(), text]);
     match value {

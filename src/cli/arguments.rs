@@ -1,20 +1,20 @@
-//! Shapes of arguments that more than one command takes.
+//! Argument parsers that several commands share.
 
 use std::str::FromStr;
 
-/// Parses `N` values between commas.
+/// Parses `N` values separated by commas.
 pub(super) fn list<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
     let values = text.split(',').map(|value| value.trim().parse().ok()).collect::<Option<Vec<T>>>();
     values.and_then(|values| values.try_into().ok()).ok_or_else(|| format!("expected {N} numbers between commas"))
 }
 
-/// Parses two numbers, or one that stands for both.
+/// Parses two numbers, or one that is used for both.
 pub(super) fn pair<T: FromStr + Copy>(text: &str) -> Result<[T; 2], String> {
     let both = list::<T, 1>(text).map(|[value]| [value; 2]);
     both.or_else(|_| list(text)).map_err(|_| "expected a number, or two between commas".into())
 }
 
-/// Parses a number that is neither infinite nor NaN.
+/// Parses a finite number.
 pub(super) fn finite(text: &str) -> Result<f64, String> {
     text.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| "expected a finite number".into())
 }
@@ -25,12 +25,12 @@ pub(super) fn seed(text: &str) -> Result<u64, String> {
     value.and_then(|value| value.try_into().ok()).ok_or_else(|| "expected an integer from 0 to 2^63 - 1".into())
 }
 
-/// Parses the fraction of a peak at which a primitive ends.
+/// Parses a cutoff: a fraction of a primitive's peak.
 pub(super) fn cutoff(text: &str) -> Result<f64, String> {
     finite(text).ok().filter(|value| (0.0..1.0).contains(value)).ok_or_else(|| "expected a number in [0, 1)".into())
 }
 
-/// Parses a number of things, of which there must be some.
+/// Parses a positive integer.
 pub(super) fn positive(text: &str) -> Result<usize, String> {
     text.trim().parse().ok().filter(|value| *value >= 1).ok_or_else(|| "expected a positive integer".into())
 }

@@ -1,4 +1,4 @@
-//! `trgs compare`: how two arrays differ, and what the difference looks like.
+//! `trgs compare`: the difference of two arrays, and the mistake that explains it.
 
 use super::Answer;
 use super::arguments::finite;
@@ -8,25 +8,25 @@ use trgs::Result;
 use trgs::oracle::Format;
 use trgs::oracle::compare::{Comparison, compare};
 
-/// Compare two files of arrays: norms, worst element, and the mistake that would explain the difference
+/// Compare two files of arrays: norms, worst element, and the mistake that explains the difference
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs compare expected.npy got.npy --axes view,v,u
   trgs compare grad-expected.npz grad-got.npz --precision f32 --tolerance 1e-5")]
 pub(super) struct Compare {
-    /// What is right
+    /// File with the expected arrays
     #[arg(value_name = "A.npy")]
     expected: PathBuf,
-    /// What is to be judged
+    /// File with the arrays to check
     #[arg(value_name = "B.npy")]
     got: PathBuf,
     /// Names of the axes, outermost first
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     axes: Vec<String>,
-    /// What an ulp is
+    /// Floating-point format that defines an ulp
     #[arg(long, value_enum, default_value_t = Format::F64)]
     precision: Format,
-    /// Exit with code 1 if an error is larger than this part of the peak
+    /// Exit with code 1 if an error exceeds this fraction of the largest expected value
     #[arg(long, value_name = "EPS", value_parser = finite)]
     tolerance: Option<f64>,
 }
@@ -41,7 +41,7 @@ impl Compare {
     }
 }
 
-/// An array in a few lines.
+/// The comparison of an array in a few lines.
 fn describe(array: &Comparison) -> Vec<String> {
     let name = if array.array.is_empty() { String::new() } else { format!("{} ", array.array) };
     let mut lines = vec![format!("{name}{:?}", array.shape)];

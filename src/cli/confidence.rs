@@ -1,4 +1,4 @@
-//! `trgs confidence`: how well the rays of some views cover each primitive of a model.
+//! `trgs confidence`: coverage of each primitive of a model by the rays of given views.
 
 use super::arguments::finite;
 use super::views::ViewArgs;
@@ -13,10 +13,10 @@ use trgs::primitives::model;
 use trgs::scene::npz::{self, Entry};
 use trgs::{Error, Result};
 
-/// Points of the sphere that fit into memory with room to spare.
+/// Largest number of points on the sphere; their array fits easily into memory.
 const MOST_POINTS: i64 = 1 << 24;
 
-/// Compute how well rays cover each primitive, and the degrees of freedom that follow
+/// Compute the ray confidence of each primitive, and the degrees of freedom that follow from it
 #[derive(Args)]
 #[command(
     allow_negative_numbers = true,
@@ -25,35 +25,35 @@ const MOST_POINTS: i64 = 1 << 24;
   trgs confidence model.npz --scanner meta_data.json --angles 0,1.5708 --r-max 0.7 --out confidence.npz"
 )]
 pub(super) struct Confidence {
-    /// Model whose primitives are covered
+    /// Model file
     #[arg(value_name = "MODEL.npz")]
     model: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// Arrays c and nu_target, one number per primitive, the settings and the angles to write
+    /// File to write: arrays c and nu_target (one number per primitive), the settings and the angles
     #[arg(long, value_name = "FILE.npz")]
     out: PathBuf,
-    /// Points on each primitive's unit sphere
+    /// Number of points on each primitive's unit sphere
     #[arg(long, value_name = "N", default_value_t = Settings::default().sphere_points as u32, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
     sphere_points: u32,
-    /// Largest distance of a point from a ray that covers it
+    /// Largest distance between a point and a ray that covers it
     #[arg(long, value_name = "RADIUS", default_value_t = Settings::default().r_max, value_parser = finite)]
     r_max: f64,
-    /// Mean scale over that along a ray from which on the ray covers up to the largest distance
+    /// Ratio of mean scale to scale along a ray from which on the ray covers up to the largest distance
     #[arg(long, value_name = "RATIO", default_value_t = Settings::default().kappa, value_parser = finite)]
     kappa: f64,
-    /// The smaller, the sharper nu turns from its minimum to its maximum
+    /// Temperature: the smaller it is, the more sharply nu changes from minimum to maximum
     #[arg(long, value_name = "T", default_value_t = Settings::default().temperature, value_parser = finite)]
     temperature: f64,
-    /// Degrees of freedom where nothing is covered
+    /// Degrees of freedom at confidence 0
     #[arg(long, value_name = "NU", default_value_t = 2.0, value_parser = finite)]
     nu_min: f64,
-    /// Degrees of freedom where all is covered
+    /// Degrees of freedom at confidence 1
     #[arg(long, value_name = "NU", default_value_t = 100.0, value_parser = finite)]
     nu_max: f64,
 }
 
-/// What was found.
+/// The result of the command.
 #[derive(Serialize)]
 struct Found<'a> {
     out: &'a Path,
@@ -62,7 +62,7 @@ struct Found<'a> {
     /// Null without primitives.
     c: Option<Spread>,
     nu_target: Option<Spread>,
-    /// Rank correlation of c and the model's ν; null where one of them is constant, as ν of Gaussians is.
+    /// Rank correlation of c and the model's ν; null if either is constant, as ν of Gaussians is.
     spearman: Option<f64>,
 }
 
@@ -96,7 +96,12 @@ impl Confidence {
             return Ok(Interval { min, max });
         }
         let expected = "positive numbers, the first below the second";
-        Err(Error::invalid("--nu-min and --nu-max", format!("{min} and {max}"), expected, "the defaults are 2 and 100"))
+        Err(Error::invalid(
+            "--nu-min and --nu-max",
+            format!("{min} and {max}"),
+            expected,
+            "give --nu-min 2 --nu-max 100, the defaults",
+        ))
     }
 
     fn write(&self, c: &[f64], targets: &[f64], angles: &[f64]) -> Result<()> {

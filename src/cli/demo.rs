@@ -1,4 +1,4 @@
-//! `trgs demo`: everything once, from a phantom to a page.
+//! `trgs demo`: simulates, reconstructs and evaluates a phantom, and writes a report page.
 
 use super::arguments::seed;
 use super::reconstruct::reconstruct;
@@ -15,13 +15,13 @@ use trgs::reconstruction::Evaluation;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 
-/// The paper's experiment, a quarter as large in every direction.
+/// The paper's experiment at a quarter of its size in every direction.
 const SCALE: Scale = Scale { size: 64 };
 
-/// Fewer than by default, so that it is done within a minute.
+/// Fewer iterations than the default, which keep the demo under a minute.
 const ITERATIONS: usize = 500;
 
-/// Phantom, projections, reconstruction, metrics and a page to look at, in under a minute
+/// Simulate a phantom scan, reconstruct it and write a report page; takes about half a minute
 #[derive(Args)]
 #[command(after_help = "Example:
   trgs demo --out out/demo")]
@@ -29,12 +29,12 @@ pub(super) struct Demo {
     /// Folder to write
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     out: PathBuf,
-    /// All random choices follow from it
+    /// Seed of all random choices
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
 }
 
-/// What the demonstration found.
+/// The result of the command.
 #[derive(Serialize)]
 struct Found<'a> {
     dataset: &'a Path,
@@ -47,7 +47,7 @@ struct Found<'a> {
 impl Demo {
     pub(super) fn run(&self, global: &Global) -> Result<Answer> {
         let source = self.out.join("dataset");
-        tracing::info!("scanning a phantom: 18 noisy projections to reconstruct from, 50 others to judge by");
+        tracing::info!("scanning a phantom: 18 noisy projections for reconstruction, 50 for evaluation");
         let dataset = self.scan()?;
         interrupt::shielded(|| dataset.write(&source))?;
 
@@ -66,7 +66,7 @@ impl Demo {
         let ours = run(Method::TrGs, &folder, Some(&fdk))?;
 
         let report = folder.join("report.html");
-        tracing::info!("wrote {}, a page to look at", report.display());
+        tracing::info!("wrote {}: open it in a browser", report.display());
         let [ours, fdk] = [ours.evaluation, fdk.evaluation];
         let rows = (Metrics::NAMES.into_iter().zip(ours.metrics.row()).zip(fdk.metrics.row()))
             .map(|((name, ours), fdk)| [name.into(), ours, fdk]);

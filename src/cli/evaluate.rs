@@ -1,4 +1,4 @@
-//! `trgs evaluate`: how good a reconstruction is.
+//! `trgs evaluate`: the quality of a reconstruction.
 
 use super::Answer;
 use clap::Args;
@@ -17,13 +17,13 @@ use trgs::scene::{Dataset, Volume, volume_file};
   trgs evaluate out/torso --against data/torso
   trgs evaluate volume.npy --against data/torso --json
 
-The projections of a run with a model are those of its primitives, in the run's own projection; those of a volume
-are exact line integrals of the trilinear function through its voxels.")]
+Projections of a run with a model are computed from its primitives, with the projection of the run. Projections of
+a volume are exact line integrals of its trilinear interpolation.")]
 pub(super) struct Evaluate {
     /// Folder of a run, or a volume [x, y, z] on the dataset's grid
     #[arg(value_name = "RUN|VOLUME")]
     result: PathBuf,
-    /// What to compare with
+    /// Dataset with the true volume and test views
     #[arg(long, value_name = "DATASET")]
     against: PathBuf,
 }
@@ -71,7 +71,7 @@ pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Answer {
     if rows.len() == Metrics::NAMES.len() {
         return Answer::table(&context, header, rows);
     }
-    let remark = "The largest value of the truth is not near 1, the peak of psnr_3d and ssim_3d; those of _range take the truth's \
-                  own range instead.";
+    let remark = "The largest value of the truth is not near 1, the peak of psnr_3d and ssim_3d; metrics ending in \
+                  _range use the truth's own range.";
     Answer::judged_table(&context, header, rows, &[remark.into()], true)
 }

@@ -1,4 +1,4 @@
-//! `--explain`: which primitives make one pixel or voxel.
+//! `--explain`: the contributions of primitives to one pixel or voxel.
 
 use super::Answer;
 use serde::Serialize;
@@ -9,10 +9,10 @@ use trgs::primitives::Primitives;
 use trgs::projector::{Contribution, Projection, rank};
 use trgs::{Error, Result};
 
-/// Lines of the table; `--json` has all.
+/// Number of lines in the table; `--json` lists all contributions.
 const LINES: usize = 20;
 
-/// What was written.
+/// The files that a command wrote.
 #[derive(Serialize)]
 pub(super) struct Written<'a> {
     pub(super) out: &'a Path,
@@ -21,23 +21,23 @@ pub(super) struct Written<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) projection: Option<Projection>,
     pub(super) cutoff: f64,
-    /// Largest possible error of a pixel by the cutoff.
+    /// Bound on the error of a pixel due to the cutoff.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) truncation_bound: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) grad_out: Option<&'a Path>,
 }
 
-/// The result of a command that explains, and of its writing where it writes too.
+/// The contributions, and the files written by the same command.
 #[derive(Serialize)]
 struct Explanation<'a, P> {
     #[serde(flatten)]
     place: P,
     /// Sum of all contributions.
     value: f64,
-    /// Number in the model.
+    /// Number of primitives in the model.
     primitives: usize,
-    /// Those that add anything, the largest first.
+    /// Primitives with a nonzero contribution, the largest first.
     contributions: Vec<Line>,
     #[serde(flatten)]
     written: Option<Written<'a>>,
@@ -47,7 +47,7 @@ struct Explanation<'a, P> {
 struct Line {
     primitive: usize,
     contribution: f64,
-    /// Of the value; null if that is 0.
+    /// Fraction of the value; null if the value is 0.
     share: f64,
     sum: f64,
     centre: [f64; 3],
@@ -55,7 +55,7 @@ struct Line {
     nu: f64,
 }
 
-/// Refuses an index beyond `shape`, whose axes have `names`.
+/// Rejects an index outside `shape`, whose axes are called `names`.
 pub(super) fn check_index(index: [usize; 3], shape: [usize; 3], names: [&str; 3]) -> Result<()> {
     for axis in 0..3 {
         if index[axis] >= shape[axis] {
@@ -70,7 +70,7 @@ pub(super) fn check_index(index: [usize; 3], shape: [usize; 3], names: [&str; 3]
     Ok(())
 }
 
-/// The table of what each primitive adds, the largest first.
+/// The table of contributions, the largest first.
 pub(super) fn answer<R: Real>(
     place: impl Serialize,
     primitives: &Primitives,

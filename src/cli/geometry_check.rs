@@ -1,4 +1,4 @@
-//! `trgs inspect --check-geometry`: which conventions a scan seems to follow.
+//! `trgs inspect --check-geometry`: detects the conventions of a scan.
 
 use super::messages::ProgressBar;
 use super::{Answer, Global};
@@ -8,7 +8,7 @@ use trgs::classical::check_geometry as check;
 use trgs::classical::geometry_check::{Candidate, Step};
 use trgs::scene::Dataset;
 
-/// The ranked conventions of a scan, and a verdict that is a no where they are not those stated.
+/// The ranked conventions of a scan; the check fails if they differ from those stated.
 pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Answer> {
     let dataset = Dataset::read(path)?;
     for oddity in &dataset.oddities {

@@ -1,4 +1,4 @@
-//! `trgs inspect`: what a file or folder is, and what is odd about it.
+//! `trgs inspect`: a summary of a file or folder, and its unusual properties.
 
 use super::geometry_check::check_geometry;
 use super::{Answer, Global};
@@ -14,21 +14,21 @@ use trgs::scene::npz::Npz;
 use trgs::scene::{Beam, Dataset, Projections, Volume};
 use trgs::{Error, Result};
 
-/// Longest over shortest scale from which on a primitive is called a needle.
+/// Ratio of longest to shortest scale from which on a primitive counts as a needle.
 const NEEDLE: f64 = 1000.0;
 
-/// Say what a dataset, run, model or array is and what is odd about it
+/// Print a summary of a dataset, run, model or array, with its unusual properties
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs inspect data/torso
   trgs inspect out/torso/model.npz --json
   trgs inspect data/torso --check-geometry")]
 pub(super) struct Inspect {
-    /// Folder of a scan or of a run, or a file
+    /// Folder of a scan or a run, or a file
     #[arg(value_name = "DATASET|RUN|FILE")]
     path: PathBuf,
-    /// Reconstruct a scan coarsely under all conventions of its images, its rotation and its detector's place, and say
-    /// which it seems to follow; exit with code 1 if that is not what it states
+    /// Detect flipped axes, reversed rotation and a shifted detector by coarse reconstructions; exit with code 1 if the
+    /// scan is not as stated
     #[arg(long)]
     check_geometry: bool,
 }
@@ -49,7 +49,12 @@ impl Inspect {
             _ => {
                 let expected = "a folder with meta_data.json or provenance.json, or a file .json, .npz, .npy or .ply";
                 std::fs::metadata(path).map_err(|source| Error::read(path, source))?;
-                return Err(Error::invalid("path to inspect", path.display(), expected, "check the path"));
+                return Err(Error::invalid(
+                    "path to inspect",
+                    path.display(),
+                    expected,
+                    "give one of these; trgs convert reads other formats",
+                ));
             }
         };
         Ok(Answer::list(&found))
@@ -138,9 +143,9 @@ fn of_model(primitives: &Primitives) -> Value {
     let needles = p.scale.iter().filter(|s| s.iter().any(|a| s.iter().any(|b| *a > NEEDLE * b))).count();
     let oddities = [
         p.is_empty().then(|| "there is no primitive".into()),
-        count("have their centre outside of the cube from -1 to 1", outside),
+        count("have their centre outside the cube from -1 to 1", outside),
         count("have a negative density", p.density.iter().filter(|density| **density < 0.0).count()),
-        count(&format!("are more than {NEEDLE} times as long as thin"), needles),
+        count(&format!("have scales that differ by more than a factor of {NEEDLE}"), needles),
     ];
     let values = |group: Group| (group.key().to_owned(), range(p.group(group)));
     let finite = Group::ALL.into_iter().filter(|group| !(primitives.kernel == Kernel::Gaussian && *group == Group::Nu));
@@ -176,7 +181,7 @@ fn of_array(array: &Npy) -> Value {
     let oddities = [
         (not_finite > 0).then(|| format!("{not_finite} values are not finite")),
         constant.then(|| "all values are equal".into()),
-        array.full_scale.map(|full| format!("whole numbers of a type that ends at {full}: perhaps not attenuation")),
+        array.full_scale.map(|full| format!("integers of a type with maximum {full}: possibly not attenuation")),
     ];
     json!({
         "shape": array.numbers.shape(),
@@ -186,7 +191,7 @@ fn of_array(array: &Npy) -> Value {
     })
 }
 
-/// The smallest and the largest finite value, or null.
+/// The smallest and the largest finite value; null if there is none.
 fn range<'a, T: Copy + Into<f64> + 'a>(values: impl IntoIterator<Item = &'a T>) -> Value {
     let finite = values.into_iter().map(|value| (*value).into()).filter(|value: &f64| value.is_finite());
     let ends = finite.fold(None, |ends: Option<[f64; 2]>, value| {

@@ -1,4 +1,4 @@
-//! Ctrl-C and the termination signal: the program ends at once, except where it would leave something half-done.
+//! Ctrl-C and the termination signal: the program ends at once, but never leaves partial output.
 
 use super::INTERRUPTED;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
@@ -7,12 +7,12 @@ use trgs::{Error, Result};
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 static SHIELDS: AtomicUsize = AtomicUsize::new(0);
 
-/// Takes over the signals.
+/// Installs the signal handler.
 pub(super) fn install() {
     let handler = || {
         REQUESTED.store(true, SeqCst);
         if SHIELDS.load(SeqCst) == 0 {
-            tracing::error!("interrupted; nothing half-written was left behind");
+            tracing::error!("interrupted; no partial output was left behind");
             std::process::exit(INTERRUPTED.into());
         }
     };
@@ -21,19 +21,19 @@ pub(super) fn install() {
     }
 }
 
-/// Whether the user wants the program to end.
+/// Whether the user has requested the end of the program.
 pub(super) fn requested() -> bool {
     REQUESTED.load(SeqCst)
 }
 
-/// Runs `work` to its end, whatever the user does meanwhile; long work asks [`requested`].
+/// Runs `work` to its end despite signals; long work must poll [`requested`].
 ///
 /// # Errors
-/// Those of `work`, or [`Error::Interrupted`] when the user had enough before it began.
+/// Those of `work`, or [`Error::Interrupted`] when a signal arrived before it began.
 pub(super) fn shielded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     SHIELDS.fetch_add(1, SeqCst);
     let outcome = if requested() {
-        Err(Error::Interrupted { step: 0, remedy: "what was finished before is complete".into() })
+        Err(Error::Interrupted { step: 0, remedy: "finished output is complete; run the same command again".into() })
     } else {
         work()
     };

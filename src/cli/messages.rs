@@ -17,7 +17,7 @@ use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::train::Record;
 
-/// Sends everything that is traced to standard error, in the format asked for.
+/// Sends all tracing events to standard error, in the requested format.
 pub(super) fn install(global: &Global) {
     let level = if global.quiet { LevelFilter::ERROR } else { LevelFilter::INFO };
     // A closed standard error must not end the program.
@@ -28,19 +28,19 @@ pub(super) fn install(global: &Global) {
     }
 }
 
-/// Says in one line what ended the program.
+/// Reports in one line the error that ended the program.
 pub(super) fn error(error: &Error) {
     let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
     tracing::error!("{}", lines.join(" "));
 }
 
-/// How far a training run has come.
+/// Progress of a training run.
 pub(super) struct ProgressBar {
     bar: Option<indicatif::ProgressBar>,
 }
 
 impl ProgressBar {
-    /// A bar on a terminal, otherwise a line per report.
+    /// A bar on a terminal, otherwise one line per report.
     pub(super) fn new(iterations: usize, global: &Global) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}{rate}, {eta} left");
@@ -53,7 +53,7 @@ impl ProgressBar {
         Self { bar: wanted.then(|| indicatif::ProgressBar::new(iterations as u64).with_style(style)) }
     }
 
-    /// To be called after every iteration; asks to stop when the user does.
+    /// Call after every iteration; breaks when the user interrupts.
     pub(super) fn observe(&mut self, iteration: usize, record: Option<&Record>) -> ControlFlow<()> {
         if let Some(bar) = &self.bar {
             bar.set_position(iteration as u64);
@@ -77,7 +77,7 @@ impl ProgressBar {
         go_on()
     }
 
-    /// The same for iterations on voxels.
+    /// [`Self::observe`] for iterations on voxels.
     pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
         let Pass { iteration, iterations, residual, objective, change } = *pass;
         let change = change.map_or(String::new(), |change| format!(", step {change:.1e} of the volume"));
@@ -98,7 +98,7 @@ impl ProgressBar {
         go_on()
     }
 
-    /// The same for an iteration of the finish on voxels: the bar stays full.
+    /// [`Self::observe`] for an iteration of the finish on voxels: the bar stays full.
     pub(super) fn finish(&mut self, pass: &Pass) -> ControlFlow<()> {
         let Pass { iteration, iterations, residual, .. } = *pass;
         let objective = pass.objective.unwrap_or_default();
@@ -114,7 +114,7 @@ impl ProgressBar {
         go_on()
     }
 
-    /// The same for a setting that is being chosen.
+    /// [`Self::observe`] for the choice of a setting.
     pub(super) fn trial(&mut self, key: &str, trial: Option<&Trial>) -> ControlFlow<()> {
         if let Some(Trial { value, error }) = trial {
             match &self.bar {
@@ -125,8 +125,9 @@ impl ProgressBar {
         go_on()
     }
 
-    /// The same for the cells of an experiment; `seconds` are those since the first was begun, `first` the number of
-    /// those that had been finished before.
+    /// [`Self::observe`] for the cells of an experiment.
+    ///
+    /// `seconds` counts from the start of the first cell; `first` is the number of cells finished before.
     pub(super) fn cell(&mut self, done: &Done<'_>, first: usize, seconds: f64) {
         let Done { cell, done, cells } = *done;
         if let Some(bar) = &self.bar {
@@ -146,7 +147,7 @@ impl ProgressBar {
         }
     }
 
-    /// The same for the steps of a check.
+    /// [`Self::observe`] for the steps of a check.
     pub(super) fn step(&mut self, step: &Step) -> ControlFlow<()> {
         let Step { what, done, steps } = *step;
         if let Some(bar) = &self.bar {
@@ -159,7 +160,7 @@ impl ProgressBar {
     }
 }
 
-/// Unless the user wants to stop.
+/// Breaks when the user interrupts.
 pub(super) fn go_on() -> ControlFlow<()> {
     if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
@@ -172,7 +173,7 @@ impl Drop for ProgressBar {
     }
 }
 
-/// The message alone, after its level if that is worth mentioning. Fields are for programs, which read JSON.
+/// Formats the message after its level, if that is not info. The fields are only in the JSON format.
 struct Sentence;
 
 impl<S, N> FormatEvent<S, N> for Sentence

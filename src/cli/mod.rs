@@ -1,7 +1,7 @@
-//! The commands, one file each; here is what they have in common: global flags and exit codes.
+//! The command line: one file per command; global flags and exit codes here.
 //!
 //! Results go to standard output, as a table or with `--json` as one object. Everything else goes to standard error.
-//! Exit codes: 0 done, 1 a check said no, 2 bad input or usage, 130 interrupted.
+//! Exit codes: 0 success, 1 a check failed, 2 bad input or usage, 130 interrupted.
 
 mod answer;
 mod arguments;
@@ -35,12 +35,12 @@ use trgs::{Error, Result};
 const CHECK_SAID_NO: u8 = 1;
 const BAD_INPUT: u8 = 2;
 const INTERRUPTED: u8 = 130;
-/// More workers than this wait for each other.
+/// Largest number of workers; more only wait for each other.
 const MOST_THREADS: i64 = 1024;
-/// Numbers in the largest array that is made on request: 16 GiB in single precision.
+/// Largest number of elements in an array made on request: 16 GiB in single precision.
 const MOST_NUMBERS: usize = 1 << 32;
 
-/// Sparse-view CT reconstruction with Student's t-kernels: on the CPU, and the same bits on every machine
+/// Sparse-view CT reconstruction with Student's t kernels on the CPU, bit-identical on every machine
 #[derive(Parser)]
 #[command(name = "trgs", version, after_help = "Example:\n  trgs demo")]
 struct Cli {
@@ -54,14 +54,14 @@ struct Cli {
 #[derive(Args)]
 #[command(next_help_heading = "Options of every command")]
 struct Global {
-    /// Worker threads, 0: one for each core; no result depends on it
+    /// Number of worker threads, 0 for one per core; no result depends on it
     #[arg(long, global = true, display_order = 1000, value_name = "N", default_value_t = 0,
         value_parser = value_parser!(u16).range(..=MOST_THREADS))]
     threads: u16,
-    /// Say nothing but errors and the result
+    /// Print only errors and the result
     #[arg(long, global = true, display_order = 1000)]
     quiet: bool,
-    /// How progress and messages look on standard error
+    /// Format of progress and messages on standard error
     #[arg(long, global = true, display_order = 1000, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
     log_format: LogFormat,
     /// Print the result as one JSON object
@@ -71,7 +71,7 @@ struct Global {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum LogFormat {
-    /// Sentences, and a bar on a terminal.
+    /// Sentences, and a progress bar on a terminal.
     Text,
     /// One JSON object per line.
     Json,
@@ -94,12 +94,12 @@ enum Command {
     Convert(convert::Convert),
 }
 
-/// The whole program.
+/// Runs the program.
 pub(crate) fn main() -> ExitCode {
     let cli = match Cli::try_parse().map_err(name_the_commands) {
         Ok(cli) => cli,
         Err(usage) => {
-            // Nobody is left to be told when standard error is closed.
+            // If standard error is closed, there is no place to report to.
             let _ = usage.print();
             return ExitCode::from(if usage.use_stderr() { BAD_INPUT } else { 0 });
         }
@@ -137,7 +137,7 @@ impl Command {
     }
 }
 
-/// Adds the list of commands to the error about one that does not exist.
+/// Adds the list of commands to the error about an unknown command.
 fn name_the_commands(mut error: clap::Error) -> clap::Error {
     if error.kind() == ErrorKind::InvalidSubcommand {
         let names: Vec<_> = Cli::command().get_subcommands().map(|c| c.get_name().to_owned()).collect();
@@ -147,11 +147,16 @@ fn name_the_commands(mut error: clap::Error) -> clap::Error {
     error
 }
 
-/// Refuses an array that no computer here can hold, before memory is asked for.
+/// Rejects an array that no supported machine can hold, before memory is allocated.
 fn check_size(what: &str, shape: &[usize]) -> Result<()> {
     let numbers = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
     if numbers.is_some_and(|numbers| numbers <= MOST_NUMBERS) {
         return Ok(());
     }
-    Err(Error::invalid(what, format!("shape {shape:?}"), format!("at most {MOST_NUMBERS} numbers"), "ask for less"))
+    Err(Error::invalid(
+        what,
+        format!("shape {shape:?}"),
+        format!("at most {MOST_NUMBERS} numbers"),
+        "request a smaller array",
+    ))
 }

@@ -11,7 +11,7 @@ use trgs::oracle::check::{check, select};
 use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, report, waivers};
 use trgs::output::stage_folder;
 
-/// Learn whether an implementation's values, gradients and steps are right
+/// Check values, gradients and optimiser steps of another implementation
 #[derive(Args)]
 #[command(after_help = "Example:
   trgs oracle export vectors --blind         inputs and manifest.json
@@ -30,21 +30,21 @@ enum Command {
     Check(Check),
 }
 
-/// Which cases.
+/// Selection of cases.
 #[derive(Args)]
 struct Selection {
-    /// The most that is asked: core, or also optional, or also stress
+    /// Highest level of cases to include
     #[arg(long, value_enum, default_value_t = Level::Stress)]
     level: Level,
-    /// Only these stages
+    /// Include only these stages
     #[arg(long, value_name = "STAGE,..", value_delimiter = ',')]
     stage: Vec<String>,
-    /// Vectors in a folder, in the place of the built-in ones
+    /// Folder with vectors, instead of the built-in ones
     #[arg(long, value_name = "DIR")]
     vectors: Option<PathBuf>,
 }
 
-/// Show the cases: what each asks, how much, and what is special about it
+/// List the cases: title, level and special properties
 #[derive(Args)]
 #[command(after_help = "Example:\n  trgs oracle list --stage image-exact --level core")]
 struct List {
@@ -56,51 +56,51 @@ struct List {
 #[derive(Args)]
 #[command(after_help = "Example:\n  trgs oracle export vectors --blind --level core")]
 struct Export {
-    /// Folder to make
+    /// Folder to create
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Without the truth
+    /// Leave out the truth
     #[arg(long)]
     blind: bool,
     #[command(flatten)]
     selection: Selection,
 }
 
-/// Write this program's own answers, as a backend would
+/// Write this program's own answers in the form of a backend's
 #[derive(Args)]
 #[command(after_help = "Example:\n  trgs oracle answer own --precision f32 && trgs oracle check own --precision f32")]
 struct AnswerArgs {
-    /// Folder to make
+    /// Folder to create
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Arithmetic
+    /// Arithmetic of the answers
     #[arg(long, value_enum, default_value_t = Precision::F64)]
     precision: Precision,
     #[command(flatten)]
     selection: Selection,
 }
 
-/// Compare a backend's answers with the truth; exit code 1 if one is wrong or missing
+/// Compare a backend's answers with the truth; exit with code 1 if an answer is wrong or missing
 #[derive(Args)]
 #[command(after_help = "Example:
   trgs oracle check answers --precision f32 --level core --report conformance.json --waivers waivers.toml
 
-A waiver excuses a case for a while:
+A waiver accepts the failure of a case until a date:
   [[waiver]]
   case = \"image-exact/needle\"
   reason = \"set-up in single precision\"
   expires = 2027-06-30")]
 struct Check {
-    /// Folder of answers, named as in the manifest; backend.json in it may tell name, version, device
+    /// Folder of answers, named as in the manifest; its optional backend.json describes the backend
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// The backend's arithmetic: which tolerances count, and what an ulp is
+    /// Arithmetic of the backend; selects tolerances and the ulp
     #[arg(long, value_enum, default_value_t = Format::F32)]
     precision: Format,
-    /// Also write the report: FILE.json, FILE.md and, for build servers, FILE.xml (JUnit)
+    /// Report to write: FILE.json, FILE.md and FILE.xml (JUnit)
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-    /// Failures that are excused
+    /// File of accepted failures
     #[arg(long, value_name = "FILE.toml")]
     waivers: Option<PathBuf>,
     #[command(flatten)]
@@ -136,7 +136,7 @@ impl List {
     }
 }
 
-/// What was written.
+/// The files written.
 #[derive(Serialize)]
 struct Written<'a> {
     folder: &'a Path,

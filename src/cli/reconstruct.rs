@@ -1,4 +1,4 @@
-//! `trgs reconstruct`: from the projections of a dataset to a volume, with everything that belongs to a run.
+//! `trgs reconstruct`: reconstructs a volume from a dataset and writes the folder of a run.
 
 use super::arguments::{positive, seed};
 use super::evaluate::answer;
@@ -21,7 +21,7 @@ use trgs::scene::dataset::Survey;
 use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
 
-/// Passes that --auto may find, in passes of the method's default.
+/// Largest number of passes that --auto may choose, in units of the method's default.
 const AUTO: usize = 10;
 
 /// Reconstruct the volume of a dataset
@@ -39,53 +39,53 @@ const AUTO: usize = 10;
   trgs reconstruct data/torso --out out/torso --resume
   trgs reconstruct data/torso --out out/torso --max-memory 3GB
 
-A key is what --set says, otherwise what its flag says, otherwise what FILE.toml says, otherwise the method's default.
-The config.toml of any run has all keys with their documentation."
+A value given by --set overrides a flag, a flag overrides FILE.toml, and FILE.toml overrides the method's default.
+The config.toml of any run lists and documents all keys."
 )]
 pub(super) struct Reconstruct {
-    /// Folder of the scan, or its meta_data.json
+    /// Folder of the scan, its meta_data.json, or a pickle of NAF
     #[arg(value_name = "DATASET")]
     dataset: PathBuf,
     /// Folder to write; an older run of the same method in it is replaced at the end
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
-    /// How to find the volume
+    /// Reconstruction method
     #[arg(long, value_enum)]
     method: Option<Method>,
-    /// Use only so many of the training views, evenly spaced
+    /// Use only this number of training views, evenly spaced
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Training steps, by default 140 a view
+    /// Number of training iterations [default: 140 per view]
     #[arg(long, value_name = "N", value_parser = positive)]
     iterations: Option<usize>,
-    /// Primitives at the start, by default as many as the volume's surface needs
+    /// Initial number of primitives [default: from the surface of the volume]
     #[arg(long, value_name = "N", value_parser = positive)]
     points: Option<usize>,
-    /// Rays through a primitive: exact, or affine as in the paper
+    /// Projection of primitives: exact, or affine as in the paper
     #[arg(long, value_enum)]
     projection: Option<Projection>,
     /// Arithmetic of the pixel kernels
     #[arg(long, value_enum)]
     precision: Option<Precision>,
-    /// Find the number of passes of sart, os-sart and cgls on views held out, up to ten times the usual or --iterations
+    /// Choose the passes of sart, os-sart or cgls on held-out views, up to ten times the default or --iterations
     #[arg(long)]
     auto: bool,
-    /// All random choices follow from it
+    /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
-    /// Settings of a comparison that sart, os-sart and asd-pocs start from
+    /// Published settings that sart, os-sart or asd-pocs start from
     #[arg(long, value_enum, conflicts_with = "config")]
     preset: Option<Preset>,
-    /// Configuration to start from
+    /// Configuration file to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Any key of the configuration, as in loss.tv=0.1; may be given more than once
+    /// Set a configuration key, for example loss.tv=0.1; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Refuse to start if the run may need more memory, as in 3GB or 512MiB
+    /// Reject a run that may need more memory than this, for example 3GB or 512MiB
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
-    /// Go on from the last checkpoint of RUN, to the same result as if never stopped
+    /// Continue from the last checkpoint of RUN; the result is bit-identical to an uninterrupted run
     #[arg(long)]
     resume: bool,
 }
@@ -105,7 +105,7 @@ impl Reconstruct {
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
-        // Again, for what only reading tells.
+        // Checked again with the sizes that only reading tells.
         self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
         let asked = config;
         let config = asked.resolved(&dataset.scanner, dataset.train.len());
@@ -117,12 +117,12 @@ impl Reconstruct {
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
-        tracing::info!("wrote {}, with a page to look at", report.display());
+        tracing::info!("wrote {}: open it in a browser", report.display());
         let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
         Ok(answer(&outcome.evaluation, context))
     }
 
-    /// What the run needs, as far as that can be known without reading the scan.
+    /// The memory that the run needs, as far as it is known before the scan is read.
     fn estimate(&self, config: &Config) -> Result<Estimate> {
         let Some(scan) = Survey::read(&self.dataset)? else {
             let file = std::fs::metadata(&self.dataset).map_err(|source| Error::read(&self.dataset, source))?;
@@ -136,23 +136,24 @@ impl Reconstruct {
         self.max_memory.map_or(Ok(()), |limit| estimate.check(limit.as_u64()))
     }
 
-    /// The checkpoint to go on from. Without one a resumed run begins at the beginning, so that the same command can
-    /// be given again whenever a machine went down.
+    /// The checkpoint to resume from.
+    ///
+    /// Without one, a resumed run starts at the beginning, so that one command can be repeated after every crash.
     fn checkpoint(&self) -> Result<Option<Checkpoint>> {
         let file = checkpoint_file(&self.out);
         if !self.resume {
             return Ok(None);
         }
         if !file.exists() {
-            tracing::warn!("{} does not exist: starting at the beginning", file.display());
+            tracing::warn!("{} does not exist: starting from the beginning", file.display());
             return Ok(None);
         }
         let checkpoint = Checkpoint::read(&file)?;
-        tracing::info!("going on after iteration {}", checkpoint.iteration());
+        tracing::info!("resuming after iteration {}", checkpoint.iteration());
         Ok(Some(checkpoint))
     }
 
-    /// The checkpoint's or the file's, then the flags, then the settings.
+    /// The configuration of the checkpoint or file, changed by flags, then by --set.
     fn config(&self, checkpoint: Option<&Checkpoint>) -> Result<Config> {
         let method = self.method.unwrap_or(Method::TrGs);
         let mut config = match (&self.config, checkpoint) {
@@ -173,7 +174,7 @@ impl Reconstruct {
         config.precision = self.precision.unwrap_or(config.precision);
         config.seed = self.seed.unwrap_or(config.seed);
         self.set.iter().try_for_each(|setting| config.set(setting))?;
-        // One from a file is compared when it is complete.
+        // A configuration from a file is compared once it is complete.
         if let (Some(checkpoint), None) = (checkpoint, &self.config) {
             checkpoint.check_config(&config)?;
         }
@@ -182,8 +183,9 @@ impl Reconstruct {
     }
 }
 
-/// Reconstructs the dataset that was read from `source` and writes the run; `beside` is shown on its page. Without
-/// `checkpoints` a run that is stopped leaves nothing.
+/// Reconstructs the dataset read from `source` and writes the run; `beside` is compared on its page.
+///
+/// Without `checkpoints`, an interrupted run leaves nothing.
 pub(super) fn reconstruct(
     source: &Path,
     dataset: &Dataset,
@@ -199,7 +201,10 @@ pub(super) fn reconstruct(
         let folder = RunFolder::begin(out, source, config, estimate.peak())?;
         tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
         if let Some(installed) = installed_memory().filter(|&installed| installed < estimate.peak()) {
-            tracing::warn!("this machine has {} of memory: the run may be slow or be stopped", ByteSize(installed));
+            tracing::warn!(
+                "this machine has only {} of memory: the run may be slow or be killed; --max-memory rejects such runs",
+                ByteSize(installed)
+            );
         }
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
@@ -238,19 +243,19 @@ pub(super) fn reconstruct(
     })
 }
 
-/// The time that the first iterations took, from which that of all follows.
+/// Measures the time of early iterations and predicts the total.
 #[derive(Default)]
 struct Pace {
     from: Option<Instant>,
 }
 
 impl Pace {
-    /// Between these iterations it is measured.
+    /// The iterations between which the time is measured.
     const MEASURED: [usize; 2] = [10, 40];
-    /// Time of an iteration goes with this power of the number of primitives.
+    /// The time of an iteration is proportional to this power of the number of primitives.
     const POWER: f64 = 0.8;
 
-    /// Says once, as soon as it can be known, how long a run that fits primitives will take.
+    /// Reports once, as early as possible, how long a run that fits primitives will take.
     fn tell(&mut self, iteration: usize, config: &Config) {
         let [from, to] = Self::MEASURED;
         if iteration == from {
@@ -264,7 +269,7 @@ impl Pace {
     }
 }
 
-/// Bytes of memory of this machine, where the system says it in a file.
+/// Bytes of memory of this machine, if the system states them in a file.
 fn installed_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let kibibytes: u64 = text.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok()?;

@@ -1,4 +1,4 @@
-//! `trgs render`: projections of a model, and the gradient of whatever is made of them.
+//! `trgs render`: projections of a model, and the gradient of a function of them.
 
 use super::arguments::{cutoff, list};
 use super::explain::{self, Written};
@@ -16,7 +16,7 @@ use trgs::scene::npy::Element;
 use trgs::scene::{Scanner, npy};
 use trgs::{Error, Result};
 
-/// Project a model, and pull a cotangent of the projections back to it
+/// Compute projections of a model, and the gradient of a function of the projections
 #[derive(Args)]
 #[command(
     allow_negative_numbers = true,
@@ -27,34 +27,34 @@ use trgs::{Error, Result};
   trgs render out/torso/model.npz --scanner data/torso --explain 0,31,40"
 )]
 pub(super) struct Render {
-    /// Model to project
+    /// Model file
     #[arg(value_name = "MODEL.npz")]
     model: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// Rays through a primitive: exact, or affine as in the paper
+    /// Projection of primitives: exact, or affine as in the paper
     #[arg(long, value_enum, default_value_t = Projection::Exact)]
     projection: Projection,
-    /// Projections [view, v, u] to write
+    /// File to write: projections [view, v, u]
     #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]
     out: Option<PathBuf>,
-    /// List what each primitive adds to one pixel, counted from 0, the largest first
+    /// List the contribution of each primitive to one pixel, largest first; indices start at 0
     #[arg(long, value_name = "VIEW,ROW,COLUMN", value_parser = list::<usize, 3>)]
     explain: Option<[usize; 3]>,
     #[command(flatten)]
     kernel: KernelArgs,
 }
 
-/// What `render` and `voxelize` have in common.
+/// Flags shared by `render` and `voxelize`.
 #[derive(Args)]
 pub(super) struct KernelArgs {
-    /// Arithmetic, and type of the file
+    /// Arithmetic, and number type of the output
     #[arg(long, value_enum, default_value_t = Precision::F64)]
     pub(super) precision: Precision,
-    /// End a primitive where its projection has fallen to this fraction of its peak; 0: nowhere
+    /// Truncate each primitive where its projection falls below this fraction of its peak; 0: no truncation
     #[arg(long, value_name = "EPS", default_value_t = 0.0, value_parser = cutoff)]
     pub(super) cutoff: f64,
-    /// Cotangent of the output, of the same shape
+    /// Cotangent of the output, with the output's shape
     #[arg(long, value_name = "COTANGENT.npy", requires_all = ["grad_out", "out"])]
     vjp: Option<PathBuf>,
     /// Gradient of Σ cotangent·output to write, with the keys and shapes of the model
@@ -62,7 +62,7 @@ pub(super) struct KernelArgs {
     pub(super) grad_out: Option<PathBuf>,
 }
 
-/// What is explained.
+/// The pixel that is explained.
 #[derive(Serialize)]
 struct Pixel {
     view: usize,
@@ -133,7 +133,9 @@ impl Render {
 }
 
 impl KernelArgs {
-    /// Writes the output and, where asked for, what `pull_back` makes of the cotangent: both or neither computed.
+    /// Writes the output and, if requested, the gradient that `pull_back` computes from the cotangent.
+    ///
+    /// Both are computed before either is written.
     pub(super) fn write<R: Kernels + Element>(
         &self,
         out: &Path,
@@ -167,7 +169,7 @@ fn read_cotangent<R: Real>(path: &Path, shape: &[usize]) -> Result<Array3<R>> {
             "cotangent",
             got,
             format!("{shape:?}, the output's"),
-            "make it for this output",
+            "give a cotangent of that shape",
         ));
     }
     if let Some((index, value)) = cotangent.indexed_iter().find(|(_, value)| !value.is_finite()) {

@@ -1,4 +1,4 @@
-//! `trgs report`: the pages of a folder of tables again, from the cells that are finished.
+//! `trgs report`: rewrites the pages of a folder of tables from the finished cells.
 
 use super::table::{What, answer, requests};
 use super::{Answer, interrupt};
@@ -7,7 +7,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use trgs::Result;
 
-/// Make the pages of tables again, from the cells that are finished so far; or say where the page of a run is
+/// Rewrite the pages of tables from the cells finished so far, or print the path of a run's page
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs report out/tables

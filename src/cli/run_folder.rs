@@ -1,4 +1,4 @@
-//! The folder that a reconstruction leaves behind. It appears as a whole, at the end, or not at all.
+//! The folder of a run. It appears completely at the end of the run, or not at all.
 
 use serde::Serialize;
 use std::ffi::OsString;
@@ -18,42 +18,42 @@ use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;
 use trgs::{Error, Result};
 
-/// Where a run that fits primitives keeps its state.
+/// Folder with the state of a run that fits primitives.
 const CHECKPOINTS: &str = "checkpoints";
-/// What every run writes.
+/// Files of every run.
 const FILES: [&str; 5] = ["config.toml", "volume.npy", "metrics.json", "report.html", "provenance.json"];
-/// What a run that fits primitives writes too.
+/// Additional files of a run that fits primitives.
 const MODEL_FILES: [&str; 3] = ["model.npz", "log.jsonl", CHECKPOINTS];
-/// Files without a time in them, so that equal runs have equal digests.
+/// Files that contain no time, so that equal runs have equal digests.
 const TIMELESS: [&str; 4] = ["config.toml", "model.npz", "volume.npy", "metrics.json"];
 
-/// What a run found.
+/// The result of a run.
 pub(super) struct Outcome {
     pub(super) method: Method,
-    /// Missing where the method has none.
+    /// `None` if the method has no primitives.
     pub(super) primitives: Option<Primitives>,
     pub(super) volume: Volume,
-    /// That of the primitives, where `volume` is finished on voxels.
+    /// Volume and metrics of the primitives, if `volume` was finished on voxels.
     pub(super) unfinished: Option<(Volume, Metrics)>,
     pub(super) log: Vec<Record>,
-    /// Of a method that fits voxels in iterations.
+    /// Iterations of a method on voxels.
     pub(super) passes: Vec<TimedPass>,
-    /// What was chosen by views held out.
+    /// The setting chosen on held-out views.
     pub(super) choice: Option<Choice>,
     pub(super) seconds: f64,
     /// Attenuation per scene unit that counted as 1.
     pub(super) unit: Option<f64>,
     pub(super) evaluation: Evaluation,
-    /// How primitives became the volume.
+    /// How the volume was sampled from the primitives.
     pub(super) sampled: Option<Sampled>,
 }
 
-/// An iteration on voxels, as the log has it.
+/// An iteration on voxels, as logged.
 #[derive(Serialize)]
 pub(super) struct TimedPass {
     #[serde(flatten)]
     pub(super) pass: Pass,
-    /// Since the reconstruction began.
+    /// Time since the reconstruction began.
     pub(super) seconds: f64,
 }
 
@@ -64,22 +64,22 @@ struct Results<'a> {
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<&'a Choice>,
-    /// How the primitives became a volume.
+    /// How the volume was sampled from the primitives.
     #[serde(skip_serializing_if = "Option::is_none")]
     sampled: Option<&'a Sampled>,
-    /// Of the primitives' volume, where volume.npy is finished on voxels.
+    /// Metrics of the primitives' volume, if volume.npy was finished on voxels.
     #[serde(skip_serializing_if = "Option::is_none")]
     unfinished: Option<&'a Metrics>,
 }
 
-/// A run's folder under construction.
+/// The folder of a run under construction.
 pub(super) struct RunFolder {
     folder: PathBuf,
     provenance: Provenance,
 }
 
 impl Outcome {
-    /// As people write it.
+    /// Name of the method for display.
     pub(super) fn name(&self) -> &'static str {
         match self.method {
             Method::TrGs => "TR-GS",
@@ -93,7 +93,7 @@ impl Outcome {
         }
     }
 
-    /// Its volume, and that before the finish.
+    /// The volume, and the volume before the finish.
     fn on_the_page(&self) -> impl Iterator<Item = report::Method<'_>> {
         let found =
             report::Method { name: self.name(), volume: Some(&self.volume), metrics: Some(&self.evaluation.metrics) };
@@ -107,25 +107,26 @@ impl Outcome {
 }
 
 impl RunFolder {
-    /// Begins the folder of a run of `config` on the dataset at `source`, estimated to need so many bytes. An older run of the same kind will be
-    /// replaced, anything else is refused now and not after hours of work.
+    /// Begins the folder of a run of `config` on the dataset at `source`; `memory` is the estimate in bytes.
+    ///
+    /// An older run of the same kind will be replaced. Any other content is rejected now, not after hours of work.
     pub(super) fn begin(folder: &Path, source: &Path, config: &Config, memory: u64) -> Result<Self> {
         check_replaceable(folder, config.method)?;
         let mut provenance = Provenance::new(threads::count(), std::env::args());
         provenance.seeds.insert("reconstruct".into(), config.seed);
         provenance.memory = Some(memory);
         provenance.add_input(match source.parent() {
-            // The description of a scan: its folder, which has no name if it is the current one.
+            // The description of a scan stands for its folder, whose name is empty for the current folder.
             Some(parent) if source.is_file() && parent.as_os_str().is_empty() => Path::new("."),
             Some(parent) if source.is_file() => parent,
             _ => source,
         })?;
-        // Only to find out whether it can be written; a run that is killed leaves no unfinished folder behind.
+        // Tests only whether the folder can be written: a killed run leaves no unfinished folder behind.
         drop(stage_folder(folder)?);
         Ok(Self { folder: folder.into(), provenance })
     }
 
-    /// Writes everything and moves the folder to its place. `beside` is shown on the page for comparison.
+    /// Writes all files and moves the folder to its target. `beside` is shown on the page for comparison.
     pub(super) fn finish(
         mut self,
         dataset: &Dataset,
@@ -152,7 +153,7 @@ impl RunFolder {
         if !lines.is_empty() {
             write_text(&at("log.jsonl"), &lines)?;
         }
-        // The run's last state takes the place of those before it together with the results.
+        // The run's last state replaces earlier states together with the results.
         let last = checkpoint_file(&self.folder);
         if last.exists() {
             let kept = checkpoint_file(staged.path());
@@ -216,8 +217,8 @@ fn page(
     }
     if let Some(choice) = &outcome.choice {
         let how = match choice.folds {
-            0 => "too few views to hold any out".into(),
-            _ => format!("by views held out, for {:.0} iterations over all views", choice.cost),
+            0 => "too few views for cross-validation".into(),
+            _ => format!("chosen on held-out views at the cost of {:.0} iterations over all views", choice.cost),
         };
         facts.push((choice.key.clone(), format!("{:.3e}, {how}", choice.value)));
     }
@@ -249,7 +250,7 @@ pub(super) fn checkpoint_file(run: &Path) -> PathBuf {
     run.join(CHECKPOINTS).join("last.msgpack")
 }
 
-/// Refuses a folder with anything in it but an older run of the same kind, finished or not.
+/// Rejects a folder that holds anything but an older run of the same kind, finished or not.
 fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
     let names: Vec<OsString> = match folder.read_dir() {
         Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect(),
@@ -269,7 +270,7 @@ fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
         None => "a folder with parts of a run".into(),
     };
     let expected = "a new or empty folder, or an older run of the same kind";
-    Err(Error::invalid(format!("--out {}", folder.display()), got, expected, "choose another folder"))
+    Err(Error::invalid(format!("--out {}", folder.display()), got, expected, "name another folder with --out"))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

@@ -1,4 +1,4 @@
-//! `trgs simulate`: a scan of a phantom or of a volume.
+//! `trgs simulate`: a simulated scan of a phantom or a volume.
 
 use super::arguments::{finite, pair, seed};
 use super::{Answer, check_size, interrupt};
@@ -12,7 +12,7 @@ use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume};
 
-/// Scan a phantom or a volume and write the dataset
+/// Simulate a scan of a phantom or a volume and write the dataset
 #[derive(Args)]
 #[command(
     allow_negative_numbers = true,
@@ -26,36 +26,36 @@ pub(super) struct Simulate {
     /// Folder to write
     #[arg(long, value_name = "DATASET")]
     out: PathBuf,
-    /// Voxels along each side of a phantom's volume
+    /// Number of voxels along each side of a phantom's volume
     #[arg(long, value_name = "N", default_value_t = 64, conflicts_with = "volume",
         value_parser = value_parser!(u16).range(1..))]
     size: u16,
-    /// Pixels: rows and columns, or one number for both
+    /// Number of pixels: rows and columns, or one number for both
     #[arg(long, value_name = "N|V,U", default_value = "128", value_parser = pair::<u16>)]
     detector: [u16; 2],
-    /// Training views, evenly over a full turn
+    /// Number of training views, evenly spaced over a full turn
     #[arg(long, value_name = "N", default_value_t = 18, value_parser = value_parser!(u16).range(1..))]
     views: u16,
-    /// Test views, at random angles and free of noise
+    /// Number of test views, at random angles and without noise
     #[arg(long, value_name = "N", default_value_t = 50)]
     test_views: u16,
-    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise, as TIGRE has it;
-    /// with `,physical` behind, photons follow Beer and Lambert's law
+    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise in counts, as in
+    /// TIGRE; an appended `,physical` selects the Beer-Lambert law
     #[arg(long, value_name = "LEVEL|I0,SIGMA", default_value = "none")]
     noise: Noise,
-    /// How the rays run
+    /// Geometry of the beam
     #[arg(long, value_enum, default_value_t = BeamName::Cone)]
     beam: BeamName,
-    /// Source to rotation axis; the volume's longest side is 2
+    /// Distance from source to rotation axis; the volume's longest side is 2
     #[arg(long, value_name = "LENGTH", default_value_t = 5.0, value_parser = finite)]
     dso: f64,
-    /// Source to detector
+    /// Distance from source to detector
     #[arg(long, value_name = "LENGTH", default_value_t = 7.0, value_parser = finite)]
     dsd: f64,
     /// Height and width of the detector, or one number for both
     #[arg(long, value_name = "LENGTH|V,U", default_value = "4", value_parser = pair::<f64>)]
     detector_size: [f64; 2],
-    /// Of noise, test angles and the phantom's chance
+    /// Seed of noise, test angles and the phantom's random details
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
 }
@@ -72,13 +72,13 @@ struct ObjectArgs {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum BeamName {
-    /// From a point.
+    /// Rays from a point source.
     Cone,
-    /// Parallel to each other.
+    /// Parallel rays.
     Parallel,
 }
 
-/// What was simulated.
+/// The result of the command.
 #[derive(Serialize)]
 struct Simulated<'a> {
     dataset: &'a Path,
@@ -99,7 +99,7 @@ fn phantom_help() -> String {
         format!("{}: {}", group.title(), names.join(", "))
     });
     format!(
-        "Phantom: {}. Procedural stand-ins, which share only their names with the scans of the paper: {}",
+        "Phantom: {}. Procedural stand-ins, which share only their names with scans of the paper: {}",
         own.collect::<Vec<_>>().join("; "),
         groups.join("; ")
     )
@@ -155,7 +155,7 @@ impl Simulate {
     }
 }
 
-/// A volume around the origin, as large as the conventions want it; its voxels are cubes unless the file says otherwise.
+/// A volume centred at the origin with a longest side of 2; voxels are cubes unless the file states otherwise.
 fn read_volume(path: &Path) -> Result<Volume> {
     let VolumeFile { values, spacing, oddities, .. } = volume_file::read(path)?;
     for oddity in oddities {

@@ -1,4 +1,4 @@
-//! `trgs table`: the paper's tables, run and set beside the paper's figures.
+//! `trgs table`: runs the paper's tables and compares them with the paper's figures.
 
 use super::messages::{ProgressBar, go_on};
 use super::{Answer, Global, interrupt};
@@ -16,10 +16,10 @@ use trgs::numeric::threads;
 use trgs::output::write_atomically;
 use trgs::{Error, Result};
 
-/// What was asked for, so that a page can be made again.
+/// File with the arguments of a table, so that its page can be rewritten.
 const REQUESTS: &str = "tables.json";
 
-/// Run a table of the paper, or all of them, and set ours beside the paper's figures
+/// Run a table of the paper, or all of them, and compare with the paper's figures
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs table list
@@ -30,9 +30,9 @@ const REQUESTS: &str = "tables.json";
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
 
-Cells that are finished in DIR are not run again, so a run that was stopped goes on, and several processes may share DIR.")]
+Cells finished in DIR are not run again: an interrupted run continues, and several processes may share DIR.")]
 pub(super) struct Table {
-    /// Name of a table, all, or list
+    /// Name of a table; `all` runs all tables, `list` lists them
     #[arg(value_name = "NAME|all|list")]
     name: String,
     /// Folder of cells and tables
@@ -40,31 +40,30 @@ pub(super) struct Table {
     out: Option<PathBuf>,
     #[command(flatten)]
     what: What,
-    /// Run this cell alone and make no table; may be given more than once
+    /// Run only this cell and write no table; may be repeated
     #[arg(long, value_name = "ID", conflicts_with = "list_cells")]
     cell: Vec<String>,
-    /// Say which cells there are, and run nothing
+    /// List the cells and run nothing
     #[arg(long)]
     list_cells: bool,
 }
 
-/// What a table is filled with.
+/// The arguments of a table.
 #[derive(Args, Clone, Serialize, Deserialize)]
 pub(super) struct What {
-    /// Voxels along the longest side; detector, primitives and iterations follow
+    /// Voxels along the longest side; detector, primitives and iterations scale with it
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = value_parser!(u16).range(8..=512))]
     size: u16,
-    /// Runs of everything, each with its own noise and chance; intervals need at least two
+    /// Number of runs of each cell, each with another seed; intervals need at least two
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
     seeds: u64,
-    /// Scans and volumes to take, instead of the fifteen phantoms
+    /// Folder of scans and volumes, instead of the fifteen phantoms
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Only these cases
+    /// Run only these cases
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     cases: Vec<String>,
-    /// Set the paper's figures on measured scans beside them, which volume and projection have, instead of those on synthetic
-    /// data
+    /// Compare with the paper's figures on measured scans, which the tables volume and projection have
     #[arg(long, requires = "data")]
     #[serde(default)]
     measured: bool,
@@ -85,15 +84,15 @@ impl What {
                 Error::invalid(
                     "--cases",
                     format!("{name:?}"),
-                    format!("some of {}", names.join(", ")),
-                    "choose among them",
+                    format!("one of {}", names.join(", ")),
+                    "give names from this list",
                 )
             })
         });
         chosen.collect()
     }
 
-    /// The table of a name, or all.
+    /// The table with a name, or all tables.
     pub(super) fn tables(&self, name: &str) -> Result<Vec<experiments::Table>> {
         let tables = match name {
             "all" => experiments::Table::all(),
@@ -114,7 +113,7 @@ impl What {
         Scale { size: self.size.into() }
     }
 
-    /// Writes everything about a table, from the cells that are finished.
+    /// Writes all files of a table from the finished cells.
     pub(super) fn write(&self, table: &experiments::Table, cases: &[Case], out: &Path) -> Result<Written> {
         let store = Store::open(out)?;
         let summary = Summary::new(table, cases, self.scale(), self.seeds, &store)?;
@@ -146,16 +145,16 @@ impl What {
     }
 }
 
-/// A table that was made.
+/// The files and agreement of a table.
 #[derive(Clone, Serialize)]
 pub(super) struct Written {
     table: &'static str,
     page: PathBuf,
     cells: usize,
     missing: usize,
-    /// Pairs of rows in the paper's order, of all that differ in the paper.
+    /// Pairs of rows that differ in the paper: number in the same order here, and number of all.
     pairs: [usize; 2],
-    /// Rows on the paper's side of the full model, of all that differ from it in the paper.
+    /// Rows that differ from the full model in the paper: number with the same sign here, and number of all.
     signs: [usize; 2],
 }
 
@@ -174,7 +173,7 @@ impl Table {
             Error::invalid("--out", "nothing", "a folder for cells and tables", "give one, as in --out out/tables")
         })?;
         let mut cells: Vec<Cell> = tables.iter().flat_map(cells_of).collect();
-        // Cells of one scan side by side, whichever table wants them.
+        // Cells of one scan are adjacent, whichever table they belong to.
         cells.sort_by_cached_key(|cell| (cell.seed, cell.views, cell.noise.clone(), cell.case.name.clone()));
         if !self.cell.is_empty() {
             cells = self.chosen(cells)?;
@@ -190,7 +189,7 @@ impl Table {
         Ok(answer(out, &written))
     }
 
-    /// The cells with the ids asked for.
+    /// The cells with the requested ids.
     fn chosen(&self, cells: Vec<Cell>) -> Result<Vec<Cell>> {
         let wanted = |id: &String| {
             cells.iter().find(|cell| cell.id == *id).cloned().ok_or_else(|| {
@@ -202,7 +201,7 @@ impl Table {
     }
 }
 
-/// Pages and files of tables, for people and programs.
+/// The result of the command: pages and files of tables.
 pub(super) fn answer(out: &Path, written: &[Written]) -> Answer {
     let rows = written.iter().map(|w| {
         let of = |[kept, all]: [usize; 2]| format!("{kept} of {all}");
@@ -215,7 +214,7 @@ pub(super) fn answer(out: &Path, written: &[Written]) -> Answer {
     )
 }
 
-/// Runs what is not finished, with progress.
+/// Runs the unfinished cells and shows progress.
 fn run(cells: &[Cell], store: &Store, global: &Global) -> Result<()> {
     let ids: BTreeSet<_> = cells.iter().map(|cell| &cell.id).collect();
     let (bar, first, began) = (Mutex::new(ProgressBar::new(ids.len(), global)), OnceLock::new(), Instant::now());
@@ -256,7 +255,7 @@ fn listed(cells: &[Cell]) -> Answer {
     Answer::table(&all, ["id", "cell"], cells.iter().map(|cell| [cell.id.clone(), cell.description()]))
 }
 
-/// Keeps what was asked for in DIR, beside what was asked for before.
+/// Stores the arguments in DIR, in addition to earlier ones.
 fn remember(tables: &[experiments::Table], what: &What, out: &Path) -> Result<()> {
     let mut requests = if out.join(REQUESTS).exists() { requests(out)? } else { BTreeMap::new() };
     requests.extend(tables.iter().map(|table| (table.name.to_owned(), what.clone())));
@@ -264,7 +263,7 @@ fn remember(tables: &[experiments::Table], what: &What, out: &Path) -> Result<()
     write_atomically(&out.join(REQUESTS), |file| file.write_all(text.as_bytes()))
 }
 
-/// What was asked for in a folder, by the name of the table.
+/// The arguments stored in a folder, by the name of the table.
 pub(super) fn requests(folder: &Path) -> Result<BTreeMap<String, What>> {
     let path = folder.join(REQUESTS);
     let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;

@@ -1,4 +1,4 @@
-//! Which views of which scanner: the flags of all commands that project something.
+//! Scanner and views: the flags of all commands that compute projections.
 
 use super::arguments::finite;
 use clap::{Args, ValueEnum};
@@ -9,14 +9,14 @@ use trgs::{Error, Result};
 
 #[derive(Args)]
 pub(super) struct ViewArgs {
-    /// Dataset, or its description alone
+    /// Dataset, or its meta_data.json
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: PathBuf,
-    /// Views, radians
+    /// Angles of the views, radians
     #[arg(long, value_name = "RAD,RAD,..", value_delimiter = ',', allow_hyphen_values = true, value_parser = finite,
         conflicts_with = "split")]
     angles: Vec<f64>,
-    /// Views of the dataset, unless there are angles
+    /// Views of the dataset to use if no angles are given
     #[arg(long, value_enum, default_value_t = Split::Train)]
     split: Split,
 }

@@ -1,4 +1,4 @@
-//! `trgs voxelize`: a model at voxel centres, and the gradient of whatever is made of them.
+//! `trgs voxelize`: a model sampled at voxel centres, and the gradient of a function of them.
 
 use super::arguments::list;
 use super::explain::{self, Written};
@@ -17,7 +17,7 @@ use trgs::scene::Grid;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
 
-/// Sample a model on a grid, and pull a cotangent of the volume back to it
+/// Sample a model on a grid, and compute the gradient of a function of the volume
 #[derive(Args)]
 #[command(
     allow_negative_numbers = true,
@@ -29,19 +29,19 @@ use trgs::scene::npy::Element;
   trgs voxelize out/torso/model.npz --scanner data/torso --explain 20,32,17"
 )]
 pub(super) struct Voxelize {
-    /// Model to sample
+    /// Model file
     #[arg(value_name = "MODEL.npz")]
     model: PathBuf,
     #[command(flatten)]
     place: PlaceArgs,
-    /// Corners of the grid's box; without it the cube from -1 to 1
+    /// Corners of the grid's box [default: the cube from -1 to 1]
     #[arg(long = "box", value_name = "x0,y0,z0,x1,y1,z1", requires = "grid", allow_hyphen_values = true,
         value_parser = list::<f64, 6>)]
     corners: Option<[f64; 6]>,
-    /// Volume [x, y, z] to write
+    /// File to write: volume [x, y, z]
     #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]
     out: Option<PathBuf>,
-    /// List what each primitive adds to one voxel, counted from 0, the largest first
+    /// List the contribution of each primitive to one voxel, largest first; indices start at 0
     #[arg(long, value_name = "X,Y,Z", value_parser = list::<usize, 3>)]
     explain: Option<[usize; 3]>,
     #[command(flatten)]
@@ -51,19 +51,19 @@ pub(super) struct Voxelize {
 #[derive(Args)]
 #[group(required = true, multiple = false)]
 struct PlaceArgs {
-    /// Dataset, or its description alone, whose grid to use
+    /// Dataset, or its meta_data.json, whose grid is used
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
-    /// Voxels along x, y and z
+    /// Number of voxels along x, y and z
     #[arg(long, value_name = "X,Y,Z", value_parser = list::<usize, 3>)]
     grid: Option<[usize; 3]>,
 }
 
-/// What is explained.
+/// The voxel that is explained.
 #[derive(Serialize)]
 struct Voxel {
     voxel: [usize; 3],
-    /// Of its centre, scene units.
+    /// Position of its centre, scene units.
     position: [f64; 3],
 }
 

@@ -1,4 +1,4 @@
-//! `trgs convert`: from one format to another, by the names of the files.
+//! `trgs convert`: converts between formats, which follow from the file names.
 
 mod model;
 mod protocol;
@@ -26,35 +26,35 @@ use trgs::{Error, Result};
   trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
 
-Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif, a folder of .tif or of the slices of a DICOM series (read
-only, in builds with --features dicom), and .raw with size and type in its name or in a file name.raw.json beside it:
-{\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5, 1], \"origin\": [0, 0, 0],
-\"skip_bytes\": 0}, of which shape and type are needed. They are written as f32, axes in the order of the file. Models: .npz,
-.ply (physical values, coloured by confidence or nu), R²-Gaussian's point_cloud.pickle (of which no code is run) or its arrays
-as .npz. Scans: a pickle of NAF or a folder, written as a folder in scene units.
+Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif, a folder of .tif, a folder with a DICOM series (read
+only, in builds with --features dicom), and .raw. A .raw states size and type in its name, or in a side file
+name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5,
+1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32 with
+axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu), R²-Gaussian's
+point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a folder, written as a
+folder in scene units.
 
-A stack of projections (.npy [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, x = u) becomes
-a scan when OUT is a name without an extension. It holds intensities, which become line integrals p = -ln((I - D)/(F - D))
-with the flat field F and the dark field D, or --line-integrals already. --scanner describes beam, detector and volume as
-meta_data.json of a dataset does; without --angles the views are those that it lists, or lie evenly over its totalAngle from
-startAngle on.
+A stack of projections (.npy [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, x = u)
+becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
+with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam,
+detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or
+evenly spaced over its totalAngle from startAngle.
 
-Beware of frames that were normalised one by one, each by its own brightest pixel: where no pixel of a frame sees air (the
-object fills the detector) its line integrals are too small by a constant of that frame alone, the views contradict each
-other and no volume explains them all. So without a flat field one value stands for it in all frames. A source that drifts
-is followed by --air, a region that sees air in every frame.")]
+Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the
+detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no
+volume explains them all. Without a flat field, one value is therefore used for all frames. --air, a region that sees
+air in every frame, corrects a drifting source.")]
 pub(super) struct Convert {
-    /// Volume, model, scan or stack of projections to read
+    /// File or folder to read: a volume, model, scan or stack of projections
     #[arg(value_name = "IN")]
     source: PathBuf,
-    /// File or folder to write
+    /// File or folder to write; its name selects the format
     #[arg(value_name = "OUT")]
     out: PathBuf,
-    /// Scan whose grid gives a volume its spacing and origin, in scene units, and whose views give a .ply its confidence;
-    /// scanner of a stack
+    /// Scan that gives a volume its spacing and origin (in scene units), or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
-    /// Write a model as R²-Gaussian's arrays, values before activation
+    /// Write a model as R²-Gaussian's arrays, with values before activation
     #[arg(long)]
     r2: bool,
     #[command(flatten)]
@@ -63,17 +63,17 @@ pub(super) struct Convert {
     stack: stack::StackArgs,
 }
 
-/// What a path holds, by its name.
+/// The kind of data at a path, judged by its name.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Scan,
     Model,
     Volume,
-    /// Projections without a description; written, a scan.
+    /// Projections without a description; as output, a scan.
     Stack,
 }
 
-/// What was converted.
+/// The result of the command.
 #[derive(Serialize)]
 struct Converted<'a> {
     out: &'a Path,
@@ -93,7 +93,7 @@ impl Convert {
         let source = match extension(&self.source) {
             _ if self.source.join("meta_data.json").exists() => Kind::Scan,
             "json" => Kind::Scan,
-            // NAF's scans and R²-Gaussian's point clouds: only the name of what is written tells which.
+            // Scans of NAF and point clouds of R²-Gaussian share the extension: the output's name decides.
             "pickle" | "pkl" if out == Kind::Model => Kind::Model,
             "pickle" | "pkl" => Kind::Scan,
             _ if kind(&self.source) == Kind::Model => Kind::Model,
@@ -102,7 +102,7 @@ impl Convert {
         };
         let refuse = |flag: &str, expected: &str| {
             let got = format!("{} to {}", self.source.display(), self.out.display());
-            Err(Error::invalid(flag, got, expected, "leave the flag out or change the names"))
+            Err(Error::invalid(flag, got, expected, "omit the flag, or name an output of that kind"))
         };
         match (self.stack.first_flag(), self.protocol.flag()) {
             (Some(flag), _) if source != Kind::Stack => {
@@ -123,30 +123,30 @@ impl Convert {
             (Kind::Scan, Kind::Scan) => scan::convert(self),
             (Kind::Stack, _) => stack::convert(self),
             (Kind::Model, Kind::Model) => model::convert(self),
-            // Names that are those of no format are told which there are.
+            // An unknown extension leads to an error that lists the known ones.
             (Kind::Volume, Kind::Volume) => volume::convert(self),
             _ => Err(self.impossible(source, out)),
         }
     }
 
-    /// What does not become another by writing it differently, and the command that makes it.
+    /// The error for a conversion that needs another command; the remedy names that command.
     fn impossible(&self, source: Kind, out: Kind) -> Error {
         let (got, expected, remedy) = match (source, out) {
             (Kind::Model, Kind::Volume) => {
-                ("a volume of a model", "a model, .npz or .ply", "trgs voxelize makes volumes")
+                ("a volume of a model", "a model, .npz or .ply", "use trgs voxelize to make a volume")
             }
-            (Kind::Model, _) => ("a scan of a model", "a model, .npz or .ply", "trgs render makes projections"),
+            (Kind::Model, _) => ("a scan of a model", "a model, .npz or .ply", "use trgs render to make projections"),
             (Kind::Volume, _) => {
-                ("a model of a volume", "a volume", "trgs simulate and trgs reconstruct find primitives")
+                ("a model of a volume", "a volume", "use trgs simulate, then trgs reconstruct, to fit a model")
             }
-            (_, Kind::Model) => ("a model of a scan", "a folder", "trgs reconstruct finds primitives"),
-            _ => ("a volume of a scan", "a folder", "trgs reconstruct finds volumes; the true one is vol_gt.npy"),
+            (_, Kind::Model) => ("a model of a scan", "a folder", "use trgs reconstruct to fit a model"),
+            _ => ("a volume of a scan", "a folder", "use trgs reconstruct; the true volume is vol_gt.npy"),
         };
         Error::invalid(format!("OUT {}", self.out.display()), got, expected, remedy)
     }
 }
 
-/// What a path is the name of.
+/// The kind of data that a name stands for.
 fn kind(path: &Path) -> Kind {
     match path.extension().and_then(OsStr::to_str) {
         None => Kind::Scan,

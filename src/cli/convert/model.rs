@@ -1,4 +1,4 @@
-//! Models: archives, PLY, R²-Gaussian's point clouds.
+//! Conversion of models: archives, PLY, R²-Gaussian's point clouds.
 
 use super::{Convert, extension};
 use crate::cli::{Answer, interrupt};
@@ -9,7 +9,7 @@ use trgs::primitives::{Kernel, Primitives, model};
 use trgs::scene::Dataset;
 use trgs::{Error, Result};
 
-/// What was converted.
+/// The result of the command.
 #[derive(Serialize)]
 struct Converted<'a> {
     out: &'a Path,
@@ -23,7 +23,12 @@ struct Converted<'a> {
 pub(super) fn convert(command: &Convert) -> Result<Answer> {
     let to_ply = extension(&command.out) == "ply";
     let refuse = |flag: &str, expected: &str| {
-        Err(Error::invalid(flag, format!("OUT {}", command.out.display()), expected, "change either"))
+        Err(Error::invalid(
+            flag,
+            format!("OUT {}", command.out.display()),
+            expected,
+            "omit the flag, or change the extension of OUT",
+        ))
     };
     if command.r2 && to_ply {
         return refuse("--r2", "a .npz");
@@ -46,9 +51,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     })?;
     let is_student = primitives.kernel == Kernel::StudentT;
     if command.r2 && is_student {
-        tracing::warn!(
-            "R²-Gaussian does not know nu and will take the primitives for Gaussians: it sees another field"
-        );
+        tracing::warn!("R²-Gaussian ignores nu and reads the primitives as Gaussians: it reconstructs another density");
     }
     Ok(Answer::list(&Converted {
         out: &command.out,
@@ -59,7 +62,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     }))
 }
 
-/// How well the training views of a scan cover each primitive, with the settings that runs begin from.
+/// The confidence of each primitive over a scan's training views, with default settings.
 fn confidence(primitives: &Primitives, scan: &Path) -> Result<Vec<f64>> {
     let Dataset { scanner, train, .. } = Dataset::read(scan)?;
     Ok(Coverage::new(Settings::default()).confidence(primitives, &scanner, &train.angles))

@@ -1,4 +1,4 @@
-//! Few views of a measured scan, and a truth to compare with: flags of `trgs convert`.
+//! Flags of `trgs convert` for measured scans: fewer views, and a pseudo truth.
 
 use crate::cli::arguments::seed;
 use crate::cli::check_size;
@@ -10,27 +10,27 @@ use trgs::scene::Dataset;
 #[derive(Args)]
 #[command(next_help_heading = "Measured scans")]
 pub(super) struct Protocol {
-    /// Keep only so many of the training views, evenly spaced from the first to the last
+    /// Keep only this number of training views, evenly spaced from the first to the last
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Test views, drawn from the training views that are not kept; unless said, 100 or all that are left
+    /// Number of test views drawn from the training views that are not kept [default: 100, or all that remain]
     #[arg(long, value_name = "N", requires = "views")]
     test_views: Option<usize>,
-    /// Take the reconstruction of all training views by FDK, without negative values, for the truth
+    /// Use the FDK reconstruction of all training views, without negative values, as the true volume
     #[arg(long)]
     pseudo_truth: bool,
-    /// Of the choice of the test views [default: 0]
+    /// Seed of the choice of test views [default: 0]
     #[arg(long, value_name = "N", requires = "views", value_parser = seed)]
     seed: Option<u64>,
 }
 
 impl Protocol {
-    /// The flag that was given, if any.
+    /// The first of these flags that was given, if any.
     pub(super) fn flag(&self) -> Option<&'static str> {
         self.views.map(|_| "--views").or(self.pseudo_truth.then_some("--pseudo-truth"))
     }
 
-    /// The scan as the flags want it. The pseudo truth is of the views before any is dropped.
+    /// Applies the flags to a scan. The pseudo truth uses all views, before any is dropped.
     pub(super) fn apply(&self, mut dataset: Dataset) -> Result<Dataset> {
         if self.pseudo_truth {
             check_size("volume", &dataset.scanner.grid.shape)?;

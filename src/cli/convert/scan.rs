@@ -1,4 +1,4 @@
-//! From one format of scans to R²-Gaussian's folder.
+//! Conversion of scans to R²-Gaussian's folder.
 
 use super::{Convert, Converted, warn};
 use crate::cli::{Answer, interrupt};

@@ -1,4 +1,4 @@
-//! From a stack of projections to R²-Gaussian's folder.
+//! Conversion of a stack of projections to R²-Gaussian's folder.
 
 use super::{Convert, warn};
 use crate::cli::arguments::finite;
@@ -12,54 +12,54 @@ use trgs::scene::intensities::{Air, Corrected, Correction, White, mean_frame};
 use trgs::scene::stack::{self, Orientation};
 use trgs::{Error, Result};
 
-/// Flags that only a stack of projections has.
+/// Flags for stacks of projections.
 #[derive(Args)]
 #[command(next_help_heading = "Stacks of projections")]
 pub(super) struct StackArgs {
-    /// Angles of the views, radians: numbers in a text, or .npy
+    /// Angles of the views in radians: a text of numbers, or .npy
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
-    /// The angles are degrees
+    /// Read the angles as degrees
     #[arg(long, requires = "angles")]
     degrees: bool,
-    /// Frames without an object, whose mean is used: any stack, or one image
+    /// Flat field: frames without an object (any stack, or one image), which are averaged
     #[arg(long, value_name = "STACK", conflicts_with_all = ["normalise", "white", "line_integrals"])]
     flat: Option<PathBuf>,
-    /// Frames without X-rays, whose mean is used: any stack, or one image
+    /// Dark field: frames without X-rays (any stack, or one image), which are averaged
     #[arg(long, value_name = "STACK", conflicts_with = "line_integrals")]
     dark: Option<PathBuf>,
-    /// What stands for a flat field: the brightest pixel (of a thousand) of the stack, or of every frame, which is a trap
+    /// Replace the flat field by the brightest pixels of the stack, or of each frame (which makes views inconsistent)
     #[arg(long, value_enum, value_name = "OVER", conflicts_with_all = ["white", "line_integrals"])]
     normalise: Option<Normalise>,
-    /// Reading of a pixel without an object, in place of a flat field
+    /// Reading of a pixel without an object, instead of a flat field
     #[arg(long, value_name = "I0", conflicts_with = "line_integrals", value_parser = finite)]
     white: Option<f64>,
-    /// Region that sees air in every frame, ends excluded: its mean takes out the drift of the source
+    /// Region that sees air in every frame, ends excluded; its mean corrects the drift of the source
     #[arg(long, value_name = "ROW0,COL0,ROW1,COL1", conflicts_with = "line_integrals")]
     air: Option<Air>,
-    /// The stack holds line integrals, in units of the scanner's lengths
+    /// Read the stack as line integrals, with lengths in the unit of the scanner
     #[arg(long)]
     line_integrals: bool,
-    /// Row 0 is at the bottom; here it is on top
+    /// Row 0 of a frame is at the bottom
     #[arg(long)]
     flip_rows: bool,
-    /// Column 0 is at the other side
+    /// Column 0 of a frame is at the opposite side
     #[arg(long)]
     flip_columns: bool,
-    /// Angles are counted clockwise, seen from +z
+    /// Angles are clockwise, seen from +z
     #[arg(long)]
     clockwise: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Normalise {
-    /// The stack's.
+    /// The brightest pixels of the whole stack.
     Global,
-    /// Each frame's.
+    /// The brightest pixels of each frame.
     Frame,
 }
 
-/// What was made of a stack.
+/// The result of the command.
 #[derive(Serialize)]
 struct Measured<'a> {
     out: &'a Path,
@@ -75,7 +75,7 @@ struct Measured<'a> {
     notes: Vec<String>,
 }
 
-/// What was done to intensities.
+/// Statistics of the conversion of intensities.
 #[derive(Serialize)]
 struct Summary {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -87,7 +87,7 @@ struct Summary {
 }
 
 impl StackArgs {
-    /// A flag that was given, if any was.
+    /// The first of these flags that was given, if any.
     pub(super) fn first_flag(&self) -> Option<&'static str> {
         let given = [
             ("--angles", self.angles.is_some()),
@@ -104,7 +104,7 @@ impl StackArgs {
         given.into_iter().find(|(_, given)| *given).map(|(flag, _)| flag)
     }
 
-    /// Intensities as line integrals.
+    /// Converts intensities to line integrals.
     fn correct(&self, readings: &Array3<f32>) -> Result<Corrected> {
         let white = match (&self.flat, self.white, self.normalise) {
             (Some(flat), _, _) => White::Flat(field("flat field", flat)?),
@@ -125,7 +125,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     let Convert { source, out, scanner, protocol, stack: arguments, .. } = command;
     let Some(scanner) = scanner else {
         let expected = "the description of beam, detector and volume, for a stack of projections";
-        let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz or the like to write a volume";
+        let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz to write a volume";
         return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
     };
     let description = Description::read(scanner)?;

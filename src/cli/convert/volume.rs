@@ -1,4 +1,4 @@
-//! From one format of volumes to another.
+//! Conversion of volumes.
 
 use super::{Convert, Converted, warn};
 use crate::cli::Answer;
@@ -15,7 +15,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
         let grid = read_scanner(path)?.grid;
         if grid.shape != shape {
             let expected = format!("{:?}, the grid of {}", grid.shape, path.display());
-            let remedy = "give the scan that it was made from";
+            let remedy = "give the scan that the volume was reconstructed from";
             return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
         }
         (volume.spacing, volume.origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
