@@ -1,8 +1,8 @@
-//! The one error type: what was wrong, what was found, what was expected, and what to do about it.
+//! The one error type. Each message says what was wrong, what was found and expected, and the remedy.
 
 use std::path::{Path, PathBuf};
 
-/// Everything that can go wrong at the borders of the library.
+/// Every error that the library reports at its borders.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file or folder could not be read.
@@ -10,51 +10,51 @@ pub enum Error {
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file or folder could not be written; nothing half-written was left behind.
+    /// A file or folder could not be written; no partial file was left behind.
     #[error("cannot write {}: {source}; check that the folder exists, is writable and has space", path.display())]
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file was read, but its content is not what it should be.
+    /// A file was read, but its content is not as expected.
     #[error("{}: {what}: got {got}, expected {expected}; {remedy}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// Which part of it.
+        /// The part of the file that is wrong.
         what: String,
-        /// What stands there.
+        /// The content found.
         got: String,
-        /// What should stand there.
+        /// The content expected.
         expected: String,
-        /// What the user can do.
+        /// The action that the user can take.
         remedy: String,
     },
-    /// A value given by the user is unusable.
+    /// A value given by the user cannot be used.
     #[error("{what}: got {got}, expected {expected}; {remedy}")]
     Invalid {
-        /// Which value.
+        /// The name of the value.
         what: String,
-        /// What was given.
+        /// The value given.
         got: String,
-        /// What is allowed.
+        /// The values allowed.
         expected: String,
-        /// What the user can do.
+        /// The action that the user can take.
         remedy: String,
     },
-    /// A computation produced a value that is not finite. It is never repaired in silence.
+    /// A computation produced a value that is not finite. Such values are reported, never replaced.
     #[error("{stage}: {value} at index {index:?}, step {step}; the first non-finite value ends the run")]
     NonFinite {
-        /// Which computation.
+        /// The computation.
         stage: &'static str,
         /// The value found.
         value: f64,
-        /// Where, in the array that the stage produces.
+        /// Index in the array that the stage produces.
         index: Vec<usize>,
         /// Training iteration, or 0 outside of training.
         step: usize,
@@ -64,7 +64,7 @@ pub enum Error {
     Interrupted {
         /// The iteration reached.
         step: usize,
-        /// What was saved and how to go on.
+        /// What was saved, and how to continue.
         remedy: String,
     },
 }
@@ -73,7 +73,7 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// An [`Error::Invalid`] from anything that prints.
+    /// Builds an [`Error::Invalid`] from printable parts.
     pub fn invalid(
         what: impl ToString,
         got: impl ToString,
@@ -83,7 +83,7 @@ impl Error {
         Self::Invalid { what: one_line(what), got: one_line(got), expected: expected.into(), remedy: remedy.into() }
     }
 
-    /// An [`Error::Format`] from anything that prints.
+    /// Builds an [`Error::Format`] from printable parts.
     pub fn format(
         path: &Path,
         what: impl ToString,
@@ -100,7 +100,7 @@ impl Error {
         }
     }
 
-    /// The same complaint about a value, as one about the file that it stands in.
+    /// Turns an error about a value into an error about the file that holds the value.
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
@@ -111,18 +111,18 @@ impl Error {
         }
     }
 
-    /// An [`Error::Read`] for `path`.
+    /// Builds an [`Error::Read`] for `path`.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
         Self::Read { path: path.into(), source }
     }
 
-    /// An [`Error::Write`] for `path`.
+    /// Builds an [`Error::Write`] for `path`.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::Write { path: path.into(), source }
     }
 }
 
-/// The text with control characters escaped: a message stays one line whatever a file or a flag holds.
+/// Escapes control characters, so that a message stays on one line whatever a file or a flag holds.
 fn one_line(text: impl ToString) -> String {
     let escaped = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.into() };
     text.to_string().chars().map(escaped).collect()

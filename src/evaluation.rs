@@ -1,22 +1,23 @@
-//! How good a reconstruction is: PSNR and SSIM of volumes and of projections, with the definitions of R²-Gaussian.
+//! Quality of a reconstruction: PSNR and SSIM of volumes and of projections, as R²-Gaussian defines them.
 //!
-//! A number says little without its definition (published SSIMs of one volume differ by 6 points between
-//! definitions), so each [`Metric`] carries the id of its own:
+//! Published SSIMs of one volume differ by 6 points between definitions, so each [`Metric`] carries the id of its
+//! definition:
 //!
 //! | id | definition |
 //! |---|---|
-//! | `psnr3d/peak1` | `10 log10(1/MSE)` over all voxels, peak 1, nothing clipped or scaled |
+//! | `psnr3d/peak1` | `10 log10(1/MSE)` over all voxels, peak 1, without clipping or scaling |
 //! | `ssim3d/r2-slices` | mean over the axes of the mean [SSIM](crate::loss::ssim) of the slices across it |
-//! | `psnr3d/truth-range` | the same with both volumes divided by the range of the truth, its largest less its least value |
+//! | `psnr3d/truth-range` | the same with both volumes divided by the range of the truth, maximum less minimum |
 //! | `ssim3d/truth-range-slices` | SSIM of the slices of these, otherwise as above |
 //! | `psnr2d/selfmax` | `10 log10(1/MSE)` of images divided by their own maximum, mean over the views |
 //! | `ssim2d/selfmax` | SSIM of the same images, mean over the same views |
 //!
-//! Slices and views whose truth is nowhere above 0 are left out of the means.
-//! Those with the truth's range are there where the largest value of the truth is not from ½ to 2: a peak of 1 says little then.
-//! The 2-D metrics do not see an error in global scale; the 3-D ones do. All arithmetic is f64.
-//! PSNR is infinite for equal data. JSON has no such number: infinity is written as the string `"inf"`, and a
-//! value that does not exist (a view left out, a mean over nothing), NaN here, as `null`.
+//! Slices and views whose truth has no value above 0 are left out of the means. The metrics with the truth's range are
+//! computed only where the maximum of the truth is outside [½, 2]: a peak of 1 says little there. The 2-D metrics do
+//! not see an error in global scale; the 3-D metrics do. All arithmetic is f64.
+//!
+//! PSNR is infinite for equal data. JSON has no such number: infinity is written as the string `"inf"`. A missing value
+//! (a view left out, a mean over nothing) is NaN here and `null` in JSON.
 
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget};
@@ -26,7 +27,7 @@ use crate::scene::{Projections, Volume};
 use ndarray::{Array2, ArrayView2, ArrayView3, Axis};
 use serde::{Deserialize, Serialize};
 
-/// One number, how it is defined, and what it is the mean of.
+/// A mean, the id of its definition, and the values that it is the mean of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
     /// The mean. PSNR in dB; infinite when the data are equal, NaN when there is nothing to compare.
@@ -34,13 +35,13 @@ pub struct Metric {
     pub value: f64,
     /// Id of the definition, see the [module documentation](self).
     pub definition: String,
-    /// What `value` is the mean of: the axes x, y, z for `ssim_3d`, the views for the 2-D metrics; NaN for one that is
-    /// left out. Empty for `psnr_3d`.
+    /// The values that `value` is the mean of: the axes x, y, z for `ssim_3d`, the views for the 2-D metrics; NaN for
+    /// each that is left out. Empty for `psnr_3d`.
     #[serde(with = "numbers", default, skip_serializing_if = "Vec::is_empty")]
     pub detail: Vec<f64>,
 }
 
-/// What is known of the quality of a reconstruction. Without a true volume, or without test views, there are only two.
+/// The metrics of a reconstruction. A metric without its reference data is `None`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// Peak signal-to-noise ratio of the volume, dB.
@@ -49,10 +50,10 @@ pub struct Metrics {
     /// Structural similarity of the volume's slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ssim_3d: Option<Metric>,
-    /// [`Self::psnr_3d`] with the truth's range as its peak, where that is not near 1.
+    /// [`Self::psnr_3d`] with the truth's range as its peak, where the truth's maximum is not near 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_3d_range: Option<Metric>,
-    /// [`Self::ssim_3d`] of volumes divided by the truth's range, where that is not near 1.
+    /// [`Self::ssim_3d`] of volumes divided by the truth's range, where the truth's maximum is not near 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ssim_3d_range: Option<Metric>,
     /// Peak signal-to-noise ratio of the projections, dB.
@@ -64,13 +65,14 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Names of the columns of a table of metrics.
+    /// Column names in a table of metrics.
     pub const NAMES: [&'static str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
     /// Names of the metrics with the truth's range.
     pub const RANGE_NAMES: [&'static str; 2] = ["psnr_3d_range", "ssim_3d_range"];
 
-    /// All metrics of a volume and of projections (those of the truth come first in each pair). A pair that is
-    /// missing leaves its metrics out.
+    /// All metrics of a volume and of projections. The truth comes first in each pair.
+    ///
+    /// Volumes are `[x, y, z]`, projections `[view, v, u]`. A missing pair leaves its metrics out.
     ///
     /// # Errors
     /// When the shapes in a pair differ.
@@ -106,7 +108,7 @@ impl Metrics {
         [&self.psnr_3d_range, &self.ssim_3d_range].map(Option::as_ref)
     }
 
-    /// The cells of a table's row, in the order of [`Self::NAMES`]: dB with two decimals, similarities with four.
+    /// The cells of a table row, in the order of [`Self::NAMES`]: dB with two decimals, SSIM with four.
     pub fn row(&self) -> [String; 4] {
         let mut decimals = [2, 4].into_iter().cycle();
         self.columns().map(|metric| {
@@ -119,7 +121,9 @@ impl Metrics {
     }
 }
 
-/// PSNR of a volume, peak 1; `psnr3d/peak1`. Not in the paper: it names the metric, R²-Gaussian defines it.
+/// PSNR of a volume with peak 1, in dB; `psnr3d/peak1`.
+///
+/// Not in the paper: it names the metric, R²-Gaussian defines it.
 ///
 /// # Panics
 /// When the shapes differ.
@@ -127,7 +131,9 @@ pub fn psnr_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
     psnr_of_peak("psnr3d/peak1", truth, result, 1.0)
 }
 
-/// PSNR of a volume, peak `range`: `psnr3d/truth-range`. Not in the paper, whose densities lie in [0, 1].
+/// PSNR of a volume with peak `range`, in dB; `psnr3d/truth-range`.
+///
+/// Not in the paper, whose densities lie in [0, 1].
 ///
 /// # Panics
 /// When the shapes differ.
@@ -143,22 +149,23 @@ fn psnr_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32
     Metric::new(definition, psnr(reduce::sum(&slabs) / truth.len() as f64), Vec::new())
 }
 
-/// Largest less least value of a volume; 0 where all are equal. Not in the paper.
+/// Maximum less minimum of a volume; 0 for a constant volume. Not in the paper.
 pub fn range(truth: ArrayView3<f32>) -> f64 {
     let (low, high) =
         truth.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)));
     f64::from(high) - f64::from(low)
 }
 
-/// The range of a truth whose largest value is not near 1.
+/// The range of a truth whose maximum is outside [½, 2], otherwise `None`.
 fn range_that_matters(truth: ArrayView3<f32>) -> Option<f64> {
     let top = truth.iter().fold(f32::NEG_INFINITY, |top, &value| top.max(value));
     let range = range(truth);
     (!(0.5..=2.0).contains(&top) && range > 0.0 && range.is_finite()).then_some(range)
 }
 
-/// SSIM of a volume, slice by slice across each axis; `ssim3d/r2-slices`. Not in the paper: it names the metric,
-/// R²-Gaussian defines it.
+/// SSIM of a volume, slice by slice across each axis; `ssim3d/r2-slices`.
+///
+/// Not in the paper: it names the metric, R²-Gaussian defines it.
 ///
 /// # Panics
 /// When the shapes differ.
@@ -166,8 +173,9 @@ pub fn ssim_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
     ssim_of_peak("ssim3d/r2-slices", truth, result, 1.0)
 }
 
-/// SSIM of a volume divided by `range`, slice by slice; `ssim3d/truth-range-slices`. Not in the paper, whose densities lie
-/// in [0, 1].
+/// SSIM of a volume divided by `range`, slice by slice; `ssim3d/truth-range-slices`.
+///
+/// Not in the paper, whose densities lie in [0, 1].
 ///
 /// # Panics
 /// When the shapes differ.
@@ -188,8 +196,10 @@ fn ssim_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32
     Metric::new(definition, mean(&axes), axes.to_vec())
 }
 
-/// PSNR of projections, each divided by its own maximum; `psnr2d/selfmax`. Not in the paper: it names the metric,
-/// R²-Gaussian defines it. An image of the result that is nowhere above 0 is left as it is.
+/// PSNR of projections, each divided by its own maximum, in dB; `psnr2d/selfmax`.
+///
+/// Not in the paper: it names the metric, R²-Gaussian defines it. An image of the result without a value above 0 is not
+/// divided.
 ///
 /// # Panics
 /// When the shapes differ.
@@ -199,8 +209,10 @@ pub fn psnr_2d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
     })
 }
 
-/// SSIM of projections, each divided by its own maximum; `ssim2d/selfmax`. Not in the paper: it names the metric,
-/// R²-Gaussian defines it. An image of the result that is nowhere above 0 is left as it is.
+/// SSIM of projections, each divided by its own maximum; `ssim2d/selfmax`.
+///
+/// Not in the paper: it names the metric, R²-Gaussian defines it. An image of the result without a value above 0 is not
+/// divided.
 ///
 /// # Panics
 /// When the shapes differ.
@@ -261,7 +273,7 @@ fn largest(image: ArrayView2<f32>) -> f64 {
     image.iter().fold(f64::NEG_INFINITY, |largest, &value| largest.max(f64::from(value)))
 }
 
-/// Mean of the values that are there; NaN when there is none.
+/// Mean of the values that are not NaN; NaN when there is none.
 fn mean(values: &[f64]) -> f64 {
     let present: Vec<f64> = values.iter().copied().filter(|v| !v.is_nan()).collect();
     reduce::sum(&present) / present.len() as f64
@@ -271,11 +283,11 @@ fn check_shapes(what: &str, truth: &[usize], result: &[usize]) -> Result<()> {
     if truth == result {
         return Ok(());
     }
-    let remedy = "compare what lies on the same grid and was seen from the same views";
+    let remedy = "compare two results on the same grid and with the same views";
     Err(Error::invalid(what, format!("shape {result:?}"), format!("the truth's shape {truth:?}"), remedy))
 }
 
-/// A number in JSON: infinity as `"inf"`, NaN as `null`.
+/// JSON form of a number: infinity is `"inf"`, NaN is `null`.
 mod number {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -322,7 +334,7 @@ mod number {
     }
 }
 
-/// A list of such numbers.
+/// JSON form of a list of such numbers.
 mod numbers {
     use super::number::{Json, from_json, to_json};
     use serde::{Deserialize, Deserializer, Serializer};

@@ -1,9 +1,10 @@
-//! How much memory a run will need, before it starts: a row for each kind of array, by the moment it lives in.
+//! Upper bound on the memory of a run, known before it starts: rows of arrays, grouped by phase.
 //!
-//! The estimate is an upper end: populations are taken as large as their settings let them become, and what the allocator
-//! keeps between two uses is given room. It knows sizes alone, so a run can be refused before a projection is read.
+//! Populations are counted as large as their settings let them become, and an allowance covers memory that the
+//! allocator keeps between two uses. The estimate needs sizes only, so a run can be rejected before a projection is
+//! read.
 //!
-//! Tests: `tests/cli/memory.rs` holds it against the largest resident set of runs.
+//! Tests: `tests/cli/memory.rs` compares it with the largest resident set of runs.
 
 use crate::config::{Config, DensityControl, Finish, Method, Precision, Sampling, Start};
 use crate::error::{Error, Result};
@@ -12,50 +13,50 @@ use crate::scene::dataset::Survey;
 use bytesize::ByteSize;
 use std::fmt;
 
-/// The program itself, its threads' stacks and what is small.
+/// Bytes of the program itself, its threads' stacks and small objects.
 const PROGRAM: u64 = 20 << 20;
-/// What the allocator keeps, as a part of all arrays.
+/// Memory that the allocator keeps, as a fraction of all arrays.
 const SLACK: f64 = 0.15;
-/// Numbers of a primitive: mean, scales, quaternion, density, ν.
+/// Numbers per primitive: mean, scales, quaternion, density, ν.
 const NUMBERS: usize = 12;
-/// A double.
+/// Bytes of a double-precision number.
 const F64: usize = size_of::<f64>();
-/// A single.
+/// Bytes of a single-precision number.
 const F32: usize = size_of::<f32>();
-/// Columns of the message that refuses a run.
+/// Rows named in the message that rejects a run.
 const SHOWN: usize = 3;
 
 /// Arrays of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// What they hold.
+    /// Content of the arrays.
     pub what: &'static str,
     /// Number of elements: pixels, voxels or primitives.
     pub count: usize,
-    /// Bytes for each.
+    /// Bytes per element.
     pub bytes: usize,
 }
 
-/// Arrays that live at the same time.
+/// A phase of a run: arrays that live at the same time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Moment {
-    /// What the run does then.
+    /// Name of the phase.
     pub name: &'static str,
-    /// Its arrays, beside those that last.
+    /// Arrays of this phase, in addition to the lasting ones.
     pub rows: Vec<Row>,
 }
 
-/// What a run needs.
+/// The memory that a run needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Estimate {
     /// Arrays that live from the beginning to the end.
     pub lasting: Vec<Row>,
-    /// What comes and goes.
+    /// Phases and their temporary arrays.
     pub moments: Vec<Moment>,
 }
 
 impl Row {
-    /// Bytes of all.
+    /// Bytes of all rows.
     pub fn total(&self) -> u64 {
         (self.count as u64).saturating_mul(self.bytes as u64)
     }
@@ -70,7 +71,7 @@ fn sum(rows: &[Row]) -> u64 {
 }
 
 impl Estimate {
-    /// Of a run of `config` on a scan, of whose training views it uses `views`, with so many workers.
+    /// Estimates a run of `config` on a scan with `views` of its training views and `threads` workers.
     pub fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
         let config = &config.resolved(&scan.scanner, views);
         let sizes = Sizes::new(scan, views, config, threads);
@@ -98,27 +99,27 @@ impl Estimate {
         }
     }
 
-    /// Of reading a file of so many bytes whose sizes only reading tells: its content, its arrays, and the scan.
+    /// Estimates a file of `bytes` bytes whose sizes only reading tells: content, arrays and scan.
     pub fn of_file(bytes: u64) -> Self {
         let rows = vec![row("the file, its arrays and the scan", usize::try_from(bytes).unwrap_or(usize::MAX), 5)];
         Self { lasting: Vec::new(), moments: vec![Moment { name: "reading", rows }] }
     }
 
-    /// Bytes at the worst moment.
+    /// Bytes in the phase that needs most.
     pub fn peak(&self) -> u64 {
         let arrays = sum(&self.lasting).saturating_add(sum(&self.worst().rows));
         PROGRAM.saturating_add(arrays).saturating_add((arrays as f64 * SLACK) as u64)
     }
 
-    /// The moment that needs most.
+    /// The phase that needs most.
     pub fn worst(&self) -> &Moment {
         self.moments.iter().max_by_key(|moment| sum(&moment.rows)).expect("every run is evaluated")
     }
 
-    /// Refuses a run that may need more than `limit` bytes.
+    /// Rejects a run that may need more than `limit` bytes.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the figure and what makes it.
+    /// [`Error::Invalid`] with the estimate and its largest rows.
     pub fn check(&self, limit: u64) -> Result<()> {
         if self.peak() <= limit {
             return Ok(());
@@ -128,7 +129,7 @@ impl Estimate {
     }
 }
 
-/// The figure, and the largest of what makes it.
+/// The estimate and its largest rows.
 impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut rows: Vec<&Row> = self.lasting.iter().chain(&self.worst().rows).collect();
@@ -139,26 +140,26 @@ impl fmt::Display for Estimate {
     }
 }
 
-/// The sizes that everything follows from.
+/// The sizes that all rows follow from.
 #[derive(Clone)]
 struct Sizes {
     /// Pixels of a view, and its rows.
     detector: usize,
     rows: usize,
-    /// Pixels of all views that are used.
+    /// Pixels of all views used.
     pixels: usize,
     voxels: usize,
-    /// Voxels with one more along each axis.
+    /// Voxels of a grid with one more voxel along each axis.
     voxels_beyond: usize,
     /// Voxels of a slice across x.
     slice: usize,
     slices: usize,
     /// Primitives at the start.
     points: usize,
-    /// Primitives at most.
+    /// Largest number of primitives.
     most: usize,
     test: usize,
-    /// Bytes of a number that pixels and voxels are computed in.
+    /// Bytes of a number in the precision of pixels and voxels.
     real: usize,
     threads: usize,
 }
@@ -191,7 +192,7 @@ impl Sizes {
     }
 
     fn fdk(&self, name: &'static str, displaced: bool) -> Moment {
-        // A displaced detector is made twice as wide at most, before the projections are filtered.
+        // A displaced detector at most doubles in width before the projections are filtered.
         let copies = if displaced { 4 } else { 1 };
         let rows = vec![row("filtered projections", self.pixels, copies * F32), row("volume", self.voxels, F32)];
         Moment { name, rows }
@@ -217,7 +218,7 @@ impl Sizes {
         };
         start.push(row("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
         let block = |side: usize| self.voxels.min(side * side * side);
-        // What an iteration works in stays for the next one, whatever is due between them.
+        // The workspace of an iteration stays for the next one, whatever runs between them.
         let kept = [
             physical,
             shapes,
@@ -230,7 +231,7 @@ impl Sizes {
             row("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
             row("image, loss and cotangent", d, 10 * real),
             row("block of the total variation", block(config.loss.tv_block), 8 * real),
-            // Voxels, cotangent, two transforms, a weight of each voxel, and copies of at most six bands out of eight.
+            // Voxels, cotangent, two transforms, a weight of each voxel, and copies of at most six of the eight bands.
             row("block of the wavelets", block(config.wavelet.block), 6 * real + 2),
             row("tree of neighbours, and where it has them", m, 11 * F64 + 1),
         ];
@@ -270,7 +271,7 @@ impl Sizes {
             moments.push(Moment { name: "finish", rows });
         }
         if config.density_control.method != DensityControl::None {
-            // The next population beside the last one: successors, raw and physical values, moments.
+            // The next population coexists with the last one: successors, raw and physical values, moments.
             let next = row("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
             moments.push(working("density control", &[next]));
         }
@@ -320,7 +321,7 @@ impl Sizes {
         Moment { name: "reconstruction", rows }
     }
 
-    /// Bytes per voxel of a slice for what all workers sum up.
+    /// Bytes per voxel of a slice for the partial sums of all workers.
     fn at_work(&self, numbers: usize) -> usize {
         const SLICES: usize = 8;
         SLICES * numbers * self.real * self.threads.min(self.slices.div_ceil(SLICES))
@@ -339,18 +340,18 @@ impl Sizes {
     }
 }
 
-/// As many as density control can make of them.
+/// Upper bound on the number of primitives after density control.
 fn most_primitives(points: usize, config: &Config) -> usize {
     let control = &config.density_control;
     let added = |m: usize| match control.method {
         DensityControl::None => 0,
-        // Of each primitive two, as long as the cap is not reached before.
+        // Each primitive may be doubled, unless the cap is reached before.
         DensityControl::Adc if m < control.cap => m,
         DensityControl::Adc => 0,
         DensityControl::Ar => ((control.growth * m as f64) as usize).min(control.cap.saturating_sub(m)),
     };
     (0..config.iterations / control.every.max(1))
-        // Err: it grows no more.
+        // Err: the population no longer grows.
         .try_fold(points, |m, _| if added(m) == 0 { Err(m) } else { Ok(m + added(m)) })
         .unwrap_or_else(|m| m)
 }

@@ -1,4 +1,4 @@
-//! Writing that never leaves half a file or half a folder: everything is built beside its place and renamed into it.
+//! Atomic writing of files and folders: content goes to a temporary name and is renamed at the end.
 
 use crate::error::{Error, Result};
 use std::collections::BTreeSet;
@@ -8,13 +8,13 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{Builder, TempDir};
 
-/// Writes a file as a whole or not at all.
+/// Writes a file completely or not at all.
 ///
-/// `content` fills a temporary file in the same folder, which then takes the place of `path`; a reader sees the old
-/// file or the new one. Links are followed. What is no regular file (a device, a pipe) is written to directly.
+/// `content` fills a temporary file in the same folder, which is then renamed to `path`: a reader sees the old file or
+/// the new one. Links are followed. A path that is no regular file (a device, a pipe) is written to directly.
 ///
 /// # Errors
-/// [`Error::Write`] with what the operating system or `content` said; the temporary file is gone by then.
+/// [`Error::Write`] with the error of the operating system or of `content`; the temporary file is removed.
 pub fn write_atomically(path: &Path, content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.into());
     replace(&target, content).map_err(|source| Error::write(path, source))
@@ -30,27 +30,29 @@ fn replace(target: &Path, content: impl FnOnce(&mut BufWriter<File>) -> io::Resu
     let (file, temporary) = temporary.into_parts();
     let mut buffer = BufWriter::new(file);
     content(&mut buffer)?;
-    // Without this a power failure could leave the new name on an empty file.
+    // Without this, a power failure could leave the new name on an empty file.
     buffer.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
     temporary.persist(target).map_err(|failure| failure.error)
 }
 
-/// Creates a folder and its missing parents; one that exists already is fine.
+/// Creates a folder and its missing parents; an existing folder is no error.
 ///
 /// # Errors
-/// [`Error::Write`] with what the operating system said.
+/// [`Error::Write`] with the error of the operating system.
 pub fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(|source| Error::write(path, source))
 }
 
-/// A folder under construction, beside the place it will have. Dropped without [`Self::commit`], it disappears.
+/// A temporary folder beside its target. It is deleted when dropped without [`Self::commit`].
 #[derive(Debug)]
 pub struct StagedFolder {
     temporary: TempDir,
     target: PathBuf,
 }
 
-/// Begins a folder that appears at `target` as a whole, on [`StagedFolder::commit`]. Missing parents are created.
+/// Begins a folder that appears at `target` completely, on [`StagedFolder::commit`].
+///
+/// Missing parents are created.
 ///
 /// # Errors
 /// [`Error::Write`] when the parent cannot be written to.
@@ -66,19 +68,19 @@ pub fn stage_folder(target: &Path) -> Result<StagedFolder> {
 }
 
 impl StagedFolder {
-    /// Where to write the content.
+    /// The temporary folder to write the content to.
     pub fn path(&self) -> &Path {
         self.temporary.path()
     }
 
-    /// Moves the folder to its place.
+    /// Moves the folder to its target.
     ///
-    /// An older folder there is replaced as a whole, but only if every entry in it has the name of an entry of the new
-    /// one (an empty folder has none). So a dataset can be made again, and nobody's other files are lost.
+    /// An older folder there is replaced completely, but only if every entry in it has the name of an entry of the new
+    /// one (an empty folder has none). So a dataset can be made again, and other files are never lost.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when a foreign entry is in the way, [`Error::Write`] when the system refuses; in both cases
-    /// the old folder is untouched and the new one is gone.
+    /// [`Error::Invalid`] when another entry is in the way, [`Error::Write`] when the system refuses; in both cases the
+    /// old folder is untouched and the new one is deleted.
     pub fn commit(self) -> Result<()> {
         let failed = |source| Error::write(&self.target, source);
         if !self.target.exists() {
@@ -90,7 +92,7 @@ impl StagedFolder {
                     format!("output folder {}", self.target.display()),
                     format!("one that holds {}", foreign.display()),
                     "a new or empty folder, or an older result of the same kind",
-                    "choose another folder or move its content away",
+                    "name another folder, or move its content away",
                 ));
             }
             let attic = Builder::new().prefix(".trgs-old-").tempdir_in(folder_of(&self.target)).map_err(failed)?;
@@ -101,13 +103,13 @@ impl StagedFolder {
                 return Err(failed(source));
             }
         }
-        // The temporary folder has moved: there is nothing left to delete under its name.
+        // The temporary folder was renamed, so nothing is left to delete under its old name.
         let _ = self.temporary.keep();
         Ok(())
     }
 }
 
-/// The folder that holds `path`, which need not exist.
+/// The folder that would hold `path`, which need not exist.
 fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -119,7 +121,7 @@ fn names(folder: &Path) -> io::Result<BTreeSet<OsString>> {
     fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name())).collect()
 }
 
-/// Temporary files are private by default; results get the permissions of any other new file.
+/// Gives a result the permissions of any other new file; temporary files are private by default.
 fn shared_with_umask<'a, 'b>(builder: &'a mut Builder<'b, 'b>, mode: u32) -> &'a mut Builder<'b, 'b> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));

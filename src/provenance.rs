@@ -1,7 +1,7 @@
-//! Where a result comes from: program, machine, command, seeds, and SHA-256 digests of what was read and written.
+//! The origin of a result: program, machine type, command, seeds, and SHA-256 digests of inputs and outputs.
 //!
-//! The same inputs, seeds and version give the same digests on every machine and with every number of threads; that
-//! is what this page is there to show. It holds no time and no name of a machine.
+//! The same inputs, seeds and version give the same digests on every machine and with every number of threads. The
+//! record therefore holds no time and no machine name.
 
 use crate::error::{Error, Result};
 use bytesize::ByteSize;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 pub struct Provenance {
     /// Version of trgs.
     pub version: String,
-    /// Git commit, where the build was given one in the environment variable `TRGS_COMMIT`.
+    /// Git commit, if the environment variable `TRGS_COMMIT` was set during the build.
     pub commit: Option<String>,
     /// Architecture, operating system and C library that the program was built for.
     pub target: String,
@@ -27,24 +27,24 @@ pub struct Provenance {
     pub debug_assertions: bool,
     /// Worker threads. No result depends on them.
     pub threads: usize,
-    /// Bytes of memory that the run was estimated to need at most, where there is an estimate.
+    /// Upper bound on memory estimated for the run, bytes; `None` without an estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
-    /// Attenuation per scene unit that counted as 1 in the run, where its method asks.
+    /// Attenuation per scene unit that counted as density 1 in the run; `None` if its method has no unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density_unit: Option<f64>,
     /// The command line, program name first.
     pub command: Vec<String>,
     /// Every seed by its purpose.
     pub seeds: BTreeMap<String, u64>,
-    /// SHA-256 of every file that was read, by its path.
+    /// SHA-256 of every file that was read, keyed by path.
     pub inputs: BTreeMap<String, String>,
-    /// SHA-256 of every file that was written, and of arrays by their name.
+    /// SHA-256 of every file that was written, keyed by path, and of arrays, keyed by name.
     pub outputs: BTreeMap<String, String>,
 }
 
 impl Provenance {
-    /// What is known at the start of a run; seeds and digests are added later.
+    /// The record at the start of a run; seeds and digests are added later.
     pub fn new(threads: usize, command: impl IntoIterator<Item = String>) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -62,7 +62,7 @@ impl Provenance {
         }
     }
 
-    /// Everything but the digests, as (label, value) for people.
+    /// Everything but the digests, as (label, value) pairs for display.
     pub fn facts(&self) -> Vec<(String, String)> {
         let seeds: Vec<String> = self.seeds.iter().map(|(purpose, seed)| format!("{purpose} {seed}")).collect();
         let facts = [
@@ -95,7 +95,7 @@ impl Provenance {
     }
 }
 
-/// The commit this program was built from, as far as the build knew.
+/// The commit this program was built from, if the build was given it.
 pub fn commit() -> Option<&'static str> {
     option_env!("TRGS_COMMIT")
 }
@@ -103,7 +103,7 @@ pub fn commit() -> Option<&'static str> {
 /// SHA-256 of a file, 64 hexadecimal digits.
 ///
 /// # Errors
-/// [`Error::Read`] with what the operating system said.
+/// [`Error::Read`] with the error of the operating system.
 pub fn digest_file(path: &Path) -> Result<String> {
     let mut hasher = Sha256::new();
     let copied = File::open(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
@@ -116,18 +116,19 @@ pub fn digest_bytes(bytes: &[u8]) -> String {
     digest_parts(&[bytes])
 }
 
-/// [`digest_bytes`] of parts one after the other.
+/// [`digest_bytes`] of the concatenated parts.
 pub fn digest_parts(parts: &[&[u8]]) -> String {
     hex(parts.iter().fold(Sha256::new(), |hasher, part| hasher.chain_update(part)))
 }
 
-/// SHA-256 of the bits of some numbers, little-endian: two arrays have the same digest if and only if they are equal
-/// bit by bit (so -0 is not 0). The shape does not enter.
+/// SHA-256 of the bits of numbers, little-endian; the shape does not enter.
+///
+/// Two arrays have the same digest if and only if they are equal bit by bit (so -0 is not 0).
 pub fn digest_f32<'a>(values: impl IntoIterator<Item = &'a f32>) -> String {
     digest_words(values.into_iter().map(|value| value.to_le_bytes()))
 }
 
-/// [`digest_f32`] in double precision.
+/// [`digest_f32`] for double precision.
 pub fn digest_f64<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
     digest_words(values.into_iter().map(|value| value.to_le_bytes()))
 }
@@ -147,7 +148,7 @@ fn digest_words<const N: usize>(words: impl Iterator<Item = [u8; N]>) -> String 
     hex(hasher)
 }
 
-/// SHA-256 of a file, or of every file in a folder, by its path.
+/// SHA-256 of a file, or of every file in a folder, keyed by path.
 ///
 /// # Errors
 /// [`Error::Read`] for a file or a folder that cannot be read.
@@ -161,7 +162,7 @@ fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Digests of the file at `path`, or of the files below it. A folder that cannot be listed is an error.
+/// Adds the digest of the file at `path`, or of every file below it. A folder that cannot be listed is an error.
 fn add(digests: &mut BTreeMap<String, String>, path: &Path) -> Result<()> {
     if !path.is_dir() {
         digests.insert(path.display().to_string(), digest_file(path)?);
