@@ -1,5 +1,6 @@
-//! Cost of the ray confidence in points of the sphere per second: primitives × views × points, 18 views and 512 points,
-//! on one thread. `cargo bench --bench confidence`
+//! Cost of the ray confidence in sphere points per second: primitives × views × points.
+//!
+//! 18 views and 512 points, on one thread. `cargo bench --bench confidence`
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;

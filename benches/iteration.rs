@@ -1,9 +1,9 @@
-//! What an iteration of training costs and where the time goes, at 64³/128²/5,000 primitives and at 256³/512²/50,000.
+//! Cost of a training iteration and of its parts, at 64³/128²/5,000 primitives and at 256³/512²/50,000.
 //!
-//! Each part runs by itself on primitives as a run leaves them: their scales, how far they differ from each other and from
-//! one axis to the next, and their ν are those of two trained models. What is not due in every iteration (wavelets 10,
-//! density control with the confidence of what it adds 100, that of all 500) counts with its share. After the measurements
-//! a table gives milliseconds per iteration and percentages. All cores; `cargo bench --bench iteration`
+//! Each part runs alone on primitives with the statistics of a trained model: distribution of scales, anisotropy and ν
+//! are those of two trained models. Parts that do not run in every iteration (wavelets 10, density control with the
+//! confidence of new primitives 100, confidence of all 500) count with their fraction. After the measurements, a table
+//! gives milliseconds per iteration and percentages. Runs on all cores; `cargo bench --bench iteration`
 
 mod trained;
 
@@ -29,7 +29,7 @@ use trgs::wavelet::{self, Router, Routing, wavelet_loss_into};
 
 const VIEWS: usize = 18;
 
-/// Mean time of each part, with how often it is due.
+/// Mean time of each part, with the number of iterations between its runs.
 #[derive(Default)]
 struct Shares(RefCell<Vec<(&'static str, Duration, usize)>>);
 
@@ -79,7 +79,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         Array2::from_shape_fn((pixels, pixels), |(v, u)| ((v * 7 + u * 3) % 11) as f32 / 11.0).view(),
     );
     let cotangent = image_loss(&ssim, 0.25, image.view(), &target).cotangent;
-    // As in a run, where the last iteration worked.
+    // As in a run, buffers of the last iteration are reused.
     let (prediction, of_image) = (RefCell::new(image.clone()), RefCell::new(cotangent.clone()));
     let (volume, slopes) = (RefCell::default(), RefCell::default());
     let spaces = (tv::Spaces::default(), wavelet::Spaces::default());
@@ -184,7 +184,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     }
 }
 
-/// Among the workers, as a run: work that others hand to them waits for one to wake up.
+/// Runs inside the worker pool, as a run does: work submitted from outside would wait for a worker.
 fn main() {
     Pool::new(0).expect("threads").run(|| {
         let mut criterion = Criterion::default().configure_from_args();

@@ -1,12 +1,12 @@
-//! The passes beside the projector, each against what the machine can do at most.
+//! The passes outside the projector, each compared with the machine's limit.
 //!
-//! On one thread. First the machine is measured: multiply-adds of whole f32 registers per second, their divisions and
-//! square roots, those of f64, and bytes per second of a copy between arrays that no cache holds. A pass cannot take less than
-//! its arithmetic (operations on whole registers, counted in the source, one a multiply-add at most), nor less than its
-//! divisions and roots, for which a core has one unit, nor less than its traffic (what has to come from memory and go there,
-//! if the data are too large for the caches): the longest one is its bound, and the share is bound / time. A pass works where
-//! it did before, as in a run, and asks for no memory. Machine and passes count by the fastest of some runs: neighbours slow
-//! both down, at other times.
+//! On one thread. First the machine is measured: fused multiply-adds of whole f32 registers per second, divisions and
+//! square roots (also in f64), and bytes per second of a copy between arrays larger than all caches. The time of a pass
+//! is bounded by its arithmetic (operations on whole registers, counted in the source, at most one per multiply-add),
+//! by its divisions and roots, for which a core has one unit, and by its memory traffic if the data exceed the caches.
+//! The largest of these is the bound; the share is bound / time. A pass reuses its buffers, as in a run, and allocates
+//! no memory. The fastest of several runs counts for machine and passes, since other processes slow both down.
+//!
 //! `cargo bench --bench passes`
 
 mod trained;
@@ -32,18 +32,18 @@ type F64s = <f64 as Real>::Lanes;
 const VIEWS: usize = 18;
 const SIDE: usize = 32;
 
-/// What a thread can do in a second.
+/// Rates of one thread.
 struct Machine {
-    /// Operations on whole registers of f32.
+    /// Operations on whole f32 registers per second.
     operations: f64,
-    /// Divisions of registers of f32 and of f64, and square roots.
+    /// Divisions per second of f32 and of f64 registers; square roots follow.
     divisions: [f64; 2],
     roots: [f64; 2],
-    /// Bytes read and bytes written by a copy.
+    /// Bytes read plus bytes written per second by a copy.
     bytes: f64,
 }
 
-/// Seconds of the fastest of some runs.
+/// Seconds of the fastest of several runs.
 fn fastest(work: &dyn Fn()) -> f64 {
     let time = |_| {
         let began = Instant::now();
@@ -53,7 +53,7 @@ fn fastest(work: &dyn Fn()) -> f64 {
     (0..7).map(time).fold(f64::INFINITY, f64::min)
 }
 
-/// How often a step on a register can be taken in a second, as often as one does not wait for another.
+/// Steps on a register per second, when no step waits for another.
 fn rate<L: Lanes>(step: impl Fn(L, L) -> L) -> f64 {
     const CHAINS: usize = 12;
     const STEPS: usize = 1_000_000;
@@ -84,12 +84,12 @@ impl Machine {
     }
 }
 
-/// What a pass has to do at least.
+/// The minimum work of a pass.
 #[derive(Default)]
 struct Work {
     /// Operations on whole registers.
     operations: f64,
-    /// Divisions of registers of f32 and of f64, and square roots.
+    /// Divisions of f32 and of f64 registers; square roots follow.
     divisions: [f64; 2],
     roots: [f64; 2],
     /// Bytes from and to memory.
@@ -97,7 +97,7 @@ struct Work {
 }
 
 impl Work {
-    /// The least time for it, seconds, and what takes it.
+    /// The least time for it in seconds, and the unit that takes it.
     fn bound(&self, machine: &Machine) -> (f64, &'static str) {
         let of_unit = |i: usize| self.divisions[i] / machine.divisions[i] + self.roots[i] / machine.roots[i];
         let bounds = [
@@ -143,9 +143,9 @@ fn all(c: &mut Criterion) {
     let (f32s, f64s) = (F32s::WIDTH as f64, F64s::WIDTH as f64);
     let voxels = (SIDE * SIDE * SIDE) as f64;
 
-    // 12 blurs along a row or a column, 10 operations each (five sums, five multiply-adds); two products, the index and its
-    // slopes 25, the gradient of the products 2; L1 and its slope 10, sums 3. Moves between lanes are none.
-    // Both images, the target's mean and variance and the gradient, of a number each, are more than the nearer caches hold.
+    // 12 blurs along a row or a column, 10 operations each (five sums, five multiply-adds); two products, the index and
+    // its slopes 25, the gradient of the products 2; L1 and its slope 10, sums 3. Moves between lanes are not counted.
+    // Both images, the target's mean and variance and the gradient, one number each per pixel, exceed the inner caches.
     let (ssim, pixels) = (Ssim::<f32>::default(), 512 * 512);
     let picture = |k: usize| Array2::from_shape_fn((512, 512), |(v, u)| ((v * k + u * 3) % 11) as f32 / 11.0);
     let (image, target) = (picture(5), SsimTarget::new(&ssim, picture(7).view()));
@@ -161,8 +161,8 @@ fn all(c: &mut Criterion) {
         black_box(image_loss_into(&ssim, 0.25, image.view(), &target, &mut cotangent.borrow_mut()));
     });
 
-    // Six differences, of which two are masked, their signs 30 and the sum of these 5, the slope; three distances and their sum
-    // 5, which is added up in f64 10.
+    // Six differences, two of them masked, their signs 30 and the sum of these 5, the slope; three distances and their
+    // sum 5, accumulated in f64 10.
     let block = Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 13.0);
     let work = Work { operations: 59.0 * voxels / f32s, ..Work::default() };
     let (spaces, of_block) = (tv::Spaces::default(), RefCell::new(Array3::default(block.dim())));
@@ -170,8 +170,8 @@ fn all(c: &mut Criterion) {
         black_box(tv_into(block.view(), &spaces, &mut of_block.borrow_mut()));
     });
 
-    // Forward 36 operations for a register of lanes, backward 44, as the kernels have them (README.md), and 19 and 38 for a
-    // column of registers. What is done once for a primitive, or for eight of its slices, is left out.
+    // Forward 36 operations per register of lanes, backward 44, as in the kernels (README.md); 19 and 38 per column of
+    // registers. Work done once per primitive, or per eight of its slices, is left out.
     let [trained, _] = &trained::TRAINED;
     let (physical, scanner) = (trained.primitives(), trained.scanner());
     let field = Field::<f32>::new(&physical, 1e-3);
@@ -205,7 +205,7 @@ fn all(c: &mut Criterion) {
         adam.borrow_mut().step(&mut values.borrow_mut(), &slopes, 1e-4);
     });
 
-    // For each point of the sphere and each view: a product of two vectors 5, its square, a difference, the least.
+    // For each point of the sphere and each view: a product of two vectors 5, its square, a difference, the minimum.
     let (settings, angles) = (Settings::default(), Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU));
     let coverage = Coverage::new(settings);
     let points = (physical.len() * VIEWS * settings.sphere_points) as f64;
@@ -217,9 +217,9 @@ fn all(c: &mut Criterion) {
         },
     );
 
-    // Six bands, for a register of cells, which is eight of voxels: differences and their squares 22, the sums of squares 14,
-    // weights and sums of each voxel 32, of halves of cells 14, what these gain and lose 14, of the cells in f64 8, across
-    // borders 6. The transform and its inverse 32 each; the weights of a voxel 1.
+    // Six bands, for a register of cells, which is eight registers of voxels: differences and their squares 22, sums of
+    // squares 14, weights and sums of each voxel 32, of halves of cells 14, inflow and outflow of these 14, cells in
+    // f64 8, across borders 6. The transform and its inverse 32 each; the weights of a voxel 1.
     let routing =
         Routing { high: Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x + 3 * y + 5 * z) % 9) as u16), neighbours: 8 };
     let registers = voxels / f32s;
@@ -240,7 +240,7 @@ fn all(c: &mut Criterion) {
     }
 }
 
-/// On one thread: what a second one gains is measured by `iteration` and `scaling`, where others wait with work of theirs.
+/// Runs on one thread: `iteration` and `scaling` measure the gain from more threads.
 fn main() {
     Pool::new(1).expect("a thread").run(|| {
         let mut criterion = Criterion::default().configure_from_args();

@@ -1,9 +1,11 @@
-//! Cost of the projector in nanoseconds per (pixel, primitive): forward and backward, exact and affine, Student's t
-//! and Gaussian, f32 and f64, on one thread.
+//! Cost of the projector in nanoseconds per (pixel, primitive), on one thread.
 //!
-//! Two scenes. A lattice of 50,653 rotated primitives whose supports are about 22 × 22 pixels of a 512 × 512 detector:
-//! what a projection costs. And 10,648 whose supports cover the whole of a detector of 32 × 32: the kernels alone, no lane of
-//! which is in vain. Pairs are the pixels in the bounding boxes of all supports. `cargo bench --bench projector`
+//! Measures forward and backward passes, exact and affine projection, Student's t and Gaussian, f32 and f64.
+//!
+//! There are two scenes. A lattice of 50,653 rotated primitives with supports of about 22 × 22 pixels on a 512 × 512
+//! detector measures a typical projection. 10,648 primitives whose supports cover a whole detector of 32 × 32 measure
+//! the kernels alone, without idle lanes. Pairs are the pixels in the bounding boxes of all supports. `cargo bench
+//! --bench projector`
 
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -17,13 +19,13 @@ use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const CUTOFF: f64 = 1e-3;
 
-/// Primitives in a lattice before a square detector.
+/// Primitives on a lattice in front of a square detector.
 struct Scene {
     name: &'static str,
-    /// Primitives along each axis of the lattice, and half of its width.
+    /// Primitives along each axis of the lattice; half of the lattice's width follows.
     side: usize,
     half: f64,
-    /// Scale of Student's t; that of a Gaussian of the same support at this cutoff is 1.24 times as large.
+    /// Scale of Student's t; a Gaussian with the same support at this cutoff has 1.24 times this scale.
     scale: f64,
     /// Rows and columns of the detector.
     pixels: usize,
@@ -34,7 +36,7 @@ const SCENES: [Scene; 2] = [
     Scene { name: "32² of 32²", side: 22, half: 0.002, scale: 0.04, pixels: 32 },
 ];
 
-/// Wall time whose throughput reads as time per pair instead of pairs per time.
+/// Wall time whose throughput is displayed as time per pair instead of pairs per time.
 struct TimePerPair(WallTime);
 
 impl Measurement for TimePerPair {

@@ -1,7 +1,7 @@
-//! How time and memory grow with primitives, pixels, voxels, views and threads.
+//! Growth of time and memory with primitives, pixels, voxels, views and threads.
 //!
-//! One thing grows at a time, everything else stays. After the measurements `target/scaling.svg` shows both against
-//! size, relative to the smallest, beside a straight line: linear growth. `cargo bench --bench scaling`
+//! One parameter varies at a time. After the measurements, `target/scaling.svg` shows both against size, relative to
+//! the smallest, with a line for linear growth. `cargo bench --bench scaling`
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use plotters::prelude::*;
@@ -17,13 +17,13 @@ use trgs::scene::dataset::Survey;
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const CUTOFF: f64 = 1e-3;
-/// Where each of them starts.
+/// The smallest size of each parameter.
 const PRIMITIVES: usize = 2_000;
 const PIXELS: usize = 64;
 const VOXELS: usize = 32;
 const VIEWS: usize = 12;
 
-/// Sizes, with milliseconds and bytes at each.
+/// Sizes, with milliseconds and bytes at each size.
 struct Growth {
     what: &'static str,
     points: Vec<(f64, f64, Option<f64>)>,
@@ -36,11 +36,11 @@ fn scanner(pixels: usize, voxels: usize) -> Scanner {
     Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(voxels) }
 }
 
-/// `m` primitives of one size all over the volume: with their number the pairs of pixels and primitives grow as much.
+/// `m` primitives of one size in the whole volume: pairs of pixels and primitives grow with `m`.
 fn primitives(m: usize) -> Primitives {
     let at = |i: usize, factor: f64| ((i as f64 * factor).fract() - 0.5) * 1.6;
     Primitives::new(Parameters {
-        // A sequence of low discrepancy: powers of the inverse of the plastic number.
+        // A low-discrepancy sequence: powers of the inverse of the plastic number.
         mean: (0..m).map(|i| [at(i, 0.819_172_5), at(i, 0.671_043_6), at(i, 0.549_700_5)]).collect(),
         scale: (0..m).map(|i| [0.03, 0.035, 0.025 + 0.002 * (i % 7) as f64]).collect(),
         quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
@@ -144,7 +144,7 @@ fn all(c: &mut Criterion) {
     draw(&growths).expect("target is a folder that can be written to");
 }
 
-/// Both panels, in the colours of Okabe and Ito.
+/// Draws both panels, in the colours of Okabe and Ito.
 fn draw(growths: &[Growth]) -> Result<(), Box<dyn std::error::Error>> {
     const COLOURS: [RGBColor; 5] = [
         RGBColor(0, 114, 178),
@@ -166,7 +166,7 @@ fn draw(growths: &[Growth]) -> Result<(), Box<dyn std::error::Error>> {
             .x_label_area_size(36)
             .y_label_area_size(44)
             .build_cartesian_2d((1.0..70.0).log_scale(), (0.4..70.0).log_scale())?;
-        // As many as have room: 1, 2, 5, 10, 20, 50.
+        // As many labels as fit: 1, 2, 5, 10, 20, 50.
         let few = |x: &f64| {
             let first = if *x < 10.0 { *x } else { *x / 10.0 };
             if [1.0, 2.0, 5.0].contains(&first.round()) { format!("{x:.0}") } else { String::new() }

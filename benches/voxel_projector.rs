@@ -1,7 +1,9 @@
-//! Cost of projecting a volume of voxels and of the adjoint, by both ray models, and of what rests on them: filtered
-//! backprojection and a pass of SART. 256³ voxels, 18 and 50 views of 512 × 512; 64³, 18 of 128 × 128.
+//! Cost of projecting a voxel volume, of the adjoint by both ray models, and of methods based on them.
 //!
-//! `cargo bench --bench voxel_projector`; on how many threads it runs, RAYON_NUM_THREADS says.
+//! These are filtered backprojection and a pass of SART. 256³ voxels, 18 and 50 views of 512 × 512; 64³, 18 of 128 ×
+//! 128.
+//!
+//! `cargo bench --bench voxel_projector`; RAYON_NUM_THREADS sets the number of threads.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use ndarray::Array3;

@@ -1,5 +1,6 @@
-//! Cost of the wavelet regularisation of a block of 32³ voxels: routing among few and many primitives, and the loss with
-//! its gradient, on one thread and on all. `cargo bench --bench wavelet`
+//! Cost of the wavelet regularisation of a block of 32³ voxels, on one thread and on all.
+//!
+//! Measures routing among few and many primitives, and the loss with its gradient. `cargo bench --bench wavelet`
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use ndarray::Array3;

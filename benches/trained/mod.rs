@@ -1,4 +1,4 @@
-//! Scenes as training leaves them.
+//! Primitives with the statistics of trained models.
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -6,16 +6,18 @@ use trgs::numeric::rng::{Purpose, stream};
 use trgs::primitives::{Parameters, Primitives};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
-/// Primitives as a run of the chest (`chest_fnndsc`, 18 views, low noise, everything by default) leaves them.
+/// Statistics of the primitives of a default run on the chest (`chest_fnndsc`, 18 views, low noise).
 pub(crate) struct Trained {
     pub(crate) voxels: usize,
     pub(crate) pixels: usize,
     pub(crate) primitives: usize,
-    /// Geometric mean of all scales: 7 % less than the model's, so that supports have as many pixels as there.
+    /// Geometric mean of all scales, 7 % below the model's.
+    ///
+    /// With it, supports have as many pixels as the model's.
     scale: f64,
-    /// Standard deviations of the logarithm of a scale: from primitive to primitive, and among a primitive's axes.
+    /// Standard deviations of log scale: between primitives, and among the axes of a primitive.
     spread: [f64; 2],
-    /// Least, 5, 25, 50, 75, 95 and 100 % of ν.
+    /// Minimum, 5, 25, 50, 75, 95 % quantiles and maximum of ν.
     nu: [f64; 7],
 }
 
@@ -70,7 +72,7 @@ impl Trained {
         Primitives::new(parameters).expect("valid primitives")
     }
 
-    /// The ν that a part of the primitives, from 0 to 1, is below.
+    /// The quantile `part` of ν, from 0 to 1.
     fn nu_at(&self, part: f64) -> f64 {
         let parts = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
         let above = parts.iter().position(|&end| part < end).expect("a part below 1");

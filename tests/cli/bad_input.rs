@@ -1,5 +1,6 @@
-//! Damaged, impossible and hostile input, full disks, places that cannot be written to: always exit code 2, one clear
-//! line, and not a byte of any file changed.
+//! Damaged, impossible and hostile input, full disks, and places that cannot be written to.
+//!
+//! Each gives exit code 2 and one clear line, and changes no file.
 
 use crate::program::Sandbox;
 use assert_cmd::Command;
@@ -10,7 +11,7 @@ use trgs::scene::npz::{self, Entry};
 
 const VIEW: &str = "scan/proj_train/proj_train_0002.npy";
 
-/// Asserts that `reconstruct` refuses a scan that `damage` has damaged, in words that contain all of `expected`.
+/// Asserts that `reconstruct` and `inspect` reject a scan after `damage` in the `expected` words.
 fn refuses_scan(expected: &[&str], damage: impl FnOnce(&Sandbox)) {
     let sandbox = Sandbox::with_scan();
     damage(&sandbox);
@@ -256,7 +257,7 @@ fn disks_that_are_full() {
     ]);
     to_full.current_dir(sandbox.path(""));
     assert!(sandbox.refuses("inspect > /dev/full", to_full).contains("standard output"));
-    // No file may grow beyond 4 KiB (8 blocks): the system refuses in the middle of a write, as on a full disk.
+    // No file may grow beyond 4 KiB (8 blocks): the system fails in the middle of a write, as on a full disk.
     for arguments in [
         "reconstruct scan --out run --iterations 2 --points 60",
         "simulate --phantom axes --out other --size 16 --detector 16",

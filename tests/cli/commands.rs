@@ -1,4 +1,4 @@
-//! The program as its users and other programs see it: commands, files, results, messages and exit codes.
+//! The program from outside: commands, files, results, messages and exit codes.
 
 use crate::program::{Sandbox, stderr};
 use ndarray::{Array2, Array3};
@@ -23,7 +23,7 @@ const COMMANDS: [&str; 11] = [
     "convert",
 ];
 const METRICS: [&str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
-/// A run that takes no time.
+/// Arguments of a run that takes almost no time.
 const SHORT: &str = "--iterations 6 --points 40 --set report_every=2 --set loss.tv_block=4 --set density_control.every=100 \
                      --set tv.weight=1e-3";
 
@@ -147,7 +147,7 @@ fn precision_and_cutoff_of_a_projection_are_those_asked_for() {
     assert!(dropped > 0.0 && dropped <= bound, "dropped {dropped}, bound {bound}");
 }
 
-/// The contributions of an explanation, after checks of their order, shares and running sums.
+/// The contributions of an explanation, after checking their order, shares and running sums.
 fn contributions(found: &Value) -> Vec<f64> {
     let lines = found["contributions"].as_array().unwrap();
     let number = |line: &Value, key: &str| line[key].as_f64().unwrap();
@@ -191,7 +191,7 @@ fn a_pixel_and_a_voxel_are_explained_by_the_primitives_that_make_them() {
         let (voxel, sum) = (element("v.npy", [4, 5, 7]), contributions(&both).iter().sum::<f64>());
         assert!(voxel > 0.0 && (sum - voxel).abs() <= accuracy * voxel, "{flags}: {sum} against {voxel}");
     }
-    // Without --out nothing is written; the table has the first 20 and the number of the others.
+    // Without --out nothing is written; the table has the first 20 rows and the number of the others.
     let before = sandbox.names();
     for command in [
         "render run/model.npz --scanner scan --angles 0.3 --explain 0,5,9",
@@ -275,7 +275,7 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
             .collect();
         assert_eq!(log.len(), iterations, "{method}");
         let residual = |k: usize| log[k]["residual"].as_f64().unwrap();
-        // ASD-POCS logs what a whole pass leaves, so most of the way is behind its first line.
+        // ASD-POCS logs the residual after a whole pass, so its first line already shows most of the decrease.
         let falls_to = if method == "asd-pocs" { 1.0 } else { 0.5 };
         assert!(residual(iterations - 1) < falls_to * residual(0), "{method}");
         assert!(sandbox.text(&format!("{method}/report.html")).contains("residual"));
@@ -311,7 +311,9 @@ fn volumes_and_scans_change_their_format() {
     assert!(sandbox.refused(&format!("convert {pickle} other --scanner scan")).contains("--scanner"));
 }
 
-/// The training views of `scan` as readings of a detector: TIFFs of frames, of three flat fields and of one dark field.
+/// The training views of `scan` as detector readings.
+///
+/// They are TIFFs of frames, three flat fields and one dark field.
 fn write_readings(sandbox: &Sandbox) {
     let images: Vec<_> =
         (0..4).map(|view| image(sandbox, &format!("scan/proj_train/proj_train_000{view}.npy"))).collect();
@@ -344,12 +346,12 @@ fn readings_of_a_detector_become_a_scan() {
     for view in 0..4 {
         let [own, scan] =
             ["own", "scan"].map(|at| image(&sandbox, &format!("{at}/proj_train/proj_train_000{view}.npy")));
-        // Transmissions, readings and line integrals are rounded to 2⁻²⁴ of themselves.
+        // Transmissions, readings and line integrals are each rounded to 2⁻²⁴ relative.
         let worst = (own - scan).iter().fold(0.0_f32, |worst, difference| worst.max(difference.abs()));
         assert!(worst < 1e-6, "view {view}: {worst}");
     }
     assert_eq!(sandbox.done("inspect own")["train"]["views"], 4);
-    // The scanner's lengths in another unit scale the line integrals, and only totalAngle says where the views are.
+    // Another unit of the scanner's lengths scales the line integrals; only totalAngle gives the views.
     sandbox.edit("scan/meta_data.json", |meta| {
         for key in ["DSD", "DSO"] {
             meta["scanner"][key] = json!(10.0 * meta["scanner"][key].as_f64().unwrap());

@@ -1,4 +1,4 @@
-//! `trgs confidence` as its users and other programs see it: file, result and refusals.
+//! `trgs confidence` from outside: file, result and rejected input.
 
 use crate::program::{Sandbox, stderr};
 use ndarray::{ArrayD, Ix0, Ix1, array};
@@ -8,7 +8,7 @@ use trgs::primitives::model;
 use trgs::scene::Dataset;
 use trgs::scene::npz::{self, Entry, Npz};
 
-/// Three primitives, the last beside every view; `nu` rises with the confidence.
+/// Three primitives, the last outside every view; `nu` is their degrees of freedom.
 fn write_model(sandbox: &Sandbox, nu: [f64; 3]) {
     let arrays: [(&str, ArrayD<f64>); 5] = [
         ("mean", array![[0.1, -0.2, 0.3], [-0.4, 0.3, -0.1], [0.0, 0.0, 40.0]].into_dyn()),

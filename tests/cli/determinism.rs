@@ -1,5 +1,6 @@
-//! Same input, same bits: for any number of threads, and when run twice, in one process and in several. `.ci/builds`
-//! does the same for three instruction sets.
+//! Same input, same bits: for any number of threads, and for repeated runs in one or several processes.
+//!
+//! `.ci/builds` compares three instruction sets.
 
 use crate::common::scenes;
 use crate::program::Sandbox;
@@ -100,7 +101,7 @@ fn simulation_noise_and_filtered_backprojection_have_the_same_bits_on_any_number
     }
 }
 
-/// Every file that counts, of a simulation with noise and of a reconstruction by FDK.
+/// All result files of a simulation with noise and of a reconstruction by FDK.
 fn files(sandbox: &Sandbox, threads: usize) -> Vec<(String, Vec<u8>)> {
     let scan =
         "simulate --phantom torso --out scan --size 16 --detector 18,21 --views 5 --test-views 2 --noise high --seed 9";

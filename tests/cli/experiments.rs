@@ -1,21 +1,21 @@
-//! The paper's tables at a toy size: cells are run once, whoever runs them, and always find the same.
+//! The paper's tables at a toy size: each cell runs once, in any process, with the same result.
 
 use crate::program::Sandbox;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// Cells of a few milliseconds.
+/// Arguments for cells of a few milliseconds.
 const TINY: &str = "--size 8 --cases chest,pepper";
 
-/// The program at work in a sandbox.
+/// Starts the program in a sandbox.
 fn begun(sandbox: &Sandbox, arguments: &str) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trgs"));
     command.current_dir(sandbox.path("")).args(arguments.split_whitespace()).arg("--quiet");
     command.stdout(Stdio::null()).spawn().unwrap()
 }
 
-/// What is below a folder of the sandbox, by its name there.
+/// The files below a folder of the sandbox, by their names there.
 fn below(sandbox: &Sandbox, folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
     let root = sandbox.path(folder);
     let inside = |(path, content): (PathBuf, Vec<u8>)| Some((path.strip_prefix(&root).ok()?.to_owned(), content));
@@ -32,7 +32,7 @@ fn a_table_is_filled_and_set_beside_the_papers_figures() {
     let sandbox = Sandbox::new();
     let found = sandbox.done(&format!("table volume --out out {TINY} --seeds 2"));
     let table = &found["tables"][0];
-    // 2 cases, 3 numbers of views, 2 seeds; SAX-NeRF has none, the other six rows have one each.
+    // 2 cases, 3 numbers of views, 2 seeds; SAX-NeRF has no cells, the other six rows have one each.
     assert_eq!((&table["cells"], &table["missing"]), (&72.into(), &0.into()), "{found}");
     let lines = sandbox.text("out/volume.csv");
     let mut reader = csv::Reader::from_reader(lines.as_bytes());
@@ -55,7 +55,7 @@ fn a_table_is_filled_and_set_beside_the_papers_figures() {
     assert!(page.matches("data:image/png;base64,").count() == 7, "truth and six rows");
     assert_eq!(page.matches("<svg ").count(), 2, "a plot of each metric");
     for outside in ["http://", "https://", "<script"] {
-        // SVG's own name space is no link.
+        // The SVG namespace is not a link.
         assert!(!page.replace("http://www.w3.org/2000/svg", "").contains(outside), "{outside}");
     }
     let cases = text("volume-cases.csv");
@@ -69,7 +69,7 @@ fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
     assert_eq!(all.len(), 8);
     let one = sandbox.done(&format!("table threshold --out out {TINY} --cell {}", all[3]));
     assert_eq!(one["cells"][0]["id"], all[3].as_str());
-    // Whether it is run again shows when it says something else.
+    // The edited result shows whether the cell is run again.
     sandbox.edit(&format!("out/cells/{}.json", all[3]), |finding| finding["metrics"]["psnr_3d"] = 99.0.into());
     sandbox.done(&format!("table threshold --out out {TINY}"));
     assert!(sandbox.text("out/threshold-cases.csv").contains(",99.000000"));
@@ -103,7 +103,7 @@ fn a_kill_loses_no_finished_cell() {
     let mut process = begun(&sandbox, table);
     let is = |name: &PathBuf, kind: &str| name.extension().is_some_and(|extension| extension == kind);
     let cells = sandbox.path("out/cells");
-    // Names alone: other files come and go while it runs.
+    // Only names are compared: other files come and go during the run.
     let names = || std::fs::read_dir(&cells).unwrap().map(|entry| entry.unwrap().path());
     while !cells.exists() || names().filter(|name| is(name, "json")).count() < 3 {
         assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
@@ -112,7 +112,7 @@ fn a_kill_loses_no_finished_cell() {
     process.kill().unwrap();
     process.wait().unwrap();
     let before: Vec<_> = below(&sandbox, "out/cells").into_iter().filter(|(name, _)| is(name, "json")).collect();
-    // A process may die between the end of a cell and that of its lock.
+    // A process may die after a cell is finished and before its lock is removed.
     let left = PathBuf::from("out/cells").join(before[0].0.with_extension("lock"));
     sandbox.write(left.to_str().unwrap(), "");
     let found = sandbox.done(table);
@@ -133,7 +133,7 @@ fn an_id_follows_from_configuration_and_data() {
     assert_ne!(base, first("--size 16 --cases chest"));
     assert_ne!(base, first("--size 8 --cases pepper"));
     assert!(cells(&sandbox, "threshold --size 8 --cases chest --seeds 2", "id").contains(&base));
-    // Rows that several tables have are the same cells.
+    // Equal rows of several tables are the same cells.
     let full = cells(&sandbox, "temperature --size 8 --cases chest", "id")[1].clone();
     assert!(cells(&sandbox, "ablation --size 8 --cases chest", "id").contains(&full));
     assert!(cells(&sandbox, "threshold --size 8 --cases chest", "id").contains(&full));
@@ -154,11 +154,11 @@ fn volumes_and_scans_of_a_folder_take_the_place_of_phantoms() {
     );
     let names = |table: &str| cells(&sandbox, &format!("{table} --data data --size 8"), "cell");
     assert!(names("threshold").iter().any(|cell| cell.starts_with("scan, 12 views")));
-    // A scan has the noise that it has.
+    // A scan has its own noise.
     assert!(names("noise").iter().all(|cell| cell.starts_with("thing") || cell.contains("low noise")));
     let found = sandbox.done("table temperature --out out --size 8 --data data --cases scan");
     assert_eq!((&found["tables"][0]["cells"], &found["tables"][0]["missing"]), (&3.into(), &0.into()));
-    // The same cells beside the paper's other figures: 40.62 dB of R²-Gaussian at 12 views.
+    // The same cells with the paper's other figures: 40.62 dB of R²-Gaussian at 12 views.
     sandbox.done("table projection --out measured --size 8 --data data --cases scan --measured");
     let table = String::from_utf8(sandbox.read("measured/projection.csv")).unwrap();
     assert!(table.contains(",40.62\n") && table.contains(",45.77\n"), "{table}");
@@ -188,8 +188,9 @@ fn what_cannot_be_run_is_refused_in_one_line() {
     assert_eq!(sandbox.done("table list").as_array().unwrap().len(), 8);
 }
 
-/// Tables of 32³ and one case as this program found them once. A change of the method moves them: then they are made
-/// again (`TRGS_WRITE_TABLES=1`) in a commit that says why.
+/// Tables of 32³ and one case, compared with committed results.
+///
+/// A change of the method changes them: then they are written again (`TRGS_WRITE_TABLES=1`) in a commit that says why.
 #[test]
 fn a_small_version_of_every_table_is_as_it_was() {
     let sandbox = Sandbox::new();

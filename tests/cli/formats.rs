@@ -1,7 +1,7 @@
-//! Files that others write and read: SimpleITK, nibabel, plyfile and NumPy see what trgs wrote, and trgs what they did.
+//! Files exchanged with SimpleITK, nibabel, plyfile and NumPy, in both directions.
 //!
-//! Needs Python with these (`reference/formats/requirements.txt`): `python3`, or what `TRGS_PYTHON` says. Without them
-//! nothing is checked, which the output says aloud; a build server must have them.
+//! Needs Python with the packages of `reference/formats/requirements.txt`: `python3`, or the program named by
+//! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it.
 
 use crate::program::Sandbox;
 use glam::{DMat3, DVec3};
@@ -13,10 +13,10 @@ use trgs::primitives::{Group, Kernel, Parameters, Primitives, model};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{dataset, npy};
 
-/// Places in a NIfTI are stored in single precision.
+/// Positions in a NIfTI file are stored in single precision.
 const SINGLE: f64 = 1e-6;
 
-/// The script with a Python that has what it needs, or `None` and a loud remark.
+/// Output of the script, or `None` with a message if Python lacks a package.
 fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
     let has_all = Command::new(&program).args(["-c", "import nibabel, numpy, plyfile, SimpleITK"]).output();
@@ -43,7 +43,7 @@ fn assert_close(found: &[f64], expected: &[f64], tolerance: f64, what: &str) {
     assert!(all, "{what}: {found:?} instead of {expected:?}");
 }
 
-/// What somebody else sees in a volume against what it is.
+/// Compares a volume as another program read it with the original.
 fn assert_seen(found: &Value, expected: &VolumeFile, what: &str) {
     let shape: [usize; 3] = expected.values.dim().into();
     assert_eq!(found["shape"], json!(shape), "{what}");
@@ -54,7 +54,7 @@ fn assert_seen(found: &Value, expected: &VolumeFile, what: &str) {
     assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), SINGLE, what);
 }
 
-/// A scanner with a grid of which no axis is like another, away from the origin.
+/// A scanner with an off-centre grid that differs in every axis.
 fn lopsided() -> Value {
     json!({ "scanner": {
         "mode": "cone", "DSD": 7.0, "DSO": 5.0, "nDetector": [6, 8], "sDetector": [4.0, 4.0], "nVoxel": [5, 4, 7],
@@ -62,7 +62,7 @@ fn lopsided() -> Value {
     } })
 }
 
-/// A model without any symmetry.
+/// An asymmetric model.
 fn primitives() -> Primitives {
     let rows = |i: f64| [0.3 - 0.2 * i, 0.1 + 0.25 * i, -0.4 + 0.3 * i];
     Primitives::new(Parameters {
@@ -132,7 +132,7 @@ fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
             !straight
         );
     }
-    // Directions that are not those of x, y and z go from format to format.
+    // Oblique directions survive conversions between formats.
     let mut written = Vec::new();
     for source in ["itk_turned.mha", "itk_turned.nrrd", "itk_mirrored.nii", "itk_mirrored.mha", "nibabel_qform.nii"] {
         for ending in ["mha", "nrrd", "nii.gz"] {
@@ -163,7 +163,7 @@ fn a_ply_holds_the_model_its_confidence_and_colours() {
     sandbox.done("confidence model.npz --scanner scan --out c.npz");
     sandbox.done("convert model.ply back.npz");
     assert_eq!(sandbox.read("back.npz"), sandbox.read("model.npz"));
-    // What a PLY knows of confidence it keeps.
+    // A conversion keeps the confidence of a PLY.
     sandbox.done("convert model.ply again.ply");
     assert_eq!(sandbox.read("again.ply"), sandbox.read("model.ply"));
     let paths = [sandbox.path("model.ply"), sandbox.path("c.npz")];
@@ -233,7 +233,7 @@ fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
     let sandbox = Sandbox::new();
     model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
     let output = sandbox.run("convert model.npz cloud.npz --r2");
-    assert!(crate::program::stderr(&output).contains("does not know nu"), "{}", crate::program::stderr(&output));
+    assert!(crate::program::stderr(&output).contains("ignores nu"), "{}", crate::program::stderr(&output));
     let back = model::read(&sandbox.path("cloud.npz")).unwrap();
     assert_eq!((back.kernel, back.parameters.nu), (Kernel::StudentT, primitives().parameters.nu));
     sandbox.done("voxelize cloud.npz --grid 4,5,6 --out v.npy");

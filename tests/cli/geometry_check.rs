@@ -1,4 +1,4 @@
-//! The check of a scan's geometry finds what was done to a scan on purpose, and knows what it cannot find.
+//! The check of a scan's geometry finds every deliberate fault, and reports what it cannot decide.
 
 use crate::program::{Sandbox, stderr};
 use glam::DVec3;
@@ -51,7 +51,7 @@ fn with_truth(mut scan: Dataset, phantom: &Phantom) -> Dataset {
     scan
 }
 
-/// The scan as somebody would have written it who follows `convention`.
+/// The scan as a program that follows `convention` would write it.
 fn written_as(scan: &Dataset, convention: &Convention) -> Dataset {
     let mut images = scan.train.images.clone();
     if convention.rows_reversed {
@@ -72,7 +72,7 @@ fn checked(scan: &Dataset) -> GeometryCheck {
     check_geometry(scan, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// What the check must say about a scan written in a convention, with the true volume.
+/// Asserts the findings for a scan written in a convention, with the true volume.
 fn assert_found(scan: &Dataset, convention: &Convention) {
     let check = checked(&written_as(scan, convention));
     let words = convention.words();
@@ -82,7 +82,7 @@ fn assert_found(scan: &Dataset, convention: &Convention) {
         assert!(check.verdict[0].contains(remedy), "{words}: {:?}", check.verdict);
     }
     assert!(check.offset_u.found.abs() < 0.2, "{words}: {:?}", check.offset_u);
-    // The views alone say which class it is, whatever the truth.
+    // The views alone determine the class, whatever the truth.
     for candidate in &check.candidates {
         let same = candidate.convention.looks_like(convention, &scan.scanner.beam);
         assert_eq!((candidate.class == 1, candidate.told_apart), (same, !same), "{words}: {candidate:?}");
@@ -114,7 +114,7 @@ fn without_a_reference_the_simplest_of_a_class_are_named() {
         assert_eq!(check.agrees, number == 1, "{:?}", check.verdict);
         check.verdict.join(" ")
     };
-    // Rows from the bottom up are those of a mirrored object.
+    // Reversed rows equal the rows of a mirrored object.
     let rows = verdict(1);
     assert!(
         rows.contains("agree with the conventions as stated") && rows.contains("from rows from the bottom up;"),
@@ -127,7 +127,7 @@ fn without_a_reference_the_simplest_of_a_class_are_named() {
     assert!(transposed.contains("look like images transposed:") && transposed.contains("image.T"), "{transposed}");
 }
 
-/// The residuals of members are computed one by one, so this is a property of scans and not of the check.
+/// The residuals of members are computed one by one, so this is a property of scans, not of the check.
 #[test]
 fn conventions_of_a_class_have_the_same_residual() {
     for (beam, classes) in [(CONE, 4), (PARALLEL, 2)] {
@@ -153,7 +153,7 @@ fn conventions_of_a_class_have_the_same_residual() {
 
 #[test]
 fn displaced_detectors_are_found_to_a_fifth_of_a_pixel() {
-    // Where it is, and where the files say that it is, pixels.
+    // The actual and the stated offset, pixels.
     let cases = [
         (CONE, 48, -3.3, -3.3),
         (CONE, 48, -3.3, 0.0),
@@ -188,7 +188,7 @@ fn a_detector_displaced_along_v_is_found_in_a_cone_beam_and_left_alone_in_a_para
     let mut scan = scan_of(&axes(), &scanner, &turn(18));
     let sound = checked(&scan);
     let along_v = sound.offset_v.as_ref().unwrap();
-    // The minimum is shallow; what is said about its place holds.
+    // The minimum is shallow, but the stated uncertainty holds.
     let near = |found: f64| (found - 2.4).abs() < 2.0 * along_v.uncertainty;
     assert!(along_v.uncertainty < 0.6, "{along_v:?}");
     assert!(sound.agrees && near(along_v.found), "{:?}", sound.verdict);
@@ -196,7 +196,7 @@ fn a_detector_displaced_along_v_is_found_in_a_cone_beam_and_left_alone_in_a_para
     let wrong = checked(&scan);
     assert!(!wrong.agrees, "{:?}", wrong.verdict);
     assert_eq!(wrong.looks_like, Convention::AS_STATED);
-    // Rows reversed with the offset as stated is the same scan of a mirrored object.
+    // Reversed rows with the offset as stated are the scan of a mirrored object.
     assert!(near(wrong.offset_v.unwrap().found), "{:?}", wrong.verdict);
     assert!(near(-wrong.off_detector[1] / scanner.detector.pitch_v), "{:?}", wrong.off_detector);
 
@@ -218,7 +218,7 @@ fn parallel_rays_over_half_a_turn_tell_transposed_images_and_nothing_else() {
         let check = checked(&written);
         assert_eq!(check.looks_like.transposed, convention.transposed, "{:?}", check.verdict);
         assert_eq!(check.agrees, !convention.transposed, "{:?}", check.verdict);
-        // With the truth only half a turn remains, which is mirrored columns.
+        // With the truth, only half a turn remains, which equals mirrored columns.
         let check = checked(&with_truth(written, &axes()));
         let found = check.looks_like;
         let half = check.candidates[0].resemblance.unwrap().quarter_turns == 2;
@@ -277,14 +277,14 @@ fn a_body_of_revolution_does_not_tell_and_what_is_stated_stands() {
     let check = checked(&scan_of(&ball, &scanner(CONE, 34, 34), &turn(18)));
     assert!(check.agrees && check.looks_like == Convention::AS_STATED, "{:?}", check.verdict);
     assert!(check.verdict.iter().any(|sentence| sentence.contains("do not exclude")), "{:?}", check.verdict);
-    // Nor does a ball show how high the detector stands.
+    // A ball does not determine the height of the detector either.
     assert_eq!(check.off_detector, [0.0, 0.0], "{:?}", check.verdict);
 }
 
 #[test]
 fn what_no_convention_explains_is_not_approved() {
     let mut scan = scan_of(&axes(), &scanner(CONE, 34, 34), &turn(18));
-    // Every angle is that of another view.
+    // Every angle belongs to another view.
     scan.train.angles = (0..18).map(|i| turn(18)[i * 7 % 18]).collect();
     let check = checked(&scan);
     assert!(!check.agrees, "{:?}", check.verdict);

@@ -1,7 +1,7 @@
-//! The estimate of a run's memory against the largest resident set of the run itself, and the refusal that rests on it.
+//! The estimated memory of a run against its largest resident set, and the limit on it.
 //!
-//! The resident set is Linux's `VmHWM`, watched while the program runs; elsewhere nothing is measured, which the output
-//! says aloud.
+//! The resident set is Linux's `VmHWM`, polled while the program runs. On other systems the test is skipped with a
+//! message.
 
 use crate::program::{Sandbox, stderr};
 use ndarray::Array3;
@@ -12,10 +12,10 @@ use std::time::Duration;
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Projections, Scanner, Volume};
 
 const MIB: f64 = (1 << 20) as f64;
-/// An estimate may be below what was measured by so much: what the system gives to any program.
+/// Allowed underestimate: memory that the system gives to any program.
 const BASE: f64 = 8.0 * MIB;
 
-/// A ball of radius 0.8 in parallel rays: all views are one image, so that a large scan is quickly made.
+/// A ball of radius 0.8 in parallel rays: all views are equal, so a large scan is made quickly.
 fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: usize) -> Dataset {
     let pitch = |n: usize| 2.4 / n as f64;
     let (pitch_v, pitch_u) = (pitch(rows), pitch(columns));
@@ -44,7 +44,7 @@ fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: us
     }
 }
 
-/// Runs a reconstruction: its estimate and its largest resident set, bytes.
+/// Runs a reconstruction; returns its estimate and its largest resident set, in bytes.
 fn measured(sandbox: &Sandbox, arguments: &str, out: &str) -> (f64, f64) {
     let mut child = Command::new(env!("CARGO_BIN_EXE_trgs"))
         .args(["reconstruct", "scan", "--threads", "2", "--quiet", "--out", out])
@@ -70,7 +70,7 @@ fn measured(sandbox: &Sandbox, arguments: &str, out: &str) -> (f64, f64) {
     (provenance["memory"].as_f64().unwrap(), largest)
 }
 
-/// Holds the estimate against the measurement. Where data dominates it must not be above twice as much.
+/// Compares the estimate with the measurement. Where data dominates, it is at most twice as large.
 fn assert_honest(sandbox: &Sandbox, name: &str, arguments: &str, dominated: bool) {
     let (estimate, measured) = measured(sandbox, arguments, name);
     eprintln!("{name}: estimate {:.0} MiB, measured {:.0} MiB", estimate / MIB, measured / MIB);
@@ -105,7 +105,7 @@ fn methods_on_voxels_need_what_was_said() {
     for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"] {
         let steps = match method {
             "fdk" => "",
-            // Views held out take time and are smaller.
+            // Held-out runs take time, and are smaller.
             "tv" => "--iterations 1 --set tv.weight=1e-3",
             _ => "--iterations 1",
         };
@@ -129,7 +129,7 @@ fn training_needs_what_was_said() {
         assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {finished}"), false);
         let cap = format!("{cap} --set finish=none --set sampling=point --set initialisation.from=fdk");
         assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
-        // ADC may double them in a step, and hardly ever does: here it may not.
+        // ADC may double the primitives in a step but rarely does; the cap prevents it here.
         let most = if method == "tr-gs" { 95_000 } else { 90_000 };
         let crowd = format!(
             "--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap={most} \
@@ -145,7 +145,7 @@ fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
     let sandbox = Sandbox::with_scan();
     let message = sandbox.refused("reconstruct scan --out run --max-memory 1MB");
     assert!(message.contains("--max-memory") && message.contains("MiB") && message.contains("--points"), "{message}");
-    // Nothing is read before: the projections need not even exist.
+    // The check precedes all reading: the projections need not even exist.
     std::fs::remove_dir_all(sandbox.path("scan/proj_train")).unwrap();
     let huge = "reconstruct scan --out run --iterations 30000 --set density_control.cap=10000000 --max-memory 2GiB";
     let message = sandbox.refused(huge);

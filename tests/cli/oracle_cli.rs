@@ -1,4 +1,4 @@
-//! `trgs oracle` and `trgs compare` as authors of backends see them: files, results and exit codes.
+//! `trgs oracle` and `trgs compare` from outside: files, results and exit codes.
 
 use crate::program::{Sandbox, stderr};
 use ndarray::{Array2, Array3};
@@ -33,7 +33,7 @@ fn a_stranger_exports_answers_and_checks() {
     let exported = sandbox.done("oracle export vectors --blind --level core");
     assert!(exported["files"].as_u64().unwrap() > 20);
     assert_eq!(sandbox.names_in("vectors"), ["inputs", "manifest.json"]);
-    // A second export replaces the first; a folder with something else in it is left alone.
+    // A second export replaces the first; a folder that holds other files is left alone.
     sandbox.done("oracle export vectors --level core");
     assert_eq!(sandbox.names_in("vectors"), ["expected", "inputs", "manifest.json"]);
     sandbox.write("vectors/thesis.txt", "years");
@@ -44,7 +44,7 @@ fn a_stranger_exports_answers_and_checks() {
         let report = sandbox.done(&format!("oracle check {precision} --precision {precision}"));
         assert!(report["results"].as_array().unwrap().iter().all(|r| r["status"] != "failed"));
     }
-    // Single precision is not double precision.
+    // Single-precision answers must fail as double precision.
     assert_eq!(sandbox.run("oracle check f32 --precision f64").status.code(), Some(1));
 }
 

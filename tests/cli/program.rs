@@ -1,4 +1,4 @@
-//! Running `trgs` in a folder of its own.
+//! Runs `trgs` in a temporary folder.
 #![allow(dead_code)]
 
 use assert_cmd::Command;
@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-/// A working directory that disappears with its content.
+/// A working directory that is deleted with its content.
 pub(crate) struct Sandbox(tempfile::TempDir);
 
 impl Sandbox {
@@ -17,7 +17,7 @@ impl Sandbox {
         Self(tempfile::tempdir().unwrap())
     }
 
-    /// With the dataset `scan`: 12³ voxels, 4 training and 3 test views of 14 × 15 pixels.
+    /// A sandbox with the dataset `scan`: 12³ voxels, 4 training and 3 test views of 14 × 15 pixels.
     pub(crate) fn with_scan() -> Self {
         let sandbox = Self::new();
         sandbox.done(
@@ -30,19 +30,19 @@ impl Sandbox {
         self.0.path().join(name)
     }
 
-    /// The program with arguments between spaces.
+    /// The program with arguments separated by spaces.
     pub(crate) fn command(&self, arguments: &str) -> Command {
         let mut command = cargo_bin_cmd!("trgs");
         command.args(arguments.split_whitespace()).current_dir(self.0.path());
         command
     }
 
-    /// Runs to the end, whatever that is.
+    /// Runs a command to its end, whatever the exit code.
     pub(crate) fn run(&self, arguments: &str) -> Output {
         self.command(arguments).output().unwrap()
     }
 
-    /// Runs a command that must succeed, and returns its result.
+    /// Runs a command that must succeed; returns its result.
     pub(crate) fn done(&self, arguments: &str) -> Value {
         let output = self.run(&format!("{arguments} --json"));
         assert_eq!(output.status.code(), Some(0), "{arguments}: {}", stderr(&output));
@@ -51,18 +51,19 @@ impl Sandbox {
         serde_json::from_str(&text).unwrap()
     }
 
-    /// Runs a command that must refuse its input: exit code 2, one line of error, nothing on standard output, every
-    /// file as before and none new. Returns the line.
+    /// Runs a command that must reject its input; returns the error line.
+    ///
+    /// The exit code is 2, standard error has one line, standard output is empty, and no file is changed or added.
     pub(crate) fn refused(&self, arguments: &str) -> String {
         self.refuses(arguments, self.command(arguments))
     }
 
-    /// [`Self::refused`] for a command made by hand; `name` is for messages.
+    /// [`Self::refused`] for a prepared command; `name` is used in messages.
     pub(crate) fn refuses(&self, name: &str, mut command: Command) -> String {
         let before = self.content();
         let output = command.output().unwrap();
         let message = stderr(&output);
-        // What a run says that begins and then finds its input unusable.
+        // A run that rejects its input late has announced its memory before.
         let message = match message.split_once('\n') {
             Some((first, rest)) if first.starts_with("needs at most ") => rest.to_owned(),
             _ => message,
@@ -75,7 +76,7 @@ impl Sandbox {
         message
     }
 
-    /// All files below the folder, hidden ones too, and empty folders.
+    /// All files below the folder, including hidden files and empty folders.
     pub(crate) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut content = BTreeMap::new();
         collect(self.0.path(), &mut content);
@@ -107,7 +108,7 @@ impl Sandbox {
         fs::write(self.path(name), content).unwrap();
     }
 
-    /// Changes a JSON file.
+    /// Edits a JSON file.
     pub(crate) fn edit(&self, name: &str, change: impl FnOnce(&mut Value)) {
         let mut value = serde_json::from_slice(&self.read(name)).unwrap();
         change(&mut value);

@@ -1,4 +1,4 @@
-//! A run that is stopped, however, and gone on with ends with the same bits as one that was left alone.
+//! An interrupted and resumed run ends with the same bits as an uninterrupted run.
 
 use crate::program::{Sandbox, stderr};
 use std::fs;
@@ -6,10 +6,10 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A run in which everything happens: both blocks, all phases of the sampler, density control, checkpoints.
+/// A run with all features: both blocks, all phases of the sampler, density control, checkpoints.
 const RUN: &str = "reconstruct scan --iterations 240 --points 300 --seed 5 --set checkpoint_every=7 \
     --set report_every=20 --set density_control.every=10 --set confidence.every=30 --set wavelet.block=8 --out";
-/// Results without a time in them.
+/// Results that contain no time.
 const FILES: [&str; 4] = ["config.toml", "model.npz", "volume.npy", "metrics.json"];
 
 fn results(sandbox: &Sandbox, run: &str) -> Vec<Vec<u8>> {
@@ -26,7 +26,7 @@ fn spawn(sandbox: &Sandbox, arguments: &str) -> Child {
         .unwrap()
 }
 
-/// A scan, and the time and the results of a run on it that nobody disturbs.
+/// A scan, with the time and the results of an uninterrupted run.
 fn undisturbed(method: &str) -> (Sandbox, Duration, Vec<Vec<u8>>) {
     let sandbox = Sandbox::with_scan();
     let began = Instant::now();
@@ -41,11 +41,11 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
         let (sandbox, duration, expected) = undisturbed(method);
         let storm = format!("{RUN} storm --method {method} --resume");
         let mut killed = 0;
-        // Moments without a pattern; each process gets as far as it gets, all together about once through the run.
+        // Irregular times; all processes together pass about once through the run.
         for k in 0..10_u32 {
             let mut child = spawn(&sandbox, &storm);
             sleep(duration.mul_f64(0.04 + 0.61803 * f64::from(k) % 0.14));
-            // SIGKILL: no handler runs.
+            // SIGKILL: no signal handler runs.
             child.kill().unwrap();
             killed += u32::from(!child.wait().unwrap().success());
         }
@@ -55,7 +55,7 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
     }
 }
 
-/// Total variation on voxels, whose weight is chosen before.
+/// Total variation on voxels, including the choice of its weight.
 #[test]
 fn total_variation_that_is_killed_ends_with_the_bits_of_an_undisturbed_run() {
     const RUN: &str =
@@ -95,9 +95,9 @@ fn an_interrupt_saves_the_state_and_says_how_to_go_on() {
     assert!(sandbox.path("calm2/checkpoints/last.msgpack").exists() && !sandbox.path("calm2/model.npz").exists());
 
     let again = sandbox.run(&format!("{RUN} calm2 --resume"));
-    assert!(stderr(&again).contains("going on after iteration"), "{}", stderr(&again));
+    assert!(stderr(&again).contains("resuming after iteration"), "{}", stderr(&again));
     assert!(results(&sandbox, "calm2") == expected);
-    // Once more: it is finished, and stays what it is.
+    // A finished run stays unchanged when resumed again.
     sandbox.done(&format!("{RUN} calm2 --resume"));
     assert!(results(&sandbox, "calm2") == expected);
 }

@@ -1,4 +1,4 @@
-//! What stands in for something else says so: phantoms for the paper's scans, FDK of all views for an unknown truth.
+//! Stand-ins and pseudo truths are named as such.
 
 use crate::program::Sandbox;
 use serde_json::Value;
@@ -40,7 +40,7 @@ fn a_scan_with_many_views_becomes_one_with_few_and_a_pseudo_truth() {
     assert_eq!((&found["train"]["views"], &found["test"]["views"]), (&7.into(), &5.into()));
     assert!(notes(&found).contains("pseudo truth: FDK of all 30 views"), "{found}");
 
-    // The truth is what `reconstruct` makes of all views, without its negative values.
+    // The truth equals the result of `reconstruct` from all views, without its negative values.
     sandbox.done("reconstruct scan --out run --method fdk");
     let volume = |name: &str| npy::read_f32::<ndarray::Ix3>(&sandbox.path(name), "[x, y, z]").unwrap();
     let (truth, fdk) = (volume("few/vol_gt.npy"), volume("run/volume.npy"));
@@ -48,7 +48,7 @@ fn a_scan_with_many_views_becomes_one_with_few_and_a_pseudo_truth() {
     assert_eq!(truth, fdk.mapv(|density| density.max(0.0)));
     assert_ne!(truth, volume("scan/vol_gt.npy"));
 
-    // Views are those of the scan, none of them twice.
+    // Views are those of the scan, each at most once.
     let meta = |name: &str| serde_json::from_str::<Value>(&sandbox.text(&format!("{name}/meta_data.json"))).unwrap();
     let angles = |list: &Value| -> Vec<String> {
         list.as_array().unwrap().iter().map(|view| view["angle"].to_string()).collect()

@@ -1,4 +1,4 @@
-//! Any unit of density: projections times k give densities times k, by every method, to the bit for powers of two.
+//! Any unit of density: projections times k give densities times k, bit-exact for powers of two.
 
 use crate::program::Sandbox;
 use clap::ValueEnum;
@@ -12,7 +12,7 @@ use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, re
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 
-/// Powers of two, -20, -6 and 20: nothing is rounded.
+/// Powers of two, -20, -6 and 20: scaling is exact.
 const EXACT: [f64; 3] = [1.0 / 1_048_576.0, 1.0 / 64.0, 1_048_576.0];
 /// Other factors: pixels are rounded.
 const ROUNDED: [f64; 4] = [1e-6, 0.02, 1000.0, 1e6];
@@ -28,7 +28,7 @@ fn scan() -> Dataset {
     simulate("torso", Object::Phantom(&Phantom::by_name("torso", 0).unwrap()), &scanner, &plan).unwrap()
 }
 
-/// Everything at work within a few iterations; methods on voxels have their own number of them.
+/// A configuration in which every part runs within a few iterations; voxel methods set their own.
 fn config(method: Method) -> Config {
     let mut config = Config::of(method);
     if method.fits_primitives() {
@@ -53,7 +53,7 @@ fn found(dataset: &Dataset, config: &Config) -> Reconstruction {
     reconstruct(dataset, config, None, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// Values of the volume and of each group of parameters over k, as bits.
+/// Bits of the volume and of each group of parameters, divided by k where they scale.
 fn bits(found: &Reconstruction, k: f64) -> Vec<u64> {
     let volume = found.volume.values.iter().map(|&value| (f64::from(value) / k).to_bits());
     let parameters = found.primitives.iter().flat_map(|primitives| {
@@ -65,7 +65,7 @@ fn bits(found: &Reconstruction, k: f64) -> Vec<u64> {
     volume.chain(parameters).collect()
 }
 
-/// Decibels of the volume over k against the truth.
+/// PSNR of the volume divided by k, in dB.
 fn quality(found: &Reconstruction, dataset: &Dataset, k: f64) -> f64 {
     let truth = dataset.truth.as_ref().unwrap().values.view();
     let values: Array3<f32> = found.volume.values.mapv(|value| (f64::from(value) / k) as f32);
@@ -86,8 +86,9 @@ fn every_method_gives_k_times_the_volume_of_k_times_the_scan() {
     }
 }
 
-/// The default learning rates of so short a run magnify the rounding of a pixel, whatever its unit: a smaller horizon lowers
-/// them, and the run still comes through all phases.
+/// The default learning rates of so short a run amplify the rounding of a pixel in any unit.
+///
+/// A smaller horizon lowers them; the run still passes through all phases.
 #[test]
 fn factors_that_round_the_pixels_move_no_method_by_a_hundredth_of_a_decibel() {
     let scan = scan();
@@ -95,7 +96,7 @@ fn factors_that_round_the_pixels_move_no_method_by_a_hundredth_of_a_decibel() {
         let mut config = config(method);
         config.optimiser.horizon = 600;
         if method == Method::Cgls {
-            // Beyond, directions in f32 are no longer conjugate, and each rounding leads elsewhere.
+            // With more, directions in f32 lose conjugacy, and each rounding changes the result.
             config.iterations = 6;
         }
         let decibels = quality(&found(&scan, &config), &scan, 1.0);
@@ -164,7 +165,7 @@ fn a_unit_that_is_set_is_the_unit() {
     assert_eq!(config.density_unit, Auto::Auto);
 }
 
-/// Water per millimetre, where thresholds for densities about 1 once left no voxel to start from.
+/// Water per millimetre: thresholds for densities about 1 once left no voxel to start from.
 #[test]
 fn the_program_takes_scans_in_any_unit_and_judges_them_by_the_range_of_the_truth() {
     let sandbox = Sandbox::with_scan();

@@ -1,4 +1,4 @@
-//! What several contracts share: scenes, the committed vectors, tolerances.
+//! Shared by several contracts: scenes, committed vectors, tolerances.
 #![allow(dead_code)]
 
 pub(crate) mod plain;

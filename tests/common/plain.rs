@@ -1,6 +1,7 @@
-//! The lanes of `trgs::numeric::lanes` once more, as arrays of any width and one number at a time: no SIMD, no `wide`, only
-//! the arithmetic of `f32` and `f64`. All kernels of the project run in them, so the same kernel text can be compared bit
-//! by bit with the fast lanes.
+//! The lanes of `trgs::numeric::lanes` as arrays of any width, computed one number at a time.
+//!
+//! There is no SIMD and no `wide`, only the arithmetic of `f32` and `f64`. All kernels of the project can run in these
+//! lanes, so the same kernel text is compared bit by bit with the fast lanes.
 
 #![allow(clippy::disallowed_methods, reason = "the fused operation itself, one number at a time")]
 
@@ -10,7 +11,7 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use trgs::numeric::rearrange::{DEALT, Rearrange};
 use trgs::numeric::{Lanes, Real};
 
-// Copies, not imports: a change of the polynomials changes bits and has to be made here, too.
+// Copies, not imports: a change of the polynomials changes bits and must be repeated here.
 const INVERSE_F32: [f32; 16] = [
     1.0e+00,
     8.889791e-01,
@@ -101,30 +102,30 @@ const ROOT_F64: [f64; 6] = [
     2.5136991558173755e-01,
 ];
 
-/// Horner's rule, fused.
+/// Horner's rule with fused multiply-add.
 macro_rules! polynomial {
     ($x:expr, $coefficients:expr) => {
         $coefficients.iter().rev().copied().reduce(|sum, next| sum.mul_add($x, next)).unwrap()
     };
 }
 
-/// Added to a number: its eighths are in the low bits.
+/// Added to a number, this puts its eighths into the low bits.
 const EIGHTHS: f32 = 1_572_864.0;
 
-/// `log2(1+x)` by a step from one of sixteen inverses.
+/// `log2(1+x)` near 0, by a step from one of sixteen inverses.
 fn log2_1p_near_f32(x: f32) -> f32 {
     let part = (x + EIGHTHS).to_bits() as usize % 16;
     let step = x.mul_add(INVERSE_F32[part], INVERSE_F32[part] - 1.0);
     step.mul_add(polynomial!(step, LOG2_F32), LOG2_OF_INVERSE_F32[part])
 }
 
-/// The same, for whichever octave: from 31/32 to its double it is the first.
+/// `log2(1+x)` for any octave; the first octave is from 31/32 to its double.
 fn log2_1p_f32(x: f32) -> f32 {
     let eighths = (1.0 + x).to_bits().wrapping_sub((31.0_f32 / 32.0).to_bits()) >> 20;
     let (part, octave) = (eighths as usize % 8, eighths / 8);
     let inverse = f32::from_bits(INVERSE_F32[part].to_bits().wrapping_sub(octave << 23));
     let step = x.mul_add(inverse, inverse - 1.0);
-    // The bits above the number 2^20 count eighths: one out of range cannot reach its sign.
+    // The bits above the number 2^20 count eighths: an out-of-range value cannot reach the sign bit.
     let integer: f32 = 1_048_576.0;
     let count = f32::from_bits(integer.to_bits() | eighths) - integer;
     let rest = LOG2_OF_INVERSE_F32[part] - part as f32 / 8.0;
@@ -141,17 +142,19 @@ fn log2_1p_near_f64(x: f64) -> f64 {
     log2_series_f64(x, 0.0)
 }
 
-/// `1+x = 2^k·(1+f)` with `1+f` in [√½, √2), the exponent from the bits of the rounded 1+x and f from x itself.
+/// `1+x = 2^k·(1+f)` with `1+f` in [√½, √2).
+///
+/// The exponent comes from the bits of the rounded 1+x, f from x itself.
 fn log2_1p_f64(x: f64) -> f64 {
     let exponent = (1.0 + x).to_bits().wrapping_sub(std::f64::consts::FRAC_1_SQRT_2.to_bits()) >> 52;
     let scale = f64::from_bits(1.0_f64.to_bits().wrapping_sub(exponent << 52));
-    // The bits above the number 2^52 count units: an exponent out of range cannot reach its sign.
+    // The bits above the number 2^52 count units: an out-of-range exponent cannot reach the sign bit.
     let integer = (1_u64 << 52) as f64;
     let k = f64::from_bits(integer.to_bits() | exponent) - integer;
     log2_series_f64(x.mul_add(scale, scale - 1.0), k)
 }
 
-/// Eight powers, each with the whole part in its exponent, and `2^rest` a polynomial.
+/// One of eight powers, with the integer part in its exponent, times `2^rest` as a polynomial.
 fn exp2_f32(t: f32) -> f32 {
     let shifted = t + EIGHTHS;
     let rest = t - (shifted - EIGHTHS);
@@ -162,7 +165,7 @@ fn exp2_f32(t: f32) -> f32 {
     power.mul_add(rest.mul_add(polynomial!(rest, EXP2_F32), LACK_F32[part as usize]), power)
 }
 
-/// The integer part goes into the exponent, `2^rest` is a polynomial.
+/// The integer part goes into the exponent; `2^rest` is a polynomial.
 fn exp2_f64(t: f64) -> f64 {
     let rounder = 1.5 * (1_u64 << 52) as f64;
     let shifted = t + rounder;
@@ -171,7 +174,7 @@ fn exp2_f64(t: f64) -> f64 {
     f64::from_bits(mantissa.to_bits().wrapping_add(shifted.to_bits() << 52))
 }
 
-/// `1/√(1+e)` near e = 0, and nearest to it.
+/// `1/√(1+e)` near e = 0, for the wider and for the narrower range.
 fn root_near_f32(e: f32) -> f32 {
     e.mul_add(polynomial!(e, ROOT_F32), 1.0)
 }
@@ -212,7 +215,7 @@ macro_rules! plain {
                 Self($exp2(self.0))
             }
 
-            /// A guess from the bits, then steps of third order.
+            /// An initial value from the bits, then iterations of third order.
             fn rsqrt(self) -> Self {
                 let x = self.0;
                 let mut root = $scalar::from_bits($magic - (x.to_bits() >> 1));
@@ -374,12 +377,12 @@ macro_rules! plain {
             fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N] {
                 t.map(|t| Self(t.0.map($number::exp2)))
             }
-            /// One half plus the other, while there are more than eight.
+            /// Adds the halves until eight numbers are left.
             fn eight(self) -> [f64; 8] {
                 let lane = |i: usize| self.0.get(i).map_or(0.0, |lane| lane.to_f64());
                 std::array::from_fn(|i| (i + 8..W).step_by(8).fold(lane(i), |sum, other| sum + lane(other)))
             }
-            /// One half plus the other, until one number is left.
+            /// Adds the halves until one number is left.
             fn sum(self) -> f64 {
                 fn tree(lanes: &[f64]) -> f64 {
                     let half = lanes.len() / 2;

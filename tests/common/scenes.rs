@@ -1,4 +1,4 @@
-//! Asymmetric, anisotropic, off-centre scenes, drawn from a seed.
+//! Asymmetric, anisotropic, off-centre scenes, generated from a seed.
 
 use glam::DVec3;
 use ndarray::{Array, Dimension, ShapeBuilder};
@@ -7,7 +7,7 @@ use trgs::numeric::rng::{Purpose, stream};
 use trgs::primitives::{Kernel, Parameters, Primitives};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
-/// Numbers in [low, high) that depend on the address alone.
+/// Numbers in [low, high) that depend only on the seed and the index.
 pub(crate) fn uniform(seed: u64, n: usize, low: f64, high: f64) -> Vec<f64> {
     let mut random = stream(seed, Purpose::Phantom, 99, 0);
     (0..n).map(|_| low + (high - low) * random.random::<f64>()).collect()
@@ -22,7 +22,7 @@ where
     Array::from_shape_simple_fn(shape, || 2.0 * random.random::<f64>() - 1.0)
 }
 
-/// `m` primitives within the unit ball or so, with scales between 0.03 and 0.3.
+/// `m` primitives about within the unit ball, with scales between 0.03 and 0.3.
 pub(crate) fn primitives(kernel: Kernel, m: usize, seed: u64) -> Primitives {
     let draw = |component: u64, width: usize, low: f64, high: f64| uniform(seed * 16 + component, m * width, low, high);
     let rows3 = |values: Vec<f64>| values.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect::<Vec<_>>();
@@ -48,7 +48,7 @@ pub(crate) fn cone() -> Scanner {
     }
 }
 
-/// The same with parallel rays.
+/// The scanner of [`cone`] with parallel rays.
 pub(crate) fn parallel() -> Scanner {
     Scanner {
         beam: Beam::Parallel { dso: 5.0 },

@@ -1,16 +1,18 @@
-//! This program's own answers to the conformance vectors: 50-digit truth made by `reference/generate`, independent of
-//! this code. The tolerances are those of every backend: `reference/tolerances.toml`.
+//! This program's answers to the conformance vectors.
+//!
+//! The 50-digit truth was made by `reference/generate`, independently of this code. Tolerances are those of every
+//! backend: `reference/tolerances.toml`.
 
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::oracle::{Case, Format, Level, Options, Question, Report, Tolerances, Vectors, answers, check, waivers};
 
-/// The vectors in the source tree.
+/// The vectors of the source tree.
 pub(crate) fn vectors() -> Vectors {
     Vectors::open(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/vectors")).unwrap()
 }
 
-/// Writes our answers to some cases.
+/// Writes this program's answers to the wanted cases.
 pub(crate) fn answer(vectors: &Vectors, precision: Precision, folder: &Path, wanted: impl Fn(&Case) -> bool) {
     for case in vectors.manifest.cases.iter().filter(|case| wanted(case)) {
         let outputs = answers::answer(&Question::new(vectors, case).unwrap(), precision);
@@ -18,13 +20,13 @@ pub(crate) fn answer(vectors: &Vectors, precision: Precision, folder: &Path, wan
     }
 }
 
-/// Checks a folder of answers to some stages (none: all), without waivers.
+/// Checks a folder of answers to some stages (all if empty), without waivers.
 pub(crate) fn judge(vectors: &Vectors, folder: &Path, format: Format, stages: &[String]) -> Report {
     let options = Options { format, level: Level::Stress, stages, waivers: &[], today: waivers::today() };
     check(vectors, &Tolerances::embedded().unwrap(), folder, &options).unwrap()
 }
 
-/// Asserts that our answers to some stages pass as `format`, and prints the worst errors.
+/// Asserts that this program's answers to the wanted cases pass as `format`; prints the worst errors.
 pub(crate) fn assert_conformance(precision: Precision, format: Format, wanted: impl Fn(&Case) -> bool) {
     let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
     answer(&vectors, precision, folder.path(), &wanted);

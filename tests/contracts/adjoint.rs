@@ -1,9 +1,9 @@
 //! ⟨A x, y⟩ = ⟨x, Aᵀ y⟩: every backward pass is the transpose of its forward pass, with the factor 1.
 //!
-//! Images and volumes are linear in the densities, so there the two sides are computed exactly. In the other parameters
-//! A is the derivative, taken by differences along one random direction through all of them. Each test prints a table
-//! of the fitted factor ⟨Ax,y⟩/⟨x,Aᵀy⟩ and of the residual relative to ‖Ax‖·‖y‖: a wrong factor and a wrong
-//! entry look different there.
+//! Images and volumes are linear in the densities, so both sides are computed exactly there. In the other parameters A
+//! is the derivative, computed by differences along one random direction through all parameters. Each test prints the
+//! fitted factor ⟨Ax,y⟩/⟨x,Aᵀy⟩ and the residual relative to ‖Ax‖·‖y‖: a wrong factor and a wrong entry look different
+//! there.
 
 use crate::common::precision::{ADJOINT_ENTRY_F64, ADJOINT_F32, ADJOINT_F64, DIRECTIONAL_DERIVATIVE};
 use crate::common::scenes;
@@ -14,10 +14,10 @@ use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Beam, Scanner};
 
 const ANGLES: [f64; 3] = [0.35, 2.2, 4.9];
-/// Random pairs (x, y) that a factor is fitted to.
+/// Number of random pairs (x, y) that a factor is fitted to.
 const PAIRS: u64 = 5;
 
-/// What is linear: a set of images or the volume, of primitives in a kernel.
+/// The linear operator: from densities to a set of images, or to the volume.
 #[derive(Clone, Copy)]
 enum Operator {
     Images(Projection, fn() -> Scanner),
@@ -73,14 +73,14 @@ fn dot<'a, R: Real>(a: impl IntoIterator<Item = &'a R>, b: impl IntoIterator<Ite
     a.into_iter().zip(b).map(|(a, b)| a.to_f64() * b.to_f64()).sum()
 }
 
-/// Both sides of one pair and the norms' product ‖Ax‖·‖y‖.
+/// Both sides for one pair, and the product of norms ‖Ax‖·‖y‖.
 struct Sides {
     forward: f64,
     backward: f64,
     norm: f64,
 }
 
-/// The factor that fits all pairs best, and the largest residual at the factor 1.
+/// The factor that fits all pairs best, and the largest residual at factor 1.
 fn fit(pairs: &[Sides]) -> (f64, f64) {
     let (above, below) = pairs.iter().fold((0.0, 0.0), |(above, below), pair| {
         (above + pair.forward * pair.backward, below + pair.backward * pair.backward)
@@ -133,7 +133,7 @@ fn in_f32_the_gradient_to_densities_is_the_transpose_of_projecting_and_voxelizin
     densities_are_adjoint::<f32>("f32", ADJOINT_F32);
 }
 
-/// One entry of the transpose at a time: a wrong row that random pairs would average away.
+/// Tests single entries of the transpose: random pairs would average away a wrong row.
 #[test]
 fn each_entry_of_the_matrix_is_that_of_its_transpose() {
     let mut worst = 0.0_f64;
@@ -163,7 +163,7 @@ fn each_entry_of_the_matrix_is_that_of_its_transpose() {
     eprintln!("single entries: {worst:.1e}");
 }
 
-/// A direction through all parameters, of the size of the parameters.
+/// A direction through all parameters, scaled to their sizes.
 fn direction(primitives: &Primitives, seed: u64) -> Parameters {
     let mut direction = Parameters::zeros(primitives.len());
     for (component, group) in (0..).zip(Group::ALL) {

@@ -1,4 +1,4 @@
-//! Values against 50-digit truth, element by element, skirts included: this program's answers to the vectors.
+//! Values against 50-digit truth, element by element, including distant kernel tails.
 
 use crate::common::vectors::assert_conformance;
 use trgs::config::Precision;

@@ -1,4 +1,4 @@
-//! Methods on voxels against what is known exactly: chords of spheres, and phantoms from few views.
+//! Methods on voxels against exact results: chords of spheres, and phantoms from few views.
 
 use std::ops::ControlFlow;
 use trgs::classical::algebraic::{AsdPocsSettings, Order, SartSettings, asd_pocs, cgls, sart};

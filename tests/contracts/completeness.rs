@@ -1,13 +1,13 @@
-//! The register `reference/equations.md` has no gap, in any direction: equation, statement, function, test, vectors.
+//! The register `reference/equations.md` is complete: equations, functions, tests and vectors.
 
 use crate::common::vectors::vectors;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// What has no code yet has this in the place of functions, and nothing else.
+/// Entry for an equation without code; it replaces the functions and stands alone.
 const NOT_YET: &str = "not yet";
-/// Folders and files whose public functions compute something that a reader wants to find in the register.
+/// Folders and files whose public functions must be in the register.
 const NUMERICAL: [&str; 9] = [
     "src/primitives",
     "src/projector",
@@ -19,7 +19,7 @@ const NUMERICAL: [&str; 9] = [
     "src/classical",
     "src/evaluation.rs",
 ];
-/// Public functions there that only read, write or convert.
+/// Files there whose public functions only read, write or convert.
 const FILES_ONLY: [&str; 3] =
     ["src/primitives/model/mod.rs", "src/primitives/model/ply.rs", "src/primitives/model/r2.rs"];
 
@@ -49,7 +49,7 @@ struct Row {
     stages: Vec<String>,
 }
 
-/// The words in backquotes of a cell.
+/// The quoted words of a cell.
 fn quoted(cell: &str) -> Vec<String> {
     cell.split('`').skip(1).step_by(2).map(Into::into).collect()
 }
@@ -73,17 +73,17 @@ fn register() -> Vec<Row> {
     rows.collect()
 }
 
-/// Whether a tag is of the paper or of the three exact additions to it.
+/// Whether a tag is an equation of the paper or one of the three exact additions to it.
 fn is_equation(tag: &str) -> bool {
     tag == "A" || ["Eq. ", "X"].iter().any(|p| tag.strip_prefix(p).is_some_and(|n| n.parse::<u32>().is_ok()))
 }
 
-/// Whether a text says that a tag belongs to what it describes.
+/// Whether a text contains a tag.
 fn mentions(text: &str, tag: &str) -> bool {
     text.contains(&format!("[{tag}]")) || text.contains(&format!("[{tag} "))
 }
 
-/// The file that a path like `projector::naive::forward` points into, and the function's name.
+/// The source file of a path such as `projector::naive::forward`, and the function's name.
 fn resolve(function: &str) -> (PathBuf, String) {
     let parts: Vec<&str> = function.split("::").collect();
     let name = *parts.last().unwrap();
@@ -154,7 +154,7 @@ fn every_tag_in_the_source_has_a_row_with_code() {
     for path in rust_files(&root().join("src")) {
         let text = fs::read_to_string(&path).unwrap();
         for candidate in text.split('[').skip(1).filter_map(|rest| rest.split(']').next()) {
-            // A reference like FDK84: capitals and two digits.
+            // A citation such as FDK84: capitals and two digits.
             let digits = candidate.trim_start_matches(|c: char| c.is_ascii_uppercase());
             let is_reference = candidate.len() >= 4 && digits.len() == 2 && digits.parse::<u32>().is_ok();
             if is_equation(candidate) || is_reference {
@@ -209,7 +209,7 @@ fn every_stage_of_the_vectors_is_in_a_row_and_the_equations_of_its_cases_list_it
     }
 }
 
-/// The faults of `reference/mutations` can still be put in, each in one place, and the README says what became of each.
+/// Each fault of `reference/mutations` applies in exactly one place, and the README lists its result.
 #[test]
 fn every_mutation_still_applies_and_has_its_result() {
     let table: toml::Table = text("reference/mutations/mutations.toml").parse().unwrap();

@@ -1,5 +1,6 @@
-//! Damaged files for readers: mutations of valid ones with the tokens that readers stumble over, and plain noise, by
-//! proptest with a fixed seed.
+//! Damaged files for readers: mutations of valid files with critical tokens, and plain noise.
+//!
+//! Proptest generates them with a fixed seed.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -8,14 +9,14 @@ use std::cell::Cell;
 use std::fmt::{Debug, Display};
 use std::path::Path;
 
-/// Damaged files per format. Those of all formats take 35 seconds of one core where the compiler optimises little.
+/// Damaged files per format. All formats together take 35 seconds of one core at low optimisation.
 pub(crate) const MANY: u32 = 100_000;
-/// Memory that a reader may have at any one time for a file of a kilobyte or two.
+/// Largest memory that a reader may hold at any time for a file of a kilobyte or two.
 pub(crate) const MOST_MEMORY: u64 = 64 << 20;
-/// Longest message that is still one line to read.
+/// Longest message that is still readable as one line.
 const LONGEST_MESSAGE: usize = 1500;
 
-/// Runs `check` on values drawn from a fixed seed; the message of a failure holds the smallest value that fails.
+/// Runs `check` on values drawn with a fixed seed; a failure message holds the smallest failing value.
 pub(crate) fn for_all<S: Strategy>(cases: u32, strategy: &S, check: impl Fn(S::Value)) {
     let settings = Settings { cases, failure_persistence: None, max_shrink_iters: 200, ..Settings::default() };
     let mut runner = TestRunner::new_with_rng(settings, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
@@ -26,7 +27,7 @@ pub(crate) fn for_all<S: Strategy>(cases: u32, strategy: &S, check: impl Fn(S::V
     outcome.unwrap_or_else(|failure| panic!("{failure}"));
 }
 
-/// An error is one line that says where and what; a value is as good.
+/// Asserts that an error is one line that names `names`; returns whether the result is a value.
 pub(crate) fn assert_clear<T>(result: Result<T, impl Display>, names: &str) -> bool {
     let Err(error) = result else { return true };
     let message = error.to_string();
@@ -44,11 +45,11 @@ enum Mutation {
     Cut(prop::sample::Index),
     Remove(prop::sample::Index, usize),
     Insert(prop::sample::Index, Vec<u8>),
-    /// The bytes that look like a number at or after a place, replaced.
+    /// Replaces the bytes that look like a number, at or after a position.
     Number(prop::sample::Index, &'static str),
-    /// So many bytes of a binary number, the lowest first or last.
+    /// Replaces a number of bytes by a binary number, little- or big-endian.
     Binary(prop::sample::Index, usize, u64, bool),
-    /// So many bytes moved to where others are.
+    /// Copies a number of bytes from one position to another.
     Copy(prop::sample::Index, prop::sample::Index, usize),
 }
 
@@ -137,7 +138,7 @@ fn mutation() -> impl Strategy<Value = Mutation> {
     ]
 }
 
-/// Valid bytes with one to four changes, or noise with or without the beginning that is expected.
+/// Valid bytes with one to four changes, or noise with or without the expected first bytes.
 pub(crate) fn damaged(valid: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
     let head = valid[..valid.len().min(8)].to_vec();
     prop_oneof![
@@ -150,7 +151,9 @@ pub(crate) fn damaged(valid: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// Gives damaged versions of a file's content to a reader, which must neither take all of them nor none, nor much memory.
+/// Passes damaged versions of a file's content to a reader.
+///
+/// The reader must accept some, reject some, and use little memory.
 pub(crate) fn assert_reader_survives<T: Debug, E: Debug + Display>(
     name: &str,
     cases: u32,

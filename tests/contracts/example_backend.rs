@@ -1,8 +1,9 @@
-//! A backend in NumPy goes the whole way of a stranger: blind export, answers, check. Then with one deliberate bug after
-//! the other, each of which the report must catch and name.
+//! A NumPy backend passes the blind export, answers and the check.
 //!
-//! Needs Python with NumPy: `python3`, or what `TRGS_PYTHON` says. Without it nothing is checked, which the output says
-//! aloud; a build server must have it.
+//! Then one deliberate bug after another is inserted; the report must catch and name each.
+//!
+//! Needs Python with NumPy: `python3`, or the program named by `TRGS_PYTHON`. Without it the tests are skipped with a
+//! message; a CI server must have it.
 
 use crate::common::vectors::vectors;
 use std::collections::BTreeMap;
@@ -16,7 +17,7 @@ fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/example_backend")
 }
 
-/// A Python that knows NumPy, or `None` and a loud remark.
+/// A Python with NumPy, or `None` with a message.
 fn python() -> Option<String> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = Command::new(&program).args(["-c", "import numpy"]).output().is_ok_and(|out| out.status.success());
@@ -29,7 +30,7 @@ fn python() -> Option<String> {
     None
 }
 
-/// The blind export up to a level.
+/// Exports the questions up to a level, without answers.
 fn export(into: &Path, level: Level) {
     let vectors = vectors();
     let cases: Vec<_> = vectors.manifest.cases.iter().filter(|case| case.level <= level).collect();
@@ -82,7 +83,7 @@ fn every_deliberate_bug_is_caught_and_named() {
     let Some(python) = python() else { return };
     let scratch = tempfile::tempdir().unwrap();
     let questions = scratch.path().join("vectors");
-    // A power of 1 + x for log1p shows in double precision at ν = 1e6 only, which is not core.
+    // A power of 1 + x instead of log1p is visible only in double precision at ν = 1e6, a case above level core.
     export(&questions, Level::Optional);
     let mut missed = Vec::new();
     for mutation in &mutations {

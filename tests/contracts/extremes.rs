@@ -1,7 +1,8 @@
-//! Extreme but allowed numbers: whatever primitives are given, images, volumes and gradients are finite and nothing panics;
-//! and in the ordinary range the fast path is the naive one.
+//! Extreme but valid numbers: images, volumes and gradients are finite, and nothing panics.
 //!
-//! proptest with a fixed seed; bytes of files are in `tests/contracts/robustness.rs`.
+//! In the ordinary range, the fast path equals the naive twin.
+//!
+//! Uses proptest with a fixed seed. Arbitrary bytes of files are in `tests/contracts/robustness.rs`.
 
 use crate::common::precision::RANDOM_FAST_AGAINST_NAIVE_F64;
 use crate::common::scenes;
@@ -15,7 +16,7 @@ use trgs::scene::{Detector, Scanner};
 
 const ANGLES: [f64; 2] = [0.0, 2.6];
 
-/// Runs `check` on values drawn from a fixed seed; the message of a failure holds the smallest value that fails.
+/// Runs `check` on values drawn with a fixed seed; a failure message holds the smallest failing value.
 fn for_all<S: Strategy>(cases: u32, strategy: &S, check: impl Fn(S::Value)) {
     let settings = Settings { cases, failure_persistence: None, max_shrink_iters: 300, ..Settings::default() };
     let mut runner = TestRunner::new_with_rng(settings, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
@@ -41,7 +42,7 @@ fn primitives(rows: Vec<Row>, gaussian: bool) -> Primitives {
     Primitives::new(parameters).unwrap()
 }
 
-/// A power of ten, evenly distributed in its exponent.
+/// A number with a uniformly distributed exponent of ten.
 fn magnitude(low: f64, high: f64) -> impl Strategy<Value = f64> {
     (low..high).prop_map(|exponent| libm::pow(10.0, exponent))
 }
@@ -52,8 +53,10 @@ fn quaternion(low: f64, high: f64) -> impl Strategy<Value = [f64; 4]> {
         .prop_map(|(q, length)| q.map(|x| x * length))
 }
 
-/// Scales from 1e-6 to 1e3, ν from 0.01 to 1e9, means anywhere (on the source, behind it, in a pixel's ray), densities of any
-/// sign from 1e-30 to 1e30, quaternions of any length from 1e-100 to 1e100.
+/// Extreme primitives: scales from 1e-6 to 1e3, ν from 0.01 to 1e9, means anywhere.
+///
+/// Means may be on the source, behind it, or in a pixel's ray. Densities have any sign, from 1e-30 to 1e30, quaternions
+/// any length from 1e-100 to 1e100.
 fn extreme() -> impl Strategy<Value = (Vec<Row>, bool)> {
     let mean = prop_oneof![
         6 => prop::array::uniform3(-1.5..1.5_f64),
@@ -69,7 +72,7 @@ fn extreme() -> impl Strategy<Value = (Vec<Row>, bool)> {
     (vec(row, 1..4), any::<bool>())
 }
 
-/// Scales that no scan needs, where coordinates and squares leave the range of f32: 1e-25 to 1e10.
+/// Scales that no scan needs, 1e-25 to 1e10: coordinates and squares leave the range of f32.
 fn absurd() -> impl Strategy<Value = (Vec<Row>, bool)> {
     let scale = prop_oneof![
         prop::array::uniform3(magnitude(-25.0, -6.0)),
@@ -80,7 +83,7 @@ fn absurd() -> impl Strategy<Value = (Vec<Row>, bool)> {
     (vec((mean, scale, quaternion(-1.0, 1.0), -1.0..1.0_f64, magnitude(-1.0, 6.0)), 1..3), any::<bool>())
 }
 
-/// Common sizes: 0.02 to 0.5, ν from 0.5 to 300, inside the volume.
+/// Ordinary primitives: scales 0.02 to 0.5, ν from 0.5 to 300, inside the volume.
 fn ordinary() -> impl Strategy<Value = (Vec<Row>, bool)> {
     let mean = prop::array::uniform3(-0.8..0.8_f64);
     let row = (
@@ -152,8 +155,9 @@ fn absurdly_small_and_large_primitives_have_finite_images_volumes_and_gradients(
     });
 }
 
-/// A point that lies in a pixel's ray to the last bit: its neighbours in the same register are 10^25 standard deviations away,
-/// and the square of that is no number in f32.
+/// A point exactly in a pixel's ray.
+///
+/// Its neighbours in the register are 10^25 standard deviations away; the square of that overflows in f32.
 #[test]
 fn a_point_in_the_ray_of_a_pixel_is_finite() {
     for cone in [true, false] {

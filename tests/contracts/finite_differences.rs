@@ -1,8 +1,10 @@
-//! Every gradient against central differences of three steps, whose error must fall as h²: every group of parameters, every
-//! loss, exact and affine, both kernels, physical and raw parameters.
+//! Every gradient against central differences of three steps, whose error must fall as h².
 //!
-//! A wrong gradient shows at the smallest step, a wrong difference (a kink, a step lost to rounding) as another
-//! order than the second. Steps are fractions of a parameter's own size, those of quaternions run along great circles.
+//! Covers every group of parameters, every loss, exact and affine projection, both kernels, physical and raw
+//! parameters.
+//!
+//! A wrong gradient shows at the smallest step; an invalid difference (a kink, a step lost to rounding) shows as an
+//! order other than two. Steps are fractions of a parameter's own size; steps of quaternions follow great circles.
 
 use crate::common::precision::{DIFFERENCE_ROUNDING, GRADIENT_AGAINST_DIFFERENCES, RADIAL_DERIVATIVE, SECOND_ORDER};
 use crate::common::scenes;
@@ -28,7 +30,7 @@ fn activation(kernel: Kernel) -> Activation {
     Activation { kernel, scale: Interval { min: 0.001, max: 1.0 }, nu: Interval { min: 0.5, max: 100.0 } }
 }
 
-/// A number made of images or of a block of voxels.
+/// A scalar function of images, or of a block of voxels.
 enum Loss {
     /// `Σ cotangent·images`.
     Images(Array3<f64>),
@@ -42,13 +44,13 @@ enum Loss {
 }
 
 impl Loss {
-    /// Every loss, with targets whose kinks are far from `primitives`.
+    /// All losses, with targets that keep kinks far from `primitives`.
     fn all(primitives: &Primitives, projection: Projection) -> Vec<(&'static str, Self)> {
         let detector = scanner().detector;
         let shape = [ANGLES.len(), detector.rows, detector.columns];
         let images = projector::forward::<f64>(primitives, &scanner(), &ANGLES, projection, 0.0);
         let peak = images.iter().fold(0.0_f64, |m, x| m.max(*x));
-        // Two fifths of the peak or more away, on either side: no step gets there.
+        // At least two fifths of the peak away, on either side: no step reaches the kink.
         let away =
             scenes::cotangent::<_, ndarray::Ix3>(50, shape).mapv(|x: f64| peak * (0.4 + 0.3 * x.abs()) * x.signum());
         let target = &images + &away;
@@ -64,7 +66,7 @@ impl Loss {
         ]
     }
 
-    /// Value and gradient of an image-wise loss, summed over the views.
+    /// Value and gradient of an image loss, summed over the views.
     fn of_image(&self, image: &Array2<f64>, view: usize) -> (f64, Array2<f64>) {
         let ssim = Ssim::<f64>::default();
         match self {
@@ -117,17 +119,17 @@ impl Loss {
     }
 }
 
-/// A way to move one parameter: along its axis, or for quaternions along a great circle.
+/// A path of one parameter: along its axis, or along a great circle for quaternions.
 #[derive(Clone, Copy, Debug)]
 struct Path {
     group: Group,
     primitive: usize,
     component: usize,
-    /// Parameter per unit of step.
+    /// Change of the parameter per unit of step.
     size: f64,
 }
 
-/// `q·i`, `q·j`, `q·k`: with q itself they are orthogonal and of equal length.
+/// `q·i`, `q·j`, `q·k`: orthogonal to q and to each other, of equal length.
 fn tangents([w, x, y, z]: [f64; 4]) -> [[f64; 4]; 3] {
     [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
 }
@@ -161,7 +163,7 @@ impl Path {
         moved
     }
 
-    /// The derivative by the step, from a gradient.
+    /// The derivative along the path, from a gradient.
     fn derivative(&self, at: &Parameters, gradient: &Parameters) -> f64 {
         let i = self.primitive;
         match self.group {
@@ -174,7 +176,7 @@ impl Path {
     }
 }
 
-/// Root mean square error of each step's differences, relative to the gradient's.
+/// Root mean square error of the differences for each step, relative to the gradient.
 fn errors(value: &impl Fn(&Parameters) -> f64, at: &Parameters, gradient: &Parameters, paths: &[Path]) -> [f64; 3] {
     let norm = paths.iter().map(|path| path.derivative(at, gradient)).map(|d| d * d).sum::<f64>().sqrt();
     assert!(norm > 0.0, "no gradient along {:?}", paths[0]);
@@ -189,7 +191,7 @@ fn errors(value: &impl Fn(&Parameters) -> f64, at: &Parameters, gradient: &Param
 fn assert_second_order(what: &str, errors: [f64; 3]) {
     let [first, second, third] = errors;
     eprintln!("{what:<58} {first:.1e} {second:.1e} {third:.1e}");
-    // Nothing to fall where a loss is linear in a group.
+    // Where a loss is linear in a group, the error does not fall.
     let order = first <= DIFFERENCE_ROUNDING || SECOND_ORDER.contains(&(first / second));
     assert!(order, "{what}: errors {errors:?} at steps {STEPS:?} fall by {}, not by 100", first / second);
     assert!(
@@ -199,7 +201,7 @@ fn assert_second_order(what: &str, errors: [f64; 3]) {
     );
 }
 
-/// Three overlapping primitives of all shapes near the middle, so that the field falls evenly where TV looks at it.
+/// Three overlapping primitives of all shapes, with a smooth field in the block of TV.
 fn primitives(kernel: Kernel) -> Primitives {
     let nu = |nu: f64| if kernel == Kernel::Gaussian { f64::INFINITY } else { nu };
     Primitives::new(Parameters {
@@ -218,7 +220,7 @@ fn combinations() -> impl Iterator<Item = (Kernel, Projection, &'static str, Los
         kernels.flat_map(|kernel| [Projection::Exact, Projection::Affine].map(|projection| (kernel, projection)));
     pairs.flat_map(|(kernel, projection)| {
         let losses = Loss::all(&primitives(kernel), projection).into_iter();
-        // Volumes know no rays.
+        // Losses on volumes do not depend on the projection.
         let losses = losses.filter(move |(_, loss)| {
             projection == Projection::Exact || !matches!(loss, Loss::Volume(..) | Loss::Tv(_))
         });
@@ -282,7 +284,7 @@ fn the_length_of_a_quaternion_has_no_derivative() {
     eprintln!("radial derivative {worst:.1e}");
 }
 
-/// By construction no step of any test here crosses a kink of |·|: all signs stay as they are, with twice the largest step.
+/// No step of these tests crosses a kink of |·|: with twice the largest step, all signs stay the same.
 #[test]
 fn no_step_crosses_a_kink() {
     for (kernel, projection, name, loss) in combinations() {

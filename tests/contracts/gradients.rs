@@ -57,7 +57,7 @@ fn raw_gradients_agree_with_central_differences() {
     }
 }
 
-/// Round primitives have no preferred rotation: rounding noise there would become full steps of Adam.
+/// A round primitive has no preferred rotation: Adam would amplify rounding noise there to full steps.
 #[test]
 fn the_gradient_to_the_rotation_of_a_round_primitive_is_exactly_zero() {
     let mut primitives = scenes::primitives(Kernel::StudentT, 5, 12);
@@ -69,7 +69,7 @@ fn the_gradient_to_the_rotation_of_a_round_primitive_is_exactly_zero() {
     assert!(gradient.scale.as_flattened().iter().all(|d| *d != 0.0));
 }
 
-/// Only a rotation counts: the gradient has no part along the quaternion itself.
+/// Only the rotation matters: the gradient has no component along the quaternion itself.
 #[test]
 fn the_gradient_to_a_quaternion_is_tangential() {
     let primitives = scenes::primitives(Kernel::Gaussian, 5, 13);
@@ -83,7 +83,9 @@ fn the_gradient_to_a_quaternion_is_tangential() {
     }
 }
 
-/// Moving the detector against a primitive moves its shadow; the affine projection knows nothing else of the detector.
+/// Moving the detector against a primitive moves its projection.
+///
+/// The affine projection depends on the detector in no other way.
 #[test]
 fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
     for (scanner, name) in [(scenes::cone(), "cone"), (scenes::parallel(), "parallel")] {
@@ -111,7 +113,7 @@ fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
     }
 }
 
-/// Volumes say nothing about shadows.
+/// Volumes do not contribute to the gradient with respect to projected centres.
 #[test]
 fn the_gradient_to_a_shadow_comes_from_views_alone() {
     let (primitives, scanner) = (scenes::primitives(Kernel::StudentT, 3, 17), scenes::cone());

@@ -1,5 +1,6 @@
-//! What must not change, or must change in a known way, when the whole scene is turned, mirrored, enlarged or moved:
-//! each test computes the same thing twice, in two places of the geometry page.
+//! Symmetries: results when the whole scene is rotated, mirrored, scaled or moved.
+//!
+//! Each test computes one result twice, at two places of the geometry page.
 
 use crate::common::precision::{FAR_SOURCE_RATE, INVARIANCE_F64, LARGE_NU_RATE};
 use crate::common::scenes;
@@ -45,7 +46,7 @@ fn part(array: &Array3<f64>, ranges: [(usize, Option<usize>, usize); 3]) -> Arra
     })
 }
 
-/// Runs `check` for both kernels, both projections and both beams, and prints the largest distance it returns.
+/// Runs `check` for both kernels, projections and beams; prints the largest distance.
 fn everywhere(what: &str, check: impl Fn(&Primitives, &Scanner, Projection) -> f64) {
     for scanner in [scenes::cone(), scenes::parallel()] {
         for kernel in KERNELS {
@@ -59,7 +60,7 @@ fn everywhere(what: &str, check: impl Fn(&Primitives, &Scanner, Projection) -> f
     }
 }
 
-/// The same for volumes.
+/// [`everywhere`] for volumes.
 fn in_space(what: &str, check: impl Fn(&Primitives, &Grid) -> f64) {
     for kernel in KERNELS {
         let found = check(&scenes::primitives(kernel, 13, 62), &scenes::cone().grid);
@@ -68,7 +69,7 @@ fn in_space(what: &str, check: impl Fn(&Primitives, &Grid) -> f64) {
     }
 }
 
-/// The primitives with their places mapped by `place` and their shapes turned by `turn`.
+/// The primitives with positions mapped by `place` and shapes rotated by `turn`.
 fn mapped(primitives: &Primitives, place: impl Fn(DVec3) -> DVec3, turn: DQuat) -> Primitives {
     let mut mapped = primitives.clone();
     for mean in &mut mapped.parameters.mean {
@@ -81,7 +82,9 @@ fn mapped(primitives: &Primitives, place: impl Fn(DVec3) -> DVec3, turn: DQuat) 
     mapped
 }
 
-/// A mirror in the plane y = 0 keeps Σ's form: the rotation about (x, y, z) by φ becomes that about (x, -y, z) by -φ.
+/// A mirror in the plane y = 0 keeps the form of Σ.
+///
+/// The rotation about (x, y, z) by φ becomes that about (x, -y, z) by -φ.
 fn mirrored(primitives: &Primitives) -> Primitives {
     let mut mirrored = mapped(primitives, |p| DVec3::new(p.x, -p.y, p.z), DQuat::IDENTITY);
     mirrored.parameters.quaternion.iter_mut().for_each(|q| *q = [q[0], -q[1], q[2], -q[3]]);
@@ -116,7 +119,7 @@ fn mirroring_the_object_in_y_mirrors_the_columns_of_the_opposite_views() {
 #[test]
 fn turning_the_object_upside_down_turns_the_images_upside_down() {
     everywhere("upside down", |primitives, scanner, projection| {
-        // Half a turn about x: y → -y, z → -z, so that angles change their sign, and rows and columns their order.
+        // Half a turn about x: y → -y, z → -z, so angles change sign and rows and columns reverse their order.
         let turn = DQuat::from_rotation_x(std::f64::consts::PI);
         let turned = mapped(primitives, |p| turn * p, turn);
         let opposite = ANGLES.map(|angle| -angle);
@@ -128,7 +131,7 @@ fn turning_the_object_upside_down_turns_the_images_upside_down() {
     });
 }
 
-/// The scene in units that are `k` times smaller; densities stay what they are per unit.
+/// The scene in units `k` times smaller; densities per unit stay the same.
 fn enlarged(primitives: &Primitives, scanner: &Scanner, k: f64) -> (Primitives, Scanner) {
     let mut primitives = mapped(primitives, |p| p * k, DQuat::IDENTITY);
     primitives.parameters.scale.as_flattened_mut().iter_mut().for_each(|s| *s *= k);
@@ -197,7 +200,7 @@ fn permuted_axes_of_the_object_are_permuted_axes_of_the_volume() {
         let [nx, ny, nz] = grid.shape;
         let turned_grid = Grid { shape: [nz, nx, ny], min: permute(grid.min), spacing: permute(grid.spacing) };
         let straight = volume(primitives, grid);
-        // Axis 0 of the turned volume is z.
+        // Axis 0 of the rotated volume is z.
         distance(volume(&turned, &turned_grid).view(), straight.view().permuted_axes([2, 0, 1]))
     });
 }
@@ -216,7 +219,7 @@ fn a_negated_axis_of_the_object_is_a_reversed_axis_of_the_volume() {
 #[test]
 fn uneven_voxels_sample_the_same_field_as_every_so_many_small_even_ones() {
     in_space("voxels", |primitives, _| {
-        // 3, 1 and 5 small voxels along x, y, z make a large one, with its centre at that of the middle one.
+        // 3, 1 and 5 small voxels along x, y, z form a large one, centred at the middle one.
         let small = Grid { shape: [21, 11, 45], min: DVec3::new(-0.9, -0.5, -1.1), spacing: DVec3::splat(0.05) };
         let large = Grid { shape: [7, 11, 9], min: small.min, spacing: small.spacing * DVec3::new(3.0, 1.0, 5.0) };
         let all = volume(primitives, &small);
@@ -267,8 +270,9 @@ fn a_detector_twice_as_far_and_twice_as_large_sees_the_same() {
     }
 }
 
-/// Distances from a limit at two values of a parameter that goes to infinity, times that parameter: equal if the approach
-/// is like 1/parameter.
+/// Asserts that the distance from a limit falls like 1/parameter.
+///
+/// The distance is computed at two values of the parameter; distance times parameter must be equal.
 fn assert_first_order(what: &str, parameters: [f64; 2], distance_at: impl Fn(f64) -> f64, rate: std::ops::Range<f64>) {
     let [near, far] = parameters.map(&distance_at);
     let fall = near / far;
@@ -310,7 +314,7 @@ fn a_cone_beam_from_far_away_approaches_the_parallel_beam_like_one_over_the_dist
         for projection in PROJECTIONS {
             let (primitives, parallel) = (scenes::primitives(kernel, 13, 66), scenes::parallel());
             let limit = images(&primitives, &parallel, &ANGLES, projection);
-            // The detector stands where the axis is, so that its pixels have the size they have in a parallel beam.
+            // The detector is at the axis, so its pixels have the size of the parallel beam's.
             let at = |distance_of_source: f64| {
                 let beam = Beam::Cone { dso: distance_of_source, dsd: distance_of_source };
                 distance(images(&primitives, &Scanner { beam, ..parallel }, &ANGLES, projection).view(), limit.view())
@@ -326,7 +330,7 @@ fn succeeded(primitives: &Primitives, successors: &[Successor]) -> Primitives {
     Primitives { kernel: primitives.kernel, parameters: succeed(&primitives.parameters, successors) }
 }
 
-/// Half as many again, all from living ones.
+/// Half as many primitives again, copied from living ones.
 fn grown(primitives: &Primitives, relocation: Relocation) -> Primitives {
     let settings = ar::Settings { dead: 0.0, recycled: 0.0, growth: 0.5, cap: 1000, relocation };
     let draws = scenes::uniform(63, 100, 0.0, 1.0);

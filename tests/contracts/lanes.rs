@@ -1,7 +1,7 @@
-//! SIMD lanes against plain numbers, bit by bit: each operation on its own, and all kernels run in arrays of plain numbers.
+//! SIMD lanes against plain numbers, bit by bit: single operations, and all kernels on plain arrays.
 //!
-//! A build without wide registers emulates the lanes, one with them does not: both are the plain arithmetic of
-//! `common::plain`, or the bits of the project would depend on the build. The bits of a NaN are the one thing left open.
+//! A build without wide registers emulates the lanes: both must equal the plain arithmetic of `common::plain`, or the
+//! project's bits would depend on the build. Only the bits of a NaN may differ.
 
 use crate::common::plain::{Plain32, Plain64};
 use crate::common::precision::{OTHER_WIDTH_F32, OTHER_WIDTH_F64};
@@ -17,8 +17,9 @@ use trgs::scene::{Detector, Scanner};
 use trgs::wavelet::{self, Routing};
 use wide::{f32x8, f32x16, f64x4, f64x8};
 
-/// Zeros, subnormals, the smallest and largest numbers, infinities, NaN, halves that round either way, random numbers of
-/// every size and sign; exact in single precision.
+/// Operands: zeros, subnormals, extreme numbers, infinities, NaN, ties, and random numbers.
+///
+/// Random numbers have every magnitude and sign; all are exact in single precision.
 fn operands() -> Vec<f64> {
     let mut operands = vec![0.0, -0.0, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
     for x in [f32::from_bits(1), f32::from_bits(0x7f_ffff), f32::MIN_POSITIVE, f32::EPSILON, f32::MAX] {
@@ -38,30 +39,30 @@ fn operands() -> Vec<f64> {
     operands
 }
 
-/// Those of [`operands`] at another place, so that every pair is of two different numbers.
+/// [`operands`] in another order, so that every pair has two different numbers.
 fn others(operands: &[f64]) -> Vec<f64> {
     (0..operands.len()).map(|i| operands[(i * 31 + 7) % operands.len()]).collect()
 }
 
-/// The same number with the same sign; any NaN is like any other.
+/// Equality including the sign of zero; all NaN are equal.
 fn same(a: f64, b: f64) -> bool {
     a.to_bits() == b.to_bits() || a.is_nan() && b.is_nan()
 }
 
-/// Every lane of a row of numbers.
+/// All lanes of a vector of numbers.
 fn unpack<L: Lanes>(lanes: L) -> Vec<f64> {
     let half = L::WIDTH / 2;
     let mut rows = [vec![-L::Scalar::ZERO; half], vec![-L::Scalar::ZERO; half]];
     let [top, bottom] = &mut rows;
-    // -0 is the neutral element of addition: a lane of -0 stays what it is.
+    // -0 is the neutral element of addition: a lane of -0 stays -0.
     lanes.add_to_rows(top, bottom);
     rows.concat().into_iter().map(Real::to_f64).collect()
 }
 
-/// One operation on lanes, of up to three operands.
+/// An operation on lanes with up to three operands.
 type Operation<L> = (&'static str, fn(L, L, L) -> L);
 
-/// One of two operands, on registers of any kind.
+/// An operation with two operands, on registers of any kind.
 type Binary<T> = (&'static str, fn(T, T) -> T);
 
 fn operations<L: Lanes>() -> Vec<Operation<L>> {
@@ -92,7 +93,7 @@ fn operations<L: Lanes>() -> Vec<Operation<L>> {
     ]
 }
 
-/// Results of an operation, `WIDTH` operands at a time.
+/// Results of an operation for `WIDTH` operands at a time.
 fn packed<L: Lanes>(operation: fn(L, L, L) -> L, operands: &[f64]) -> Vec<f64> {
     let (second, third) = (others(operands), others(&others(operands)));
     let blocks = operands.len().div_ceil(L::WIDTH);
@@ -103,7 +104,7 @@ fn packed<L: Lanes>(operation: fn(L, L, L) -> L, operands: &[f64]) -> Vec<f64> {
     results.take(operands.len()).collect()
 }
 
-/// The same with each operand alone, in every lane.
+/// Results of an operation for each operand alone, copied to every lane.
 fn splatted<L: Lanes>(operation: fn(L, L, L) -> L, operands: &[f64]) -> Vec<f64> {
     let (second, third) = (others(operands), others(&others(operands)));
     let splat = |x: f64| L::splat(L::Scalar::from_f64(x));
@@ -143,7 +144,7 @@ fn every_operation_on_eight_lanes_of_f64_is_that_on_one() {
     assert_operations_agree::<f64, Plain64<8>>();
 }
 
-/// Asserts that results in registers of half the width are those of the operation called `name`.
+/// Asserts that results in registers of half the width equal those of the operation called `name`.
 fn assert_half<R: Real>(name: &str, halves: impl Iterator<Item = f64>) {
     let operation = operations::<R::Lanes>().into_iter().find(|(n, _)| *n == name).unwrap().1;
     let operands = operands();
@@ -187,7 +188,7 @@ fn arithmetic_on_half_as_many_lanes_has_the_same_bits() {
     }
 }
 
-/// Sums of numbers of very different sizes show the order in which they are added.
+/// Sums of numbers of very different magnitudes depend on the order of addition.
 fn assert_sum_is_the_documented_tree<R: Real>() {
     let operands: Vec<f64> = operands().into_iter().filter(|x| x.is_finite()).collect();
     let mut orders = 0;
@@ -266,7 +267,7 @@ fn wavelets<R: Real>(shape: [usize; 3], levels: usize) -> Vec<u64> {
     gradient.chain([loss.value, loss.enhancement, loss.suppression]).map(f64::to_bits).collect()
 }
 
-/// Rows of cells that are shorter than a register, as long, and longer.
+/// Rows of cells shorter than a register, as long, and longer.
 #[test]
 fn wavelet_losses_have_the_same_bits_in_plain_arithmetic() {
     for (shape, levels) in [([2, 2, 2], 1), ([4, 6, 10], 1), ([6, 4, 32], 1), ([4, 10, 44], 1), ([8, 12, 72], 2)] {
@@ -284,8 +285,10 @@ fn distance(a: &[Array3<f64>], b: &[Array3<f64>]) -> f64 {
     a.iter().zip(b).map(one).fold(0.0, f64::max)
 }
 
-/// The width is a constant because it is seen in the last bits: a column's distance from the centre is taken from that of
-/// its register's first column. More must not depend on it.
+/// The lane width is a constant because the last bits depend on it.
+///
+/// A column's distance from the centre is computed from that of its register's first column. Nothing else may depend on
+/// the width.
 #[test]
 fn another_width_changes_the_last_bits_only() {
     let primitives = scenes::primitives(Kernel::StudentT, 21, 84);
@@ -301,8 +304,9 @@ fn another_width_changes_the_last_bits_only() {
     check("f32", &narrow.0, &fast.0, OTHER_WIDTH_F32);
 }
 
-/// A detector of one column or one row leaves most lanes empty: its pixel is that of a whole detector, where the same
-/// pixel starts a register.
+/// A detector of one column or one row leaves most lanes empty.
+///
+/// Its pixel must equal that of a whole detector in which the same pixel starts a register.
 fn narrow<R: Kernels>(tolerance: f64) {
     let (d, angles) = (scenes::cone().detector, [0.7]);
     for kernel in [Kernel::StudentT, Kernel::Gaussian] {
@@ -338,7 +342,7 @@ fn a_pixel_alone_is_the_pixel_of_a_whole_detector() {
     narrow::<f32>(OTHER_WIDTH_F32);
 }
 
-/// Projections of a volume and what their adjoint makes of them, in one number type. The detector's rows are `pitch` apart.
+/// Projections of a volume and their adjoint in one number type; the detector's rows are `pitch` apart.
 fn voxels<R: Real>(pitch: f64) -> Vec<u64> {
     let mut scanner = scenes::cone();
     (scanner.detector.rows, scanner.detector.columns, scanner.detector.pitch_v) = (45, 21, pitch);

@@ -14,7 +14,7 @@ mod classical;
 mod completeness;
 // Three default runs against committed PSNR.
 mod defaults;
-// A backend in NumPy passes through export, answer and check.
+// A NumPy backend: export, answers and check.
 mod example_backend;
 // Extreme but allowed numbers give finite results.
 mod extremes;

@@ -1,4 +1,4 @@
-//! The oracle's machinery: vectors as they should be, answers handed in whole, wrong, late or not at all.
+//! The oracle: valid vectors; complete, wrong, late and missing answers.
 
 use crate::common::vectors::{answer, judge, vectors};
 use std::collections::{BTreeMap, BTreeSet};
@@ -66,7 +66,7 @@ fn there_is_a_case_for_every_stage_and_every_stage_is_answered() {
     assert_eq!(stages, answers::STAGES.map(String::from).into());
 }
 
-/// The adversarial inputs that a suite must not lack.
+/// Every kind of adversarial input has a case.
 #[test]
 fn every_kind_of_trouble_has_a_case() {
     let vectors = vectors();
@@ -125,7 +125,7 @@ fn every_stage_and_format_has_a_tolerance_with_a_reason() {
     }
 }
 
-/// The norms of all arrays that a rule is for, the largest of each.
+/// The largest value of each norm over all arrays of a rule.
 fn envelope(vectors: &Vectors, report: &trgs::oracle::Report, rule: usize, tolerances: &Tolerances) -> Limits {
     let mut envelope = Limits::default();
     let raise = |slot: &mut Option<f64>, value: f64| *slot = Some(slot.unwrap_or(0.0).max(value));
@@ -148,7 +148,7 @@ fn envelope(vectors: &Vectors, report: &trgs::oracle::Report, rule: usize, toler
     envelope
 }
 
-/// Answers in f64, rounded to a format: what is left of the truth in it at best.
+/// Answers in f64 rounded to a format: the best possible answers in that format.
 fn answer_rounded(vectors: &Vectors, folder: &Path, format: Format) {
     for case in &vectors.manifest.cases {
         let mut outputs = answers::answer(&Question::new(vectors, case).unwrap(), Precision::F64).unwrap();
@@ -221,14 +221,14 @@ fn a_blind_export_has_the_inputs_and_nothing_of_the_truth() {
             assert!(open.join("expected").join(&file.file).exists());
         }
     }
-    // The truth is its own answer, and a folder without answers is none.
+    // The truth passes as its own answer; an empty folder does not.
     assert!(judge(&vectors, &open.join("expected"), Format::F64, &[]).passed());
     let report = judge(&vectors, &blind, Format::F64, &[]);
     assert_eq!(report.count(Status::Missing), report.results.len());
     assert!(!report.passed());
 }
 
-/// Our answers to one stage in a folder, to be spoilt.
+/// This program's answers to one stage in a folder, to be modified.
 fn answered(stage: &str) -> (Vectors, tempfile::TempDir, Vec<String>) {
     let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
     answer(&vectors, Precision::F64, folder.path(), |case| case.stage == stage);
@@ -347,7 +347,7 @@ fn damaged_vectors_and_those_of_another_version_are_refused() {
     }
 }
 
-/// The table in `reference/README.md`: stage, worst ulp and worst error of the peak, in f64 and in f32.
+/// The table in `reference/README.md`: worst ulp and worst error of each stage, in f64 and f32.
 #[test]
 fn the_worst_ulp_of_every_stage_stands_in_the_readme() {
     let (vectors, readme) = (vectors(), fs::read_to_string(root().join("reference/README.md")).unwrap());

@@ -1,4 +1,4 @@
-//! The paper's tables as `reference/paper` has them: whole, in range, and with the values that one looks up first.
+//! The paper's tables in `reference/paper`: complete, in range, and with the correct key values.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -11,7 +11,7 @@ fn table(name: &str) -> (Vec<String>, Vec<Vec<String>>) {
     (lines.next().unwrap(), lines.collect())
 }
 
-/// The value of a column in the one row that starts with `key`.
+/// The value of a column in the only row that starts with `key`.
 fn value(name: &str, key: &[&str], column: &str) -> f64 {
     let (header, rows) = table(name);
     let column = header.iter().position(|known| known == column).unwrap();

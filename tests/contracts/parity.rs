@@ -78,7 +78,7 @@ fn volumes_and_their_gradients_agree_with_the_naive_twin() {
     }
 }
 
-/// A cutoff is a fact of the ellipsoid, not of tiles: the same pixels and voxels are left out by both.
+/// A cutoff is defined by the ellipsoid, not by tiles: both paths leave out the same pixels and voxels.
 #[test]
 fn the_cutoff_leaves_out_the_same_pixels_and_voxels_as_the_naive_twin() {
     for (kernel, projection, scanner) in combinations() {

@@ -1,5 +1,7 @@
-//! What other programs measured and simulated, read and compared. The data are not part of the project: they are looked
-//! for in `../shared/data` or where `TRGS_DATA` says, and without them nothing is checked, which the output says aloud.
+//! Volumes and projections of other programs, read and compared.
+//!
+//! The data are not part of the project: they are searched in `../shared/data`, or in the folder named by `TRGS_DATA`.
+//! Without them the tests are skipped with a message.
 
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -10,7 +12,7 @@ use trgs::evaluation::psnr_3d;
 use trgs::scene::{Dataset, trilinear};
 use trgs::train::train;
 
-/// The folder of a scan, or `None` and a loud remark.
+/// The folder of a scan, or `None` with a message.
 fn scan(name: &str) -> Option<PathBuf> {
     let data = std::env::var_os("TRGS_DATA")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
@@ -18,7 +20,7 @@ fn scan(name: &str) -> Option<PathBuf> {
     if path.is_dir() {
         return Some(path);
     }
-    // Past the capture of the test harness: a skipped test must not look like a passed one.
+    // Bypasses the capture of the test harness: a skipped test must not look like a passed one.
     let remark = format!("SKIPPED: {} is not there; set TRGS_DATA to the folder that holds it\n", path.display());
     std::io::stderr().write_all(remark.as_bytes()).unwrap();
     None
@@ -35,7 +37,7 @@ fn exact_projections_agree_with_those_another_program_marched() {
         let (mean, largest) = (difference.mean().unwrap(), difference.iter().fold(0.0_f32, |a, &b| a.max(b)));
         let peak = test.images.iter().fold(0.0_f32, |a, &b| a.max(b));
         eprintln!("{name}: mean difference {mean:e}, largest {largest:e}, of at most {peak}");
-        // Theirs stepped a quarter of a voxel, ours is exact: the difference is their error.
+        // Their projector stepped by a quarter of a voxel, ours is exact: the difference is their error.
         assert!(mean < 2e-5 && largest < 1e-3, "{name}");
     }
 }
@@ -63,8 +65,9 @@ fn filtered_backprojection_is_as_good_as_that_of_another_program() {
     }
 }
 
-/// R²-Gaussian's own code reached 32.10 dB in 5,000 iterations, with 16,773 primitives. The base model with a fixed
-/// number of primitives must come within 1.5 dB in a tenth of them.
+/// R²-Gaussian's own code reached 32.10 dB in 5,000 iterations, with 16,773 primitives.
+///
+/// The base model with a fixed number of primitives must come within 1.5 dB in a tenth of the iterations.
 #[test]
 fn a_real_engine_is_reconstructed_within_1_5_db_of_the_published_code() {
     let Some(path) = scan("engine_18v") else { return };

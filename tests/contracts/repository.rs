@@ -1,4 +1,4 @@
-//! Rules that a compiler does not check: what numerical code must not use, who may use threads, file lengths.
+//! Rules that no compiler checks: operations in numerical code, use of threads, file lengths.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,6 @@
-//! The same field can be written down in many ways: primitives in any order, split in parts, with quaternions of any sign
-//! and length and with axes in any order. What is computed may differ by rounding only, and often not at all.
+//! One field in several representations gives equal results up to rounding, and often exactly.
+//!
+//! Primitives are reordered or split into parts; quaternions change sign and length; axes are permuted.
 
 use crate::common::precision::{REPRESENTATION_F32, REPRESENTATION_F64};
 use crate::common::scenes;
@@ -131,7 +132,7 @@ fn scales_may_be_permuted_together_with_the_axes_they_belong_to() {
     same_up_to_rounding("axes", |primitives| {
         for (scale, q) in primitives.parameters.scale.iter_mut().zip(&mut primitives.parameters.quaternion) {
             let r = DMat3::from_quat(DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize());
-            // A cyclic permutation keeps the sense of rotation; so does the exchange with one axis reversed.
+            // A cyclic permutation keeps the handedness; so does an exchange with one axis reversed.
             let (axes, scales) = if scale[0] < scale[1] {
                 (DMat3::from_cols(r.y_axis, r.z_axis, r.x_axis), [scale[1], scale[2], scale[0]])
             } else {
@@ -162,7 +163,7 @@ fn splitting_a_primitive_into_parts_of_its_density_changes_nothing() {
     }
 }
 
-/// Each part has the same gradient to place and shape as any other, and they add up to the whole's.
+/// All parts have the same gradient to mean and shape, and these add up to the whole's gradient.
 #[test]
 fn the_parts_of_a_primitive_share_its_gradient() {
     let whole = scenes::primitives(Kernel::StudentT, 1, 75);

@@ -1,8 +1,9 @@
-//! Arbitrary bytes in every file that is read and in every text that is parsed: never a panic, always either a value or an
-//! error of one clear line, and no memory for what a header merely claims.
+//! Arbitrary bytes in every file reader and text parser: a value or one clear line, never a panic.
 //!
-//! `cargo fuzz` would look further, but needs a nightly compiler; this is proptest on bytes with a fixed seed, see
-//! `tests/contracts/damage.rs`. DICOM is in `src/scene/volume_file/dicom`, extreme numbers are in `tests/contracts/extremes.rs`.
+//! A size claimed by a header allocates no memory by itself.
+//!
+//! Proptest generates the bytes with a fixed seed (`tests/contracts/damage.rs`); `cargo fuzz` needs a nightly compiler.
+//! DICOM is tested in `src/scene/volume_file/dicom`, extreme numbers in `tests/contracts/extremes.rs`.
 
 use crate::damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
 use glam::DVec3;
@@ -25,7 +26,7 @@ use trgs::scene::stack::parse_angles;
 use trgs::scene::volume_file::{self, SideFile, VolumeFile};
 use trgs::scene::{Beam, Detector, Grid, Scanner, npy, npz};
 
-/// Cases of what is no reader of data, or needs a disk.
+/// Number of cases for parsers of text and for readers that need a disk.
 const FEW: u32 = 400;
 
 fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
@@ -85,10 +86,10 @@ const ASCII_PLY: &[u8] = b"ply\nformat ascii 1.0\nelement edge 1\nproperty list 
     property int rotation_z\nproperty float density\nproperty float nu\nproperty uchar red\nend_header\n2 0 1\n\
     1 2 3 0.5 0.25 4 1 0 0 -1 0.125 5 7\n0.1 0.2 0.3 0.5 0.25 4 1 0 0 -1 0.125 50 255\n";
 
-/// R²-Gaussian's.
+/// A point cloud of R²-Gaussian.
 const POINT_CLOUD: &[u8] = include_bytes!("../data/point_cloud.pickle");
 
-/// A small scan in a folder that disappears.
+/// A small scan in a temporary folder.
 fn scan() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let scanner = Scanner {
@@ -131,7 +132,7 @@ fn scans_with_any_damaged_file_are_clear_errors() {
     Dataset::read(&scan).unwrap();
 }
 
-/// A volume in a format, by the file's name.
+/// A volume in the format of a file name.
 fn small_volume(name: &str) -> Vec<u8> {
     let values = Array3::from_shape_fn((3, 4, 5), |(x, y, z)| (x + y * z) as f32);
     let volume = VolumeFile { values, spacing: Some(DVec3::splat(0.5)), ..VolumeFile::default() };
@@ -145,7 +146,7 @@ fn damaged_volumes_of_every_format_are_clear_errors() {
     }
     let detached = b"NDims = 3\nDimSize = 2 2 1\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n1234";
     assert_reader_survives("a.mhd", MANY, detached, volume_file::parse);
-    // Of numbers alone nothing but the length can be wrong.
+    // For raw numbers only the length can be wrong.
     assert_reader_survives("a_3x4x5_float32.raw", MANY, &small_volume("a_3x4x5_float32.raw"), volume_file::parse);
 }
 
@@ -157,7 +158,7 @@ fn damaged_side_files_are_clear_errors() {
     assert_reader_survives("a.raw", MANY, valid, |text, path| SideFile::parse(text, path)?.volume(&numbers, path));
 }
 
-/// Two pages of each kind of number and packing.
+/// Two pages of each number type and compression.
 fn small_tiffs() -> Vec<Vec<u8>> {
     let values: Vec<u16> = (0..30).map(|i| 100 * i).collect();
     let (bytes, floats): (Vec<u8>, Vec<f32>) = values.iter().map(|&v| ((v / 100) as u8, f32::from(v) - 0.5)).unzip();
@@ -203,8 +204,7 @@ fn damaged_pickles_are_clear_errors() {
     }
 }
 
-/// Every two, four and eight bytes of a small file, everywhere, as large numbers, and every digit of a header as a number
-/// of gigabytes.
+/// Replaces bytes of small files by large numbers: two, four and eight bytes, and digits of headers.
 #[test]
 fn files_that_claim_gigabytes_are_given_no_memory() {
     type Reader = fn(&[u8], &Path) -> bool;
@@ -305,7 +305,7 @@ fn a_header_that_claims_gigabytes_is_given_no_memory() {
         bytes.extend(b"\n0123456789abcdef");
         check(&bytes);
     });
-    // The lengths of headers are claims as well.
+    // Lengths of headers are claims as well.
     for version in 1..=4_u8 {
         check(&[b"\x93NUMPY", &[version, 0, 0xff, 0xff, 0xff, 0xff][..], b"{'descr'"].concat());
     }

@@ -1,4 +1,4 @@
-//! The sampler samples: from a known density its positions have the known mean and covariance.
+//! The sampler draws from a known density: positions have the known mean and covariance.
 
 use glam::{DMat3, DVec3};
 use rand::RngExt;
@@ -10,8 +10,7 @@ use trgs::optim::sghmc::{Phase, Stir};
 const CHAINS: usize = 4096;
 const FRICTION: f64 = 2.0;
 
-/// Mean and covariance of all chains, after each of `steps` steps behind a warm-up, for the energy
-/// `(x-m)ᵀP(x-m)/2`.
+/// Mean and covariance of all chains over `steps` steps after a warm-up; energy `(x-m)ᵀP(x-m)/2`.
 fn moments(rate: f64, warm_up: usize, steps: usize, mean: DVec3, precision: DMat3) -> (DVec3, DMat3) {
     let mut sampler = Sghmc::new(CHAINS);
     let mut positions = vec![[0.0; 3]; CHAINS];
@@ -41,9 +40,9 @@ fn the_textbook_form_samples_from_the_density_of_its_energy() {
     let covariance =
         DMat3::from_cols(DVec3::new(1.0, 0.3, -0.2), DVec3::new(0.3, 0.5, 0.1), DVec3::new(-0.2, 0.1, 0.8));
     let (got_mean, got) = moments(0.05, 600, 1000, mean, covariance.inverse());
-    // 4096 chains over 50 units of time, which they forget after about one: some 10⁵ independent samples.
+    // 4096 chains over 50 units of time with a correlation time of about one: some 10⁵ independent samples.
     assert!((got_mean - mean).abs().max_element() < 0.015, "{got_mean}");
-    // The discretisation inflates the covariance by the order of the rate.
+    // The discretisation increases the covariance in first order of the rate.
     for (got, expected) in got.to_cols_array().into_iter().zip(covariance.to_cols_array()) {
         assert!((got - expected).abs() < 0.03, "{got} instead of {expected}");
     }

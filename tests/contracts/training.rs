@@ -1,4 +1,4 @@
-//! Training as a whole: every method, every pair of density control and position optimiser, every variant.
+//! Training as a whole: all methods, all pairs of density control and position optimiser, all options.
 
 use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
@@ -27,12 +27,12 @@ fn scan() -> Dataset {
     simulate("torso", Object::Phantom(&Phantom::by_name("torso", 0).unwrap()), &scanner, &plan).unwrap()
 }
 
-/// Every part at work within a few iterations.
+/// A configuration in which every part runs within a few iterations.
 fn busy(method: Method) -> Config {
     let mut config = Config::of(method);
     (config.iterations, config.report_every, config.model.points) = (60, 10, 300);
     (config.loss.tv_block, config.wavelet.block) = (12, 12);
-    // Where the targets lie: a short run gets there and leaves tails to learn.
+    // Near the targets: a short run reaches them and learns the tails.
     config.model.nu_initial = 30.0;
     (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8, 25);
     config
@@ -63,7 +63,7 @@ fn pairs() -> impl Iterator<Item = Config> {
     })
 }
 
-/// Whole registers reach beyond the supports, beyond small ones by more.
+/// Whole registers extend beyond the supports, relatively more for small supports.
 #[test]
 fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
     let pitch = 4.0 / 128.0;
@@ -81,7 +81,9 @@ fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
     }
 }
 
-/// R²-Gaussian's own program in effect holds them: that setting has to leave the data's pull alone and nothing else out.
+/// R²-Gaussian's own program keeps centres fixed in blocks.
+///
+/// The setting for that must leave only the data's gradient on the centres, and remove nothing else.
 #[test]
 fn blocks_move_centres_unless_they_are_told_not_to() {
     let dataset = scan();
@@ -161,7 +163,7 @@ fn a_strong_pull_leads_nu_to_its_targets() {
     let spearman = |weight| {
         let mut config = busy(Method::TrGs);
         config.confidence.weight = weight;
-        // The longer steps of a short run would overshoot.
+        // The larger steps of a short run would overshoot.
         config.optimiser.horizon = config.iterations;
         config.density_control.method = DensityControl::None;
         run(&dataset, &config).log.last().unwrap().spearman.unwrap()
@@ -201,7 +203,7 @@ fn a_population_that_dies_out_is_an_error_and_no_crash() {
     assert!(message.contains("density_control.faint"), "{message}");
 }
 
-/// Blocks of memory that a run of so many iterations asks for, on one thread.
+/// Number of heap allocations in a run of so many iterations, on one thread.
 fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u64 {
     let config = Config { iterations, ..config.clone() };
     let mut blocks = 0;
@@ -210,7 +212,7 @@ fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u6
     blocks
 }
 
-/// Twice at the same size: the second time is measured.
+/// Runs twice at the same size; the second run is measured.
 #[test]
 fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_memory() {
     let dataset = scan();
@@ -249,7 +251,7 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     assert_eq!((losses.2[0], &slopes[1]), (expected.value, &expected.gradient));
 }
 
-/// The kd-tree of their neighbours is made anew only where primitives have gone far or others are there.
+/// The kd-tree of neighbours is rebuilt only where primitives moved far or were added.
 #[test]
 fn an_iteration_with_wavelets_asks_for_no_memory() {
     let dataset = scan();
@@ -267,12 +269,12 @@ fn an_iteration_with_wavelets_asks_for_no_memory() {
 fn an_iteration_in_which_nothing_else_is_due_asks_for_no_memory() {
     let dataset = scan();
     for mut config in pairs().chain([Config { projection: Projection::Affine, ..busy(Method::TrGs) }]) {
-        // Nothing but the losses of every iteration and the optimisers.
+        // Only the losses of every iteration and the optimisers.
         (config.density_control.every, config.confidence.every, config.wavelet.every) = (1000, 1000, 1000);
         (config.report_every, config.model.points) = (1000, 700);
         let [few, many] = [20, 70].map(|iterations| blocks_of_memory(&dataset, &config, iterations));
         assert_eq!(many, few, "{:?} and {:?}", config.density_control.method, config.optimiser.position);
-        // A report asks for some, so they are counted.
+        // A report allocates memory, so the number shows that allocations are counted.
         config.report_every = 10;
         assert!(blocks_of_memory(&dataset, &config, 70) > many);
     }

@@ -1,4 +1,4 @@
-//! The wavelet loss as training takes it: through the voxels of a block to every parameter of the primitives.
+//! The wavelet loss as in training: from the voxels of a block to every parameter of the primitives.
 
 use crate::common::precision::GRADIENT_AGAINST_DIFFERENCES;
 use crate::common::scenes;
@@ -9,16 +9,16 @@ use trgs::projector::Field;
 use trgs::scene::Grid;
 use trgs::wavelet::{Routing, Settings, route, wavelet_loss};
 
-/// Step of a difference, as a fraction of the parameter's size.
+/// Step of a difference, relative to the parameter's size.
 const STEP: f64 = 5e-6;
 
-/// A block off the centre, with three different sides of its voxels.
+/// An off-centre block with voxels of three different side lengths.
 fn block() -> Grid {
     Grid::new([8, 6, 10], DVec3::new(-0.3, -0.55, -0.2), DVec3::new(0.5, 0.35, 0.65)).unwrap()
 }
 
 fn settings(levels: usize) -> Settings {
-    // Two weights of one size would hide one of them behind the other.
+    // Equal weights would hide an exchange of the two.
     Settings { neighbours: 3, suppress: 0.8, enhance: 0.3, levels, ..Settings::default() }
 }
 
