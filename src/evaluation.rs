@@ -1,4 +1,4 @@
-//! Quality of a reconstruction: PSNR and SSIM of volumes and of projections, as R²-Gaussian defines them.
+//! Quality of a reconstruction: PSNR and SSIM of volumes and projections, as R²-Gaussian defines them.
 //!
 //! Published SSIMs of one volume differ by 6 points between definitions, so each [`Metric`] carries the id of its
 //! definition:
@@ -35,8 +35,9 @@ pub struct Metric {
     pub value: f64,
     /// Id of the definition, see the [module documentation](self).
     pub definition: String,
-    /// The values that `value` is the mean of: the axes x, y, z for `ssim_3d`, the views for the 2-D metrics; NaN for
-    /// each that is left out. Empty for `psnr_3d`.
+    /// The values that `value` is the mean of; NaN for each that is left out.
+    ///
+    /// They are indexed by axis x, y, z for `ssim_3d` and by view for the 2-D metrics. Empty for `psnr_3d`.
     #[serde(with = "numbers", default, skip_serializing_if = "Vec::is_empty")]
     pub detail: Vec<f64>,
 }

@@ -124,7 +124,8 @@ impl Estimate {
         if self.peak() <= limit {
             return Ok(());
         }
-        let remedy = "take fewer primitives (--points, density_control.cap), views (--views), pixels or voxels";
+        let remedy = "lower the number of primitives (--points, density_control.cap) or views (--views), \
+                      or use a smaller detector or grid";
         Err(Error::invalid("--max-memory", ByteSize(limit), format!("at least {self}"), remedy))
     }
 }

@@ -1,4 +1,4 @@
-//! The origin of a result: program, machine type, command, seeds, and SHA-256 digests of inputs and outputs.
+//! The origin of a result: program, platform, command, seeds, SHA-256 digests of inputs and outputs.
 //!
 //! The same inputs, seeds and version give the same digests on every machine and with every number of threads. The
 //! record therefore holds no time and no machine name.
@@ -162,7 +162,9 @@ fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Adds the digest of the file at `path`, or of every file below it. A folder that cannot be listed is an error.
+/// Adds the digest of the file at `path`, or of every file below it.
+///
+/// A folder that cannot be listed is an error.
 fn add(digests: &mut BTreeMap<String, String>, path: &Path) -> Result<()> {
     if !path.is_dir() {
         digests.insert(path.display().to_string(), digest_file(path)?);

@@ -12,7 +12,7 @@ use super::fdk::{Turn, Window, fdk};
 use crate::error::Result;
 use crate::scene::{Dataset, Volume};
 
-/// The dataset with FDK of all its training views as the true volume, negative values set to 0 `[FDK84]`.
+/// The dataset with FDK of all its training views, without negative values, as the truth `[FDK84]`.
 ///
 /// A note in the dataset says so. Not in the paper: it says that pseudo truths are made so, but not how FDK is set.
 /// Here it uses the plain ramp filter and the weights that the views require ([`Turn::Measured`]).

@@ -39,7 +39,7 @@ impl Places {
     }
 }
 
-/// Values that a line must have after the last one a position needs; also zeros at both ends for [`spread`].
+/// Values required after the last one that a position needs; also zeros at both ends for [`spread`].
 pub(super) const fn margin<R: Real>() -> usize {
     R::Lanes::WIDTH + 2
 }

@@ -27,8 +27,7 @@ pub(super) struct Inspect {
     /// Folder of a scan or a run, or a file
     #[arg(value_name = "DATASET|RUN|FILE")]
     path: PathBuf,
-    /// Detect flipped axes, reversed rotation and a shifted detector by coarse reconstructions; exit with code 1 if the
-    /// scan is not as stated
+    /// Detect flipped axes, reversed rotation and a shifted detector; exit with code 1 if there are any
     #[arg(long)]
     check_geometry: bool,
 }

@@ -174,7 +174,7 @@ fn read_cotangent<R: Real>(path: &Path, shape: &[usize]) -> Result<Array3<R>> {
     }
     if let Some((index, value)) = cotangent.indexed_iter().find(|(_, value)| !value.is_finite()) {
         let got = format!("{value} at index {index:?}");
-        return Err(Error::format(path, "cotangent", got, "finite numbers only", "check what made it"));
+        return Err(Error::format(path, "cotangent", got, "finite numbers only", "remove NaN and infinity from it"));
     }
     Ok(cotangent.mapv(R::from_f64))
 }

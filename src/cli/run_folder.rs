@@ -107,7 +107,7 @@ impl Outcome {
 }
 
 impl RunFolder {
-    /// Begins the folder of a run of `config` on the dataset at `source`; `memory` is the estimate in bytes.
+    /// Begins the folder of a run of `config` on the dataset at `source`; `memory` is estimated, in bytes.
     ///
     /// An older run of the same kind will be replaced. Any other content is rejected now, not after hours of work.
     pub(super) fn begin(folder: &Path, source: &Path, config: &Config, memory: u64) -> Result<Self> {

@@ -99,7 +99,7 @@ fn phantom_help() -> String {
         format!("{}: {}", group.title(), names.join(", "))
     });
     format!(
-        "Phantom: {}. Procedural stand-ins, which share only their names with scans of the paper: {}",
+        "Phantom: {}. Procedural stand-ins, which share only their names with the scans of the paper: {}",
         own.collect::<Vec<_>>().join("; "),
         groups.join("; ")
     )
@@ -155,7 +155,7 @@ impl Simulate {
     }
 }
 
-/// A volume centred at the origin with a longest side of 2; voxels are cubes unless the file states otherwise.
+/// A volume centred at the origin, its longest side 2; voxels are cubes unless the file says otherwise.
 fn read_volume(path: &Path) -> Result<Volume> {
     let VolumeFile { values, spacing, oddities, .. } = volume_file::read(path)?;
     for oddity in oddities {

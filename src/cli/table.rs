@@ -154,7 +154,7 @@ pub(super) struct Written {
     missing: usize,
     /// Pairs of rows that differ in the paper: number in the same order here, and number of all.
     pairs: [usize; 2],
-    /// Rows that differ from the full model in the paper: number with the same sign here, and number of all.
+    /// Rows that differ from the full model in the paper: number with the same sign here, number of all.
     signs: [usize; 2],
 }
 
@@ -194,7 +194,7 @@ impl Table {
         let wanted = |id: &String| {
             cells.iter().find(|cell| cell.id == *id).cloned().ok_or_else(|| {
                 let expected = "an id that --list-cells prints for the same table, program and options";
-                Error::invalid("--cell", format!("{id:?}"), expected, "list them again")
+                Error::invalid("--cell", format!("{id:?}"), expected, "run --list-cells again")
             })
         };
         self.cell.iter().map(wanted).collect()

@@ -65,7 +65,7 @@ impl Store {
         Ok(Some(finding))
     }
 
-    /// Claims a cell that is not finished; `None` if it is finished, or another process has it and `wait` is false.
+    /// Claims a cell; `None` if it is finished, or another process has it and `wait` is false.
     pub(super) fn claim(&self, id: &str, wait: bool) -> Result<Option<Claim>> {
         let path = self.path(id, "lock");
         let lock = File::create(&path).map_err(|source| Error::write(&path, source))?;

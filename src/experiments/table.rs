@@ -74,7 +74,12 @@ impl Table {
     pub fn by_name(name: &str) -> Result<Self> {
         let known = NAMES.into_iter().find(|known| *known == name);
         known.map(Self::load).ok_or_else(|| {
-            Error::invalid("table", format!("{name:?}"), format!("all, list, {}", NAMES.join(", ")), "choose one")
+            Error::invalid(
+                "table",
+                format!("{name:?}"),
+                format!("all, list, {}", NAMES.join(", ")),
+                "give one of these names",
+            )
         })
     }
 

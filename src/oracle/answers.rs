@@ -351,7 +351,7 @@ fn window(q: &Question) -> Result<Window> {
     let window = Window::NAMED.iter().find(|(n, _)| *n == name);
     window
         .map(|(_, window)| *window)
-        .ok_or_else(|| Error::invalid("window", name, "a window of FDK", "see `reference`"))
+        .ok_or_else(|| Error::invalid("window", name, "a window of FDK", "export the vectors again"))
 }
 
 fn filtered<R: Sample>(q: &Question) -> Result<Array3<R>> {

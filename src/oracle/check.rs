@@ -292,7 +292,12 @@ impl Part<'_> {
         let part = if self.name.is_empty() { self.role } else { self.name };
         let rule = self.tolerances.rule(self.case, part, self.format).ok_or_else(|| {
             let got = format!("no rule for {} {part} in {}", self.case.id, self.format);
-            Error::invalid("tolerances", got, "a rule for every stage and format", "add one to the table")
+            Error::invalid(
+                "tolerances",
+                got,
+                "a rule for every stage and format",
+                "add a rule to reference/tolerances.toml",
+            )
         })?;
         let difference = Difference::new(self.expected, got, self.allowance, self.format);
         result.exceeded = rule.limits[&self.format].exceeded(&difference);

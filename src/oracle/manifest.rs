@@ -62,8 +62,9 @@ pub struct Case {
     pub inputs: BTreeMap<String, FileRef>,
     /// Expected outputs, by role.
     pub outputs: BTreeMap<String, FileRef>,
-    /// Allowed error of each element, by output role, for outputs with a cutoff: a pixel on the border of a support may
-    /// be inside or outside.
+    /// Allowed error of each element of an output with a cutoff, by output role.
+    ///
+    /// A pixel on the border of a support may be inside or outside.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub allowances: BTreeMap<String, FileRef>,
 }

@@ -44,7 +44,8 @@ pub(super) fn recycled(q: &Question) -> Result<Outputs> {
     let name = q.word("relocation")?;
     let rules = [("exact", Relocation::Exact), ("sss", Relocation::Sss), ("sss-program", Relocation::SssProgram)];
     let rule = rules.into_iter().find(|(rule, _)| *rule == name);
-    let (_, relocation) = rule.ok_or_else(|| Error::invalid("relocation", name, "a known rule", "see `reference`"))?;
+    let (_, relocation) =
+        rule.ok_or_else(|| Error::invalid("relocation", name, "a known rule", "export the vectors again"))?;
     let settings = ar::Settings {
         dead: q.setting("dead")?,
         recycled: q.setting("recycled")?,

@@ -1,4 +1,4 @@
-//! Initial primitives: on bright voxels of a first reconstruction, on given points, or at random points.
+//! Initial primitives on bright voxels of a first reconstruction, on given points, or at random.
 //!
 //! Not in the paper: the rules are R²-Gaussian's, but points lie at voxel centres (R²-Gaussian's lie at voxel corners).
 

@@ -233,7 +233,7 @@ impl Primitives {
                 format!("{what} of primitive {i}"),
                 format!("{got:?}"),
                 expected,
-                "check the model file: values are physical, not raw",
+                "correct the model file: it holds physical values, not raw ones",
             ))
         };
         for i in 0..m {

@@ -4,10 +4,10 @@ use crate::numeric::Lanes;
 use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, powers_of_two_below};
 use glam::DQuat;
 
-/// Smallest allowed largest entry of a quaternion: its gradient, which grows like 1/length, can still be squared.
+/// Smallest allowed largest entry: the gradient, which grows like 1/length, can still be squared.
 pub(crate) const SMALLEST: f64 = 1e-150;
 
-/// Whether a quaternion has a direction: finite entries, the largest of magnitude at least [`SMALLEST`].
+/// Whether a quaternion has a direction: finite, the largest magnitude at least [`SMALLEST`].
 pub(crate) fn is_usable(q: [f64; 4]) -> bool {
     q.iter().all(|x| x.is_finite()) && largest(q) >= SMALLEST
 }

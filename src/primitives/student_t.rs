@@ -36,7 +36,7 @@ const LOG_GAMMA_RATIO: [f64; 8] = [
 /// Smallest w for the series; smaller arguments are shifted up by the recurrence of Γ.
 const SERIES_FROM: f64 = 10.0;
 
-/// The integral of `(1+t²/ν)^(-(ν+3)/2)` over the whole line, and its derivative with respect to ν `[Eq. 5]`.
+/// The integral of `(1+t²/ν)^(-(ν+3)/2)` over the whole line, and its derivative to ν `[Eq. 5]`.
 ///
 /// The integral is `√(νπ)·Γ((ν+2)/2)/Γ((ν+3)/2)`, from the completed square of `[A]`. ν > 0. Relative error below 4e-16
 /// (value) and 1e-13 (derivative) against 50 digits. The ratio of gamma functions is computed as one number: a

@@ -33,7 +33,7 @@ impl Volume {
                 "volume",
                 format!("shape {:?}", values.shape()),
                 format!("{:?} = [x, y, z]", grid.shape),
-                "check nVoxel and the order of the axes",
+                "correct nVoxel, or transpose the volume to [x, y, z]",
             ));
         }
         check_finite("volume", &values)?;
@@ -54,11 +54,16 @@ impl Projections {
                 "projections",
                 format!("{} images for {} angles", images.shape()[0], angles.len()),
                 "one image per angle, at least one",
-                "check the list of views",
+                "give one angle per image",
             ));
         }
         if let Some(bad) = angles.iter().find(|a| !a.is_finite()) {
-            return Err(Error::invalid("angle", bad, "a finite number of radians", "check meta_data.json"));
+            return Err(Error::invalid(
+                "angle",
+                bad,
+                "a finite number of radians",
+                "correct the angles in meta_data.json",
+            ));
         }
         check_finite("projections", &images)?;
         Ok(Self { angles, images: in_standard_layout(images) })
@@ -86,7 +91,12 @@ impl Projections {
     pub fn evenly_spaced(&self, n: usize) -> Result<Self> {
         let len = self.len();
         if n == 0 || n > len {
-            return Err(Error::invalid("--views", n, format!("1 to {len}, the dataset's training views"), "change it"));
+            return Err(Error::invalid(
+                "--views",
+                n,
+                format!("1 to {len}, the dataset's training views"),
+                "give a number in that range",
+            ));
         }
         Ok(self.select(&(0..n).map(|i| i * len / n).collect::<Vec<_>>()))
     }

@@ -9,7 +9,7 @@ use crate::numeric::reduce;
 use ndarray::{Array3, Axis};
 use std::f64::consts::TAU;
 
-/// The object counts as cut off when the mean of a detector border exceeds this fraction of the maximum.
+/// Mean of a detector border, relative to the maximum, from which the object counts as cut off.
 const CUT_OFF: f64 = 0.02;
 /// Relative RMS difference between measured and computed projections that is remarked on.
 ///

@@ -270,7 +270,7 @@ impl Scanner {
                 "detector",
                 format!("{} rows × {} columns", d.rows, d.columns),
                 "at least one pixel",
-                "check nDetector = [v, u]",
+                "correct nDetector = [v, u]",
             ));
         }
         for (what, value) in
@@ -281,7 +281,7 @@ impl Scanner {
                     what,
                     value,
                     "a positive length",
-                    "check sDetector = [v, u], the total size",
+                    "correct sDetector = [v, u], the total size",
                 ));
             }
         }
@@ -290,7 +290,7 @@ impl Scanner {
                 "detector offset",
                 format!("[{}, {}]", d.offset_u, d.offset_v),
                 "finite lengths",
-                "check offDetector = [u, upwards]",
+                "correct offDetector = [u, upwards]",
             ));
         }
         Grid::new(self.grid.shape, self.grid.min, self.grid.max())?;
@@ -357,7 +357,7 @@ impl Scanner {
             "detector",
             format!("offset [{}, {}], half size [{half_u}, {half_v}] along [u, v]", d.offset_u, d.offset_v),
             "a detector that the volume's shadow reaches in some view",
-            "check offDetector = [u, upwards], sDetector = [v, u] and offOrigin, all in the same unit of length",
+            "correct offDetector = [u, upwards], sDetector = [v, u] or offOrigin, all in one unit of length",
         ))
     }
 }

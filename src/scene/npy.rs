@@ -14,10 +14,12 @@ use std::path::Path;
 
 /// First bytes of every file.
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Longest header accepted: headers of plain arrays have about 100 bytes, and NumPy rejects longer ones.
+/// Longest header accepted. Headers of plain arrays have about 100 bytes; NumPy rejects longer ones.
 const LONGEST_HEADER: usize = 10_000;
 
-/// The values of an array. Integers of up to 16 bits are read as f32, longer ones as f64 (exact up to 2⁵³).
+/// The values of an array.
+///
+/// Integers of up to 16 bits are read as f32, longer ones as f64 (exact up to 2⁵³).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Numbers {
     /// Single precision.

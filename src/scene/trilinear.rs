@@ -137,7 +137,7 @@ impl Axis {
         self.find_crossing();
     }
 
-    /// Computed from the index of the plane and not from the previous crossing, so that rounding errors do not add up.
+    /// Computed from the plane's index and not the previous crossing: rounding errors do not add up.
     fn find_crossing(&mut self) {
         let inside = self.direction != 0.0 && self.plane > 0.0 && self.plane < self.last;
         self.crossing = if inside { (self.plane - self.origin) / self.direction } else { f64::INFINITY };

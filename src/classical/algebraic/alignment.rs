@@ -1,4 +1,4 @@
-//! Detects whether the scanned object is an interpolated volume on the voxel grid or a continuous object.
+//! Decides whether an interpolated volume on the voxel grid or a continuous object was scanned.
 //!
 //! The grid is moved by half a voxel along each axis with more than one voxel.
 //!

@@ -24,8 +24,9 @@ pub struct AsdPocsSettings {
     pub r_max: f64,
     /// Sufficient residual, as a fraction of the residual of FDK.
     pub epsilon: f64,
-    /// The density that counts as 1 in the two constants that prevent division by 0. If projections and unit are scaled
-    /// by one factor, so is the volume.
+    /// The density that counts as 1 in the two constants that prevent division by 0.
+    ///
+    /// If projections and unit are scaled by one factor, so is the volume.
     pub unit: f64,
 }
 
@@ -40,7 +41,7 @@ impl Default for AsdPocsSettings {
 const LEAST_BETA: f64 = 0.005;
 /// Cosine between SART's step and the descent below which nothing will change any more.
 const OPPOSITE: f64 = -0.99;
-/// Smallest product of two step lengths that a cosine is computed from, in squares of the unit of density.
+/// Smallest product of two step lengths for which a cosine is computed, in squared units of density.
 const LEAST_PRODUCT: f64 = 1e-6;
 
 /// Reconstructs from zeros `[SP08]`; the volume is `[x, y, z]`, attenuation per scene unit.

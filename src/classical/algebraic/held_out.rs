@@ -22,7 +22,7 @@ use std::ops::ControlFlow;
 const WEIGHT_FOLDS: usize = 4;
 /// With fewer folds than this, nothing is chosen.
 const FEWEST_FOLDS: usize = 3;
-/// The first weight tried, the factor between neighbours, and the largest number of steps to either side.
+/// The first weight tried, the factor between neighbours, and the largest number of steps either way.
 const FIRST: f64 = 1e-3;
 const FACTOR: f64 = 4.0;
 const MOST_NEIGHBOURS: i32 = 5;
@@ -57,7 +57,7 @@ pub struct Choice {
     pub cost: f64,
 }
 
-/// Observer of a choice: gets the setting's name, and each trial; breaking ends the choice with an error.
+/// Observer of a choice: gets the setting's name and each trial; breaking ends it with an error.
 pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
 
 /// The method whose number of passes is chosen.
@@ -69,7 +69,7 @@ pub enum Passes {
     Cgls(usize),
 }
 
-/// The weight of [`super::tv()`] with the least held-out error, holding out a quarter of the views at a time.
+/// The weight of [`super::tv()`] with the least error on held-out views, a quarter of the views each.
 ///
 /// Not in the paper. Weights change by factors of four from the first one to either side until the error rises; then a
 /// parabola in the logarithm of the weight is fitted to the three around the best. With two views or fewer, the weight

@@ -1,4 +1,4 @@
-//! Iterative reconstruction of voxels: solves A x = p with the matched pair of [`super::voxel_projector`].
+//! Iterative reconstruction of voxels: solves A x = p with the pair of [`super::voxel_projector`].
 //!
 //! | method | one iteration | source |
 //! |---|---|---|
@@ -56,7 +56,9 @@ pub struct Pass {
     pub iteration: usize,
     /// Largest number of iterations.
     pub iterations: usize,
-    /// `‖A x - p‖`, scene units of length × density. For [`sart()`] each view counts before its own correction.
+    /// `‖A x - p‖`, scene units of length × density.
+    ///
+    /// For [`sart()`] each view counts before its own correction.
     pub residual: f64,
     /// The objective of [`tv()`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -69,7 +71,7 @@ pub struct Pass {
 /// Observer of every iteration; breaking ends the reconstruction with an error.
 pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
 
-/// Observer of the iteration number, its residual and the volume; breaking ends the reconstruction there.
+/// Observer of iteration, residual and volume; breaking ends the reconstruction there.
 type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 
 /// The linear system to be solved.
@@ -87,7 +89,7 @@ impl<'a, R: Real> System<'a, R> {
         let detector = &projector.scanner().detector;
         let (got, expected) = (projections.images.dim(), (projections.angles.len(), detector.rows, detector.columns));
         if got != expected {
-            let remedy = "check nDetector = [v, u]";
+            let remedy = "give projections [view, v, u] of this scanner";
             return Err(Error::invalid("projections", format!("shape {got:?}"), format!("{expected:?}"), remedy));
         }
         let measured = Columns::from_images(projections.images.mapv(|value| real(f64::from(value))).view()).values;

@@ -53,7 +53,7 @@ impl SartSettings {
     }
 }
 
-/// Reconstructs from zeros by passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1` over subsets of views `[SART84]`.
+/// Reconstructs from zeros by passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1` over view subsets `[SART84]`.
 ///
 /// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
 /// ignored, because their correction would be a division by nearly 0.

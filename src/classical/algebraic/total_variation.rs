@@ -2,10 +2,10 @@
 
 use crate::numeric::{Real, real, threads};
 
-/// Added to the squared differences, in squared units of density: keeps the gradient finite in flat regions.
+/// Added to squared differences, in squared density units: keeps the gradient finite in flat regions.
 const FLAT: f64 = 1e-7;
 
-/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7·square)`, with backward differences, 0 across the border `[SP08]`.
+/// ∂TV/∂f of `TV = Σ_j √(|∇f_j|² + 1e-7·square)`, backward differences, 0 across the border `[SP08]`.
 ///
 /// `shape` is `[x, y, z]`; `square` is the square of the unit of density.
 ///

@@ -60,7 +60,7 @@ pub(super) fn filtered<R: Sample>(
 
 /// The ramp filter along rows, in the frequency domain.
 struct Ramp<R> {
-    /// Response at each frequency, divided by the length, which compensates for the unnormalised transforms.
+    /// Response at each frequency, divided by the length of the unnormalised transforms.
     response: Vec<R>,
     forward: Arc<dyn Fft<R>>,
     backward: Arc<dyn Fft<R>>,

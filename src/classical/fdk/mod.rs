@@ -1,4 +1,4 @@
-//! Filtered backprojection: the method of Feldkamp, Davis and Kress for cone beams, exact for parallel beams.
+//! Filtered backprojection: Feldkamp, Davis and Kress for cone beams, exact for parallel beams.
 //!
 //! Source, `[FDK84]`: L. A. Feldkamp, L. C. Davis, J. W. Kress, *Practical cone-beam algorithm*, JOSA A 1 (1984) 612.
 //! With the projection p, the detector position (u, v) and the depth `d = dso + w·x` of a voxel from the source,
@@ -29,7 +29,7 @@ use redundancy::RayWeights;
 use rustfft::FftNum;
 use serde::{Deserialize, Serialize};
 
-/// Factor on the ramp filter that damps noise; ω is the frequency, π at the detector's finest frequency.
+/// Factor on the ramp filter that damps noise; ω is the frequency, π at the finest one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
@@ -73,8 +73,9 @@ impl Window {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
-    /// The range of their angles: a full turn, or an arc of at least half a turn plus the fan, weighted by
-    /// `[Parker82]`. A displaced detector on a full turn is weighted by `[Wang02]`.
+    /// The measured range: a full turn, or an arc of at least half a turn plus the fan.
+    ///
+    /// Arcs are weighted by `[Parker82]`, and a displaced detector on a full turn by `[Wang02]`.
     #[default]
     Measured,
     /// A full turn of a centred detector, even if views are missing: for a first guess from any scan.
@@ -160,7 +161,7 @@ fn check(scanner: &Scanner, angles: &[f64], shape: &[usize]) -> Result<()> {
     let [_, rows, columns] = expected;
     let (got, expected) =
         (format!("shape {shape:?}"), format!("[view, {rows}, {columns}] with an angle for each view"));
-    Err(Error::invalid("projections", got, expected, "check nDetector = [v, u]"))
+    Err(Error::invalid("projections", got, expected, "give one image [v, u] per angle"))
 }
 
 #[cfg(test)]

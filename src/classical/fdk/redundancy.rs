@@ -29,7 +29,7 @@ pub(super) struct RayWeights {
     /// `[view][column]`; empty if all columns have the same weight.
     rays: Vec<f64>,
     columns: usize,
-    /// Columns of zeros to add left and right, so that the filter's spread beyond a displaced detector is kept.
+    /// Columns of zeros to add left and right: they keep the filter's spread beyond a displaced detector.
     padding: [usize; 2],
 }
 
@@ -161,7 +161,7 @@ impl RayWeights {
     }
 }
 
-/// Weight of the ray at `beta` from the start of an arc and `gamma` from the middle of the fan `[Parker82]`.
+/// Weight of the ray at `beta` from the start of an arc and `gamma` from the fan's centre `[Parker82]`.
 ///
 /// Tests: `a_ray_and_its_opposite_add_up_to_one`.
 fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
@@ -182,7 +182,7 @@ fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
     }
 }
 
-/// Weight of each column of a displaced detector, from 0 to 1 `[Wang02]`, and the columns that it lacks.
+/// Weights of a displaced detector's columns, from 0 to 1 `[Wang02]`, and the columns that it lacks.
 ///
 /// The missing columns are given for the left and the right side. `None` if the volume's projection is inside the
 /// detector on both sides, or on neither.
@@ -239,7 +239,9 @@ fn shadow(scanner: &Scanner) -> f64 {
     }
 }
 
-/// The angle that each view covers: half the distance between its neighbours on a circle of circumference `turn`.
+/// The angle that each view covers, on a circle of circumference `turn`.
+///
+/// It is half the distance between the neighbours of the view.
 ///
 /// The angles add up to `turn`.
 fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {

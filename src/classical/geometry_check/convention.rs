@@ -31,7 +31,7 @@ impl Convention {
         degrees: false,
     };
 
-    /// All conventions: the eight symmetries of the image times both senses of rotation, the stated one first.
+    /// All conventions, the stated one first: the symmetries of the image times both senses of rotation.
     ///
     /// Transposed images are left out for a detector that is not square. The list doubles where angles may be degrees.
     pub fn all(square: bool, maybe_degrees: bool) -> Vec<Self> {

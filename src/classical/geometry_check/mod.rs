@@ -83,7 +83,7 @@ const FEWEST_VIEWS: usize = 4;
 const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
 /// Difference in standard errors from which a class of conventions is excluded.
 const TOLD_APART: f64 = 3.0;
-/// Difference in correlation by which a mirror image or rotation must resemble the reference more than the stated one.
+/// Excess correlation with the reference from which a mirrored or rotated object is preferred.
 const RESEMBLES: f64 = 0.005;
 /// Refinement after the first scan of offsets along u.
 const FIRST_SEARCH: Search = Search { step: 0.4, rounds: 1 };
@@ -124,8 +124,9 @@ pub struct GeometryCheck {
     pub offset_u: OffsetScan,
     /// Detector offset along v, down the rows; `None` for parallel rays, which do not determine it.
     pub offset_v: Option<OffsetScan>,
-    /// The offDetector to write into the files, `[u, upwards]` in their unit of length: the offset found where it
-    /// differs from the stated one.
+    /// The offDetector to write into the files, `[u, upwards]` in their unit of length.
+    ///
+    /// It is the offset found where that differs from the stated one.
     pub off_detector: [f64; 2],
     /// The reference that members of a class were compared with.
     pub reference: Option<Source>,
@@ -178,7 +179,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
         return Err(Error::invalid("training views", train.len(), expected, "give a scan with more views"));
     }
     if train.images.iter().all(|value| *value == 0.0) {
-        return Err(Error::invalid("projections", "zeros only", "an object", "check the files of the projections"));
+        return Err(Error::invalid("projections", "zeros only", "an object", "give projections of an object"));
     }
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;
@@ -262,7 +263,7 @@ impl Trial {
     }
 }
 
-/// All conventions, each with the offset at which its class explains the data best; one per class is evaluated.
+/// All conventions, with the offset of least residual of their class; one per class is evaluated.
 fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
     let d = &dataset.scanner.detector;
     let maybe_degrees = dataset.train.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);

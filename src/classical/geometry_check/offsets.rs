@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::numeric::reduce;
 use serde::Serialize;
 
-/// Largest displacement searched, from the stated place or from the centre, as a fraction of the detector's width.
+/// Largest displacement searched from the stated place or the centre, relative to the detector's width.
 const RANGE: f64 = 0.1;
 /// Spacing of the offsets in the first scan, coarse pixels.
 const STEP: f64 = 0.8;
@@ -34,7 +34,7 @@ pub struct OffsetScan {
     pub stated: f64,
     /// The offset of least held-out residual, pixels of the detector.
     pub found: f64,
-    /// Standard error of `found`, pixels: from a jackknife over the views, plus a fraction of a coarse pixel.
+    /// Standard error of `found`, pixels: a jackknife over the views, plus a part of a coarse pixel.
     pub uncertainty: f64,
     /// The offset found, scene units.
     pub found_length: f64,
@@ -46,7 +46,7 @@ pub struct OffsetScan {
     pub curve: Vec<[f64; 2]>,
 }
 
-/// Offsets along u of the first scan, scene units: around the centre, the stated offset, and its opposite.
+/// Offsets along u of the first scan, scene units: around the centre, the stated offset, its opposite.
 pub(super) fn first_scan(stated: f64, width: f64, pitch: f64) -> Vec<f64> {
     let (step, mut all) = (STEP * pitch, Vec::<f64>::new());
     let reach = (RANGE * width / step).ceil() as i32;

@@ -51,7 +51,9 @@ impl Reduced {
         Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
     }
 
-    /// Views corrected for a convention, and their scanner with the detector at `offset` `[u, v]`, scene units.
+    /// Views corrected for a convention, and their scanner with the detector at `offset`.
+    ///
+    /// The offset is `[u, v]` in scene units.
     pub(super) fn read_as(&self, convention: &Convention, offset: [f64; 2]) -> (Scanner, Projections) {
         let [offset_u, offset_v] = offset;
         let detector = Detector { offset_u, offset_v, ..self.detector };

@@ -72,7 +72,7 @@ impl Reference {
     }
 }
 
-/// `f(R x)` with R a number of quarter turns counter-clockwise: the object seen when angles are stated too small.
+/// `f(R x)`, R a number of quarter turns counter-clockwise: the object if stated angles are too small.
 fn turned(values: &Array3<f64>, quarter_turns: usize) -> Array3<f64> {
     let (nx, ny, _) = values.dim();
     Array3::from_shape_fn(values.dim(), |(x, y, z)| match quarter_turns {

@@ -1,10 +1,10 @@
-//! The rays of one detector column: they share a vertical plane and thus one path through the grid in x and y.
+//! The rays of one detector column: they share a vertical plane, hence one path through x and y.
 
 use crate::classical::resample::Places;
 use crate::scene::{Beam, Scanner, View};
 use std::ops::Range;
 
-/// The rays through the pixels of one column, in voxel units: the centre of voxel i has the coordinate i.
+/// The rays through the pixels of one column, in voxel units: voxel i has its centre at i.
 ///
 /// A point of ray k, counted from the lowest row, is `(x, y) = origin + s·direction`, `z = height + (low + k·pitch)·m`
 /// with `m = s` in a cone beam, whose rays diverge from the source, and `m = 1` in a parallel beam.

@@ -66,7 +66,9 @@ impl Fan {
         rows.map(|k| real(self.length(k) * step)).collect()
     }
 
-    /// Calls `visit(line, z, k, weight)` for the voxels of the slab on the steep ray k: planes perpendicular to z.
+    /// Calls `visit(line, z, k, weight)` for the voxels of the slab on the steep ray k.
+    ///
+    /// The planes of interpolation are perpendicular to z.
     pub(super) fn visit_steep(&self, k: usize, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
         let step = self.length(k) / self.slope(k).abs();
         for z in 0..slab.shape[2] {
@@ -113,7 +115,7 @@ impl Fan {
         }
     }
 
-    /// The shallow rays' pixels of an image column times their steps: the input of [`Self::joseph_adjoint`].
+    /// The shallow rays' pixels of a column times their steps: the input of [`Self::joseph_adjoint`].
     pub(super) fn weighted<R: Real>(&self, column: &[R], out: &mut [R]) {
         let rows = self.shallow(column.len());
         let steps = self.steps::<R>(rows.clone());

@@ -79,7 +79,7 @@ impl VoxelProjector {
     ///
     /// Tests: `fast_rays_are_the_naive_ones`, `the_adjoint_is_the_transpose`.
     pub fn forward<R: Real>(&self, angles: &[f64], volume: ArrayView3<'_, R>) -> Result<Array3<R>> {
-        check("volume", volume.shape(), &self.scanner.grid.shape, "check nVoxel and the order of the axes")?;
+        check("volume", volume.shape(), &self.scanner.grid.shape, "give a volume [x, y, z] on the scanner's grid")?;
         let views = self.views(angles)?;
         let volume = volume.as_standard_layout();
         Ok(self.project(&views, volume.as_slice().expect("standard layout")).images())
@@ -95,7 +95,7 @@ impl VoxelProjector {
         let views = self.views(angles)?;
         let detector = &self.scanner.detector;
         let expected = [angles.len(), detector.rows, detector.columns];
-        check("projections", projections.shape(), &expected, "check nDetector = [v, u] and the angles")?;
+        check("projections", projections.shape(), &expected, "give one image [v, u] per angle")?;
         let columns = Columns::from_images(projections);
         let mut volume = Array3::from_elem(self.scanner.grid.shape, R::ZERO);
         let values = volume.as_slice_mut().expect("a new array is in C order");
@@ -111,7 +111,12 @@ impl VoxelProjector {
     /// The views at `angles`, in radians.
     pub(super) fn views(&self, angles: &[f64]) -> Result<Vec<View>> {
         if angles.is_empty() || angles.iter().any(|angle| !angle.is_finite()) {
-            return Err(Error::invalid("angles", format!("{angles:?}"), "finite radians, at least one", "check them"));
+            return Err(Error::invalid(
+                "angles",
+                format!("{angles:?}"),
+                "finite radians, at least one",
+                "give one finite angle per view",
+            ));
         }
         Ok(angles.iter().map(|&angle| self.scanner.view(angle)).collect())
     }
@@ -146,7 +151,9 @@ impl VoxelProjector {
         Columns { values, rows, columns }
     }
 
-    /// Passes `Aᵀ y` of N images `[view][column][row from below]` to every voxel of `volume`, in array order.
+    /// Passes `Aᵀ y` of N images to every voxel of `volume`, in array order.
+    ///
+    /// The images are `[view][column][row from below]`.
     pub(super) fn adjoin<R: Real, const N: usize>(
         &self,
         views: &[View],

@@ -6,7 +6,7 @@ use super::RayModel;
 use crate::scene::{Grid, Ray};
 use glam::DVec3;
 
-/// `([x, y, z], a)` of all voxels with a weight on a ray, scene units; a voxel may occur more than once.
+/// `([x, y, z], a)` of all voxels with a weight on a ray, scene units; a voxel may occur twice.
 pub fn weights(model: RayModel, grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
     match model {
         RayModel::Siddon => siddon(grid, ray),
@@ -14,7 +14,7 @@ pub fn weights(model: RayModel, grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)
     }
 }
 
-/// `[Siddon85]`: all crossings with planes between voxels, in order; each segment belongs to the voxel of its midpoint.
+/// `[Siddon85]`: all crossings with planes between voxels; a segment belongs to its midpoint's voxel.
 fn siddon(grid: &Grid, ray: &Ray) -> Vec<([usize; 3], f64)> {
     let mut crossings: Vec<f64> = (0..3)
         .filter(|&axis| ray.direction[axis] != 0.0)

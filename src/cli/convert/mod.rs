@@ -51,7 +51,7 @@ pub(super) struct Convert {
     /// File or folder to write; its name selects the format
     #[arg(value_name = "OUT")]
     out: PathBuf,
-    /// Scan that gives a volume its spacing and origin (in scene units), or a .ply its confidence; scanner of a stack
+    /// Scan that gives a volume its spacing and origin, or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
     /// Write a model as R²-Gaussian's arrays, with values before activation

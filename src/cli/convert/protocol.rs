@@ -13,7 +13,7 @@ pub(super) struct Protocol {
     /// Keep only this number of training views, evenly spaced from the first to the last
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Number of test views drawn from the training views that are not kept [default: 100, or all that remain]
+    /// Number of test views, drawn from the other training views [default: 100, or all that remain]
     #[arg(long, value_name = "N", requires = "views")]
     test_views: Option<usize>,
     /// Use the FDK reconstruction of all training views, without negative values, as the true volume

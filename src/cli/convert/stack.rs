@@ -28,7 +28,7 @@ pub(super) struct StackArgs {
     /// Dark field: frames without X-rays (any stack, or one image), which are averaged
     #[arg(long, value_name = "STACK", conflicts_with = "line_integrals")]
     dark: Option<PathBuf>,
-    /// Replace the flat field by the brightest pixels of the stack, or of each frame (which makes views inconsistent)
+    /// Replace the flat field by the brightest pixels of the stack, or of each frame (inconsistent views)
     #[arg(long, value_enum, value_name = "OVER", conflicts_with_all = ["white", "line_integrals"])]
     normalise: Option<Normalise>,
     /// Reading of a pixel without an object, instead of a flat field

@@ -1,4 +1,4 @@
-//! Diagnosis of a wrong answer: the truth is computed under common mistakes and compared with the answer.
+//! Diagnosis of a wrong answer: compares it with the truth under common mistakes.
 //!
 //! Not in the paper. A mistake is named only if it explains the answer: the remaining error must be a small fraction.
 //! The mistakes of [`arrays`] need only the truth; those of `scenes` recompute the question with one thing changed.

@@ -78,7 +78,7 @@ pub fn read(path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
     let damaged = |found: serde_ply::DeserializeError| {
         let found: String = found.0.to_string().chars().take(LONGEST).collect();
-        Error::format(path, "PLY", found, "a whole file, ASCII or binary", "get the file again")
+        Error::format(path, "PLY", found, "a whole file, ASCII or binary", "copy or export the file again")
     };
     let mut reader = PlyReader::from_reader(content).map_err(damaged)?;
     // A header is accepted only if the file has bytes for it: a property takes at least one.
@@ -87,7 +87,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
         if element.count > 0 && least.is_none_or(|least| least == 0 || least > content.len()) {
             let got = format!("{} of {} properties", element.count, element.properties.len());
             let expected = format!("what fits into {} bytes", content.len());
-            return Err(Error::format(path, "elements", got, expected, "get the file again"));
+            return Err(Error::format(path, "elements", got, expected, "copy or export the file again"));
         }
     }
     while let Some(element) = reader.current_element() {

@@ -52,7 +52,7 @@ pub(super) fn of_archive(path: &Path, npz: &Npz) -> Result<Primitives> {
 
 fn interpret(path: &Path, array: impl Fn(&str) -> Found, bound: Option<Vec<f64>>) -> Result<Primitives> {
     let wrong = |key: &str, got: String, expected: &str| {
-        let remedy = "give R²-Gaussian's point cloud; a scan is converted to a folder";
+        let remedy = "give R²-Gaussian's point cloud, or name a folder to convert a scan";
         Error::format(path, key, got, expected, remedy)
     };
     let rows = |key: &str, width: usize, expected: &str| {

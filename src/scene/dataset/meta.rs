@@ -14,7 +14,7 @@ const PHYSICAL: &str = "physical";
 
 /// Relative deviation from `s = n·d` that counts as rounding to a few digits.
 const ROUNDED: f64 = 1e-3;
-/// Up to this relative deviation, the stated element size is used: it is more exact than size over number.
+/// Largest relative deviation at which the stated element size is more exact than size over number.
 const EXACT: f64 = 1e-9;
 /// Distance from source to axis where a parallel scan states none, scene units. No value depends on it.
 const PARALLEL_DSO: f64 = 5.0;
@@ -138,7 +138,7 @@ impl Meta {
                 "scan description",
                 error,
                 "JSON with the scanner's fields and the lists proj_train and proj_test",
-                "compare it with one that `trgs simulate` writes",
+                "write it like one of `trgs simulate`",
             )
         })
     }
@@ -241,7 +241,7 @@ impl ScannerMeta {
 
         let distance = |name: &str, value: Option<f64>| {
             value.map(|value| value * scale).ok_or_else(|| {
-                Error::invalid(name, "nothing", "a length: a cone beam needs it", "add it to the scanner's fields")
+                Error::invalid(name, "nothing", "a length: a cone beam needs it", "add it to the fields of scanner")
             })
         };
         let beam = match self.mode.as_str() {
@@ -257,7 +257,12 @@ impl ScannerMeta {
                 Beam::Parallel { dso: self.dso.map_or(PARALLEL_DSO, |dso| dso * scale) }
             }
             other => {
-                return Err(Error::invalid("mode", format!("{other:?}"), "\"cone\" or \"parallel\"", "correct it"));
+                return Err(Error::invalid(
+                    "mode",
+                    format!("{other:?}"),
+                    "\"cone\" or \"parallel\"",
+                    "correct mode in the scanner's fields",
+                ));
             }
         };
         let scanner = Scanner { beam, detector, grid };
@@ -290,9 +295,9 @@ fn as_integers<S: serde::Serializer>(counts: &[f64], serializer: S) -> std::resu
 
 /// A field with one number per axis.
 fn entries<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
-    values
-        .try_into()
-        .map_err(|_| Error::invalid(name, format!("{values:?}"), format!("{N} numbers, one per axis"), "correct it"))
+    values.try_into().map_err(|_| {
+        Error::invalid(name, format!("{values:?}"), format!("{N} numbers, one per axis"), "give one number per axis")
+    })
 }
 
 /// Numbers of pixels or voxels.
@@ -301,7 +306,7 @@ fn counts<const N: usize>(name: &str, values: &[f64]) -> Result<[usize; N]> {
     if values.iter().all(|n| n.fract() == 0.0 && (1.0..=65_536.0).contains(n)) {
         return Ok(values.map(|n| n as usize));
     }
-    Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "correct it"))
+    Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "give positive whole numbers"))
 }
 
 /// Total sizes in the unit of the file.
@@ -310,7 +315,7 @@ fn sizes<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
     if values.iter().all(|s| *s > 0.0 && s.is_finite()) {
         return Ok(values);
     }
-    Err(Error::invalid(name, format!("{values:?}"), "positive lengths: the total size", "correct it"))
+    Err(Error::invalid(name, format!("{values:?}"), "positive lengths: the total size", "give the total size"))
 }
 
 /// Sizes of pixels or voxels, `s/n`, compared with `d` where that is given.

@@ -111,7 +111,9 @@ impl Description {
         Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities })
     }
 
-    /// Angles of `views` views in radians: the listed ones, or else evenly spaced over the arc, end excluded.
+    /// Angles of `views` views in radians: the listed ones, or else evenly spaced over the arc.
+    ///
+    /// The end of the arc is excluded.
     ///
     /// # Errors
     /// [`Error::Invalid`] if another number of views is listed, or neither views nor an arc is stated.
@@ -265,7 +267,7 @@ fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner,
                 "projection",
                 format!("shape {:?}", image.shape()),
                 format!("[{rows}, {columns}] = nDetector = [v, u]"),
-                "check nDetector and the order of the axes",
+                "correct nDetector = [v, u], or transpose the projections to [v, u]",
             ));
         }
         // Rounding once, from f64, keeps a scale of 1 exact.

@@ -91,7 +91,7 @@ fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
     });
     serde_json::from_value(fields).map_err(|error| {
         let expected = "nDetector, dDetector, nVoxel, dVoxel, DSD and DSO as numbers";
-        Error::invalid("fields of the scanner", error, expected, "compare with a file of NAF's generator")
+        Error::invalid("fields of the scanner", error, expected, "write the file again with NAF's generator")
     })
 }
 
@@ -108,7 +108,7 @@ fn views(part: &Value, key: &str, scanner: &Scanner, scale: f64, path: &Path) ->
             format!("{key}.projections"),
             format!("shape {shape:?}"),
             expected,
-            "check nDetector and the order of the axes",
+            "correct nDetector, or transpose the projections to [view, v, u]",
         ));
     }
     let values = values.iter().map(|value| (value * scale) as f32).collect();
@@ -126,7 +126,7 @@ fn volume(image: &Value) -> Option<Array3<f32>> {
 
 fn missing(path: &Path, what: &str) -> Error {
     let expected = "a scan of NAF or SAX-NeRF: scanner, image, train and val with angles and projections";
-    Error::format(path, what, "nothing of that kind", expected, "compare with a file of NAF's generator")
+    Error::format(path, what, "nothing of that kind", expected, "write the file again with NAF's generator")
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ const TEST_VIEWS: usize = 100;
 
 impl Dataset {
     /// Keeps `views` of the n training views and takes test views from the others.
+    ///
     /// Training views are evenly spaced from the first to the last, at indices `⌊i·(n-1)/(views-1)⌋` for i from 0,
     /// computed as NumPy's `linspace(0, n-1, views).astype(int)`; for one view, it is the first. Test views are drawn
     /// from the remaining views without repetition and stay in the order of the scan. They are as noisy as the training

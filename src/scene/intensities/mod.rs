@@ -277,7 +277,7 @@ fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
     if value > 0.0 {
         return Ok(value);
     }
-    let remedy = "check that the dark field belongs to this scan and that the data are intensities";
+    let remedy = "give the dark field of this scan, or --line-integrals if the data are no intensities";
     Err(Error::invalid("brightest reading", value, "more than the dark field", remedy))
 }
 
@@ -286,7 +286,7 @@ fn dead_pixels(beam: &[f64]) -> Result<Vec<usize>> {
     let typical = median(beam.to_vec());
     if typical.is_nan() || typical <= 0.0 {
         let got = format!("{typical} above the dark field, in the median of all pixels");
-        let remedy = "check that flat and dark field are not exchanged";
+        let remedy = "exchange flat and dark field, or give the fields of this scan";
         return Err(Error::invalid("beam without an object", got, "more than the dark field", remedy));
     }
     let dead: Vec<usize> = (0..beam.len()).filter(|&pixel| beam[pixel] < DEAD * typical).collect();
@@ -302,7 +302,7 @@ fn dead_pixels(beam: &[f64]) -> Result<Vec<usize>> {
     Ok(dead)
 }
 
-/// Multiplies each frame's level by its mean transmission in air; returns the smallest and largest of these.
+/// Multiplies each frame's level by its mean transmission in air; returns the least and largest mean.
 fn follow(
     air: &Air,
     columns: usize,

@@ -9,7 +9,7 @@ const COLUMNS: usize = 8;
 /// Relative rounding error of single precision.
 const ROUNDING: f64 = 1.0 / 16_777_216.0;
 
-/// Line integrals with air on the left of view 0 only: in the other views the object fills the detector.
+/// Line integrals with air on the left of view 0 only; in other views the object fills the detector.
 fn truth(view: usize, row: usize, column: usize) -> f64 {
     let body = 0.1 * row as f64 + 0.03 * (column * column) as f64;
     match view {

@@ -147,7 +147,7 @@ impl Phantom {
         self.solids.iter().filter(|solid| solid.contains(point)).fold(0.0, |below, solid| solid.over(below))
     }
 
-    /// Integral of the density along the whole line of a ray, scene units of length × density; exact to rounding.
+    /// Integral of the density along the whole line of a ray, length × density, exact to rounding.
     pub fn line_integral(&self, ray: &Ray) -> f64 {
         if !self.solids.iter().any(Solid::displaces) {
             return reduce::sum_by(self.solids.len(), &|i| self.solids[i].line_integral(ray));

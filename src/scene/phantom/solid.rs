@@ -17,7 +17,7 @@ pub enum Shape {
     Cuboid,
     /// `x² + y² ≤ 1` and `|z| ≤ 1`
     Cylinder,
-    /// `√(x² + y²) ≤ 1 - taper·z` and `|z| ≤ 1`: a cylinder that narrows upwards, or downwards for `taper < 0`.
+    /// `√(x² + y²) ≤ 1 - taper·z` and `|z| ≤ 1`: narrows upwards, or downwards for `taper < 0`.
     Cone {
         /// From -1 to 1; at ±1 the cone ends in a point.
         taper: f64,
@@ -171,7 +171,7 @@ impl Solid {
         self.density * (to - from).max(0.0)
     }
 
-    /// The interval where the line of a ray is inside, as distances from the ray's origin; `None` if it misses.
+    /// The interval of a ray's line that is inside, as distances from the origin; `None` if it misses.
     pub fn chord(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (nearest, (from, to)) = self.crossing(ray);
         (from < to).then_some((nearest + from, nearest + to))
@@ -313,8 +313,9 @@ mod tests {
         DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.8)
     }
 
-    /// Shapes, half lengths, and volumes for half lengths of 1. The wide ends of the cones lie midway between the
-    /// points of [`fractions_of_voxels_add_up_to_the_volume`].
+    /// Shapes, half lengths, and volumes for half lengths of 1.
+    ///
+    /// The wide ends of the cones lie midway between the points of [`fractions_of_voxels_add_up_to_the_volume`].
     const SHAPES: [(Shape, DVec3, f64); 6] = [
         (Shape::Ellipsoid, HALF, 4.0 / 3.0 * PI),
         (Shape::Cuboid, HALF, 8.0),

@@ -127,7 +127,7 @@ pub fn scan(
     let (views, rows, columns) = line_integrals.dim();
     if (rows, columns) != (scanner.detector.rows, scanner.detector.columns) {
         let expected = format!("{} × {} = nDetector = [v, u]", scanner.detector.rows, scanner.detector.columns);
-        let remedy = "check nDetector and the order of the axes: a page is a view, its rows are v";
+        let remedy = "correct nDetector = [v, u], or reorder the stack: a page is a view, its rows are v";
         return Err(Error::invalid("frames", format!("{rows} rows × {columns} columns"), expected, remedy));
     }
     if angles.len() != views {

@@ -13,7 +13,13 @@ pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
             return volume;
         }
         let expected = "pages .tif or .tiff in it, or the slices of a DICOM series";
-        return Err(Error::format(folder, "folder", format!("{} files", files.len()), expected, "check the path"));
+        return Err(Error::format(
+            folder,
+            "folder",
+            format!("{} files", files.len()),
+            expected,
+            "name another folder, or convert its files to TIFF",
+        ));
     }
     let mut pages = Pages::default();
     for path in tiffs {

@@ -178,7 +178,9 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
 }
 
-/// Writes a volume as f32; the format follows from the name. Unknown spacing is written as 1, unknown origin as 0.
+/// Writes a volume as f32; the format follows from the name.
+///
+/// Unknown spacing is written as 1, unknown origin as 0.
 ///
 /// # Errors
 /// [`Error::Write`], or [`Error::Invalid`] for an unknown extension or a `.raw` whose name states another size or type.
@@ -239,7 +241,7 @@ impl VolumeFile {
 fn damaged(path: &Path, found: &str) -> Error {
     const LONGEST: usize = 400;
     let found: String = found.chars().take(LONGEST).collect();
-    Error::format(path, "volume", found, "a whole file with one number per voxel", "get the file again")
+    Error::format(path, "volume", found, "a whole file with one number per voxel", "copy or export the file again")
 }
 
 /// The numbers of a text, if there are exactly N.

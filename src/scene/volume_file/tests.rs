@@ -256,7 +256,7 @@ fn a_file_beside_raw_numbers_describes_them() {
     }
     // A stale side file must not remain when its numbers are replaced.
     std::fs::write(at("a_3x4x5_float32.raw.json"), whole).unwrap();
-    assert!(write(&at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("remove it"));
+    assert!(write(&at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("delete the side file"));
 }
 
 #[test]

@@ -107,7 +107,7 @@ fn the_step_of_total_variation_is_the_plain_one() {
     }
 }
 
-/// Compares with the primal-dual method of Chambolle and Pock, which reaches the same minimum another way.
+/// Compares with the primal-dual method of Chambolle and Pock, which has the same minimum.
 #[test]
 fn the_least_objective_is_found() {
     let scan = scan(SHAPE, 1.0);

@@ -472,7 +472,9 @@ pub(in super::super) fn pancreas(seed: u64) -> Vec<Solid> {
     parts.solids
 }
 
-/// The pancreas itself: lobules around a duct, from the head in the bend of the duodenum to the tail at the spleen.
+/// The pancreas: lobules around a duct.
+///
+/// It extends from the head in the bend of the duodenum to the tail at the spleen.
 fn gland(parts: &mut Parts) {
     let axis = curve(24, |t| {
         dvec3(-0.22 + 0.68 * t, -0.12 - 0.1 * sin(PI * t) + 0.2 * t * t, -0.08 + 0.1 * sin(PI * t) + 0.3 * t * t)

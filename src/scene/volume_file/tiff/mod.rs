@@ -34,7 +34,9 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Adds the pages of a file and returns their number. Memory is bounded by what the content can expand to.
+    /// Adds the pages of a file and returns their number.
+    ///
+    /// Memory is bounded by what the content can expand to.
     pub(super) fn add_all(&mut self, content: &[u8], path: &Path) -> Result<usize> {
         let broken = |error: TiffError| damaged(path, &error.to_string());
         lengths::check(content).map_err(|found| damaged(path, &found))?;
