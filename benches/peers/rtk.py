@@ -32,7 +32,7 @@ def trgs(threads, *arguments):
 
 
 def best(times, f):
-    """Seconds of the fastest of so many calls, and what the last one returned."""
+    """Seconds of the fastest of several calls, and the value returned by the last one."""
     seconds = []
     for _ in range(times):
         began = time.perf_counter()

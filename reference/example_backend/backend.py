@@ -1,15 +1,15 @@
 """A conformance backend in NumPy, in float64:  python3 backend.py VECTORS ANSWERS
 
-The formulas stand once, as values of ONE primitive p (12 numbers), in functions that take complex numbers.
-Gradients are complex steps, f'(x) = Im f(x + ih)/h: nothing is subtracted, so they are exact to rounding.
-For a backend of your own keep `load` and the loop at the end, and let `answer` call your code.
+Each formula appears once, for ONE primitive p (12 numbers), in a function of complex numbers.
+Gradients are complex steps, f'(x) = Im f(x + ih)/h: there is no subtraction, so they are exact to rounding.
+To test your own backend, keep `load` and the loop at the end, and let `answer` call your code.
 """
 import json, sys
 from pathlib import Path
 import numpy as np
 
 PARTS = {"mean": slice(0, 3), "scale": slice(3, 6), "quaternion": slice(6, 10), "density": 10, "nu": 11}
-H = 1e-130  # the complex step: short beside the tiniest quaternion
+H = 1e-130  # the complex step: small against the smallest quaternion
 EULER = (2, -1), (4, 5), (6, -61), (8, 1385), (10, -50521), (12, 2702765)  # n and Euler's number E_n
 
 def rotation(quaternion):  # [Eq. 3] R of a quaternion of any norm
@@ -19,11 +19,11 @@ def rotation(quaternion):  # [Eq. 3] R of a quaternion of any norm
 def power(delta, nu, n):  # (1 + delta/nu)^(-(nu+n)/2), exp(-delta/2) for nu = inf
     if np.isinf(nu.real):
         return np.exp(-delta / 2)
-    x = delta / nu  # [X3] by the real log1p, for NumPy's complex one is poor near 0
+    x = delta / nu  # [X3] by the real log1p: NumPy's complex log1p is inaccurate near 0
     log = np.log1p(x.real) + 1j * x.imag / (1 + x.real)
     return np.exp(-(nu + n) / 2 * log)
 def line_integral(nu):  # [A] sqrt(nu pi) Gamma(nu/2 + 1) / Gamma(nu/2 + 3/2)
-    up = 0 if nu.real > 30 else 10  # so many recurrences, then the asymptotic series
+    up = 0 if nu.real > 30 else 10  # number of recurrences before the asymptotic series
     ratio = np.prod(1 + 1 / (nu + 2 + 2 * np.arange(up)))
     series = np.exp(sum(e / (2 * n * (2 * nu + 3 + 4 * up)**n) for n, e in EULER))
     return np.sqrt(2 * np.pi * (1 - (2 * up + 1.5) / (nu + 2 * up + 1.5))) * ratio * series
@@ -46,7 +46,7 @@ def project(p, scanner, angle, exact):  # [Eq. 4] [Eq. 5] [X1] one primitive in 
     v = (np.arange(rows) + 0.5 - rows / 2) * height / rows - scanner["offDetector"][1]
     pixel = np.stack(np.broadcast_arrays(u, v[:, None], 0), -1)
     offset = pixel * (centre[2] / scanner["DSD"] if cone else 1) - centre * [1, 1, 0]  # from the centre
-    direction = pixel + [0, 0, scanner["DSD"]] if exact else centre  # affine: all rays run like the centre's
+    direction = pixel + [0, 0, scanner["DSD"]] if exact else centre  # affine: all rays are parallel to the centre's ray
     direction = direction if cone else np.array([0, 0, 1])
     local = camera @ rotation(p[6:10])  # its columns: the primitive's axes
     square = np.sum((direction @ local / scale)**2, -1)  # A = d' P d

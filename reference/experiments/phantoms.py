@@ -1,4 +1,4 @@
-"""Draw the fifteen stand-ins: for each a projection from the front and a slice, a group of the paper's cases per row.
+"""Draw the fifteen stand-ins: for each a frontal projection and a slice, one row per group of the paper's cases.
 
     python phantoms.py reference/phantoms.png
 
@@ -16,7 +16,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SIDE = 128
-# Per phantom the axis that the slice cuts, and where along it.
+# Per phantom: the axis across which the slice cuts, and its position.
 GROUPS = [
     {"chest": (2, 0.45), "foot": (0, 0.53), "head": (2, 0.66), "jaw": (2, 0.46), "pancreas": (2, 0.53)},
     {"beetle": (0, 0.5), "bonsai": (1, 0.5), "broccoli": (1, 0.5), "kingsnake": (2, 0.45), "pepper": (1, 0.5)},
@@ -47,7 +47,7 @@ def png(picture):
     """The bytes of a grey PNG."""
     height, width = picture.shape
     chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    # Each row as differences to the one above.
+    # Each row is stored as differences to the row above.
     rows = np.diff(picture, axis=0, prepend=np.zeros((1, width), np.uint8))
     lines = np.hstack([np.full((height, 1), 2, np.uint8), rows]).tobytes()
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)

@@ -3,7 +3,7 @@
     python run.py methods.toml --out /tmp/methods --jobs 2
 
 A cell is one `trgs reconstruct` on a scan that `trgs simulate` made; all variants of an object, a number of views and a
-seed see the same scan. Finished cells are in OUT/cells.jsonl and are not computed again, so a stopped experiment goes on.
+seed use the same scan. Finished cells are in OUT/cells.jsonl and are not run again, so a stopped experiment continues.
 Needs Python 3.11 and nothing else; `cargo build --release` first.
 """
 
@@ -39,7 +39,7 @@ def cells(experiment, only):
 
 
 def densities(path, out):
-    """A volume of bytes, which stand for densities from 0 to 1, as numbers; any other is as it should be."""
+    """A volume of bytes scaled to densities from 0 to 1; any other volume unchanged."""
     content = path.read_bytes()
     start = 10 + int.from_bytes(content[8:10], "little")
     header = content[10:start].decode()
@@ -131,7 +131,7 @@ def main():
     done = {json.dumps(cell, sort_keys=True): result
             for cell, result in map(json.loads, log.read_text().splitlines())} if log.exists() else {}
     todo = [(cell, more) for cell, more in cells(experiment, arguments.only) if json.dumps(cell, sort_keys=True) not in done]
-    # The scans first: two workers must not make the same one.
+    # Scans come first, so that no two workers make the same one.
     for cell, _ in todo:
         scan(arguments.program, experiment, cell, arguments.out)
 

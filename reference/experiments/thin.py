@@ -1,8 +1,8 @@
-"""Which part of a configuration makes holes: thin plates and thin bones, scanned from 18 views, trained for 5,000 iterations.
+"""Which setting causes holes in the volume: thin plates and thin bones, 18 views, 5,000 iterations.
 
     python thin.py --out /tmp/thin --jobs 2
 
-Every combination of three factors is trained, and its volume is taken at the voxel centres and as the interpolant:
+Every combination of three factors is trained, and its volume is sampled at voxel centres and as the interpolant:
 
     floor   smallest scale 0.408 voxel (the default), or 0.032 voxel (R²-Gaussian's 0.0005 of the side at 64³)
     rates   raised by (30,000/n)^3/4 (the default), or as they are (horizon = n)

@@ -1,9 +1,10 @@
-"""Files as other programs see and write them, for tests/cli/formats.rs. It judges nothing.
+"""Reads and writes files with other programs, for tests/cli/formats.rs, which judges the result.
 
-    others.py see FILE...    JSON: what SimpleITK, nibabel, plyfile and NumPy read in each file
-    others.py make FOLDER    writes files of many kinds, and expected.json with what is in them
+    others.py see FILE...    prints as JSON what SimpleITK, nibabel, plyfile and NumPy read from each file
+    others.py make FOLDER    writes files in many formats, and expected.json with their contents
 
-tests/data/point_cloud.pickle is the point_cloud_5.pickle of `make`. Places are told in the coordinates of ITK (left, posterior, superior).
+tests/data/point_cloud.pickle is the point_cloud_5.pickle of `make`. Positions are in ITK's coordinates (left, posterior,
+superior).
 """
 
 import json
@@ -16,9 +17,9 @@ import numpy as np
 import plyfile
 import SimpleITK as sitk
 
-# Of nibabel's coordinates (right, anterior, superior), and back.
+# Signs that convert from and to nibabel's coordinates (right, anterior, superior).
 TO_ITK = np.diag([-1.0, -1.0, 1.0, 1.0])
-# World points that every reader is asked for: inside the volume of the test, off its symmetries.
+# World points sampled by every reader: inside the test's volume, off its symmetries.
 POINTS = [[-0.5, -0.8, -0.2], [0.1, -0.4, 0.9], [0.35, -1.1, 0.3]]
 
 
@@ -34,7 +35,7 @@ def place(values, spacing, origin, directions):
 
 
 def value_at(values, index):
-    """The value of a voxel; None outside of the volume."""
+    """The value of a voxel; None outside the volume."""
     inside = all(0 <= i < n for i, n in zip(index, values.shape))
     return float(values[tuple(index)]) if inside else None
 
@@ -73,7 +74,7 @@ def see(path):
 
 
 def check(name, found, expected):
-    """SimpleITK must see what is expected: the test shall not rest on this script's own idea of a format."""
+    """Asserts that SimpleITK reads the expected content: the test must not depend on this script's interpretation of a format."""
     assert found["shape"] == expected["shape"], name
     for key in ["values", "spacing", "origin", "directions"]:
         assert np.allclose(found[key], expected[key], atol=1e-5), (name, key, found[key], expected[key])
@@ -81,7 +82,7 @@ def check(name, found, expected):
 
 def make(folder):
     expected = {}
-    # No axis has the length, the spacing or the origin of another; no value occurs twice.
+    # Axes differ in length, spacing and origin; no value occurs twice.
     values = np.arange(3 * 4 * 5).reshape(3, 4, 5) * 2 + 1
     spacing, origin = [0.5, 0.75, 1.25], [-3.0, 7.0, 0.5]
     turned = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [-0.8, 0.0, 0.6]])
@@ -141,7 +142,7 @@ def make(folder):
     by_nibabel("nibabel_scaled.nii", straight, dtype="<i2", scaling=(0.25, -3.0))
     by_nibabel("nibabel_scaled_big_endian.nii", straight, dtype=">i2", scaling=(0.25, -3.0))
 
-    # A NRRD that says its coordinates are RAS.
+    # A NRRD with RAS coordinates.
     header = (
         "NRRD0004\ntype: double\ndimension: 3\nspace: right-anterior-superior\nsizes: 3 4 5\n"
         "space directions: (-0.5,0,0) (0,-0.75,0) (0,0,1.25)\nendian: big\nencoding: raw\nspace origin: (3,-7,0.5)\n\n"

@@ -1,4 +1,4 @@
-"""From the free raw parameters to the physical ones [choice]; gradients go through it by differencing the whole."""
+"""From the unconstrained raw parameters to the physical ones [choice]; gradients are differences of the whole chain."""
 
 from dataclasses import replace
 
@@ -19,6 +19,6 @@ def between(limits, raw):
 
 
 def physical(raw, kernel, scale_range, nu_range):
-    """s and nu between their limits, density positive; mean and quaternion as they are."""
+    """s and nu between their limits, density positive; mean and quaternion unchanged."""
     nu = mpf("inf") if kernel == "gaussian" else between(nu_range, raw.nu)
     return replace(raw, scale=tuple(between(scale_range, x) for x in raw.scale), density=softplus(raw.density), nu=nu)

@@ -1,4 +1,4 @@
-"""What a case is: files that are given, and tables whose every number can be computed alone."""
+"""The definition of a case: given files, and tables whose numbers can be computed one by one."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Table:
-    """A file of results. `function(index)` is one of its numbers, as an mpmath number or a float.
+    """A file of results. `function(index)` gives one of its numbers, as an mpmath number or a float.
 
     `shape` is a tuple and an index a tuple; or, for an npz, a dictionary of shapes and (name, tuple).
     """
@@ -70,7 +70,7 @@ class Case:
         return f"{self.stage}/{self.name}"
 
     def tables(self):
-        """(group of the manifest, name, table) of everything that is computed."""
+        """(group of the manifest, name, table) of all computed files."""
         return [("outputs", name, table) for name, table in self.outputs.items()] + \
                [("allowances", name, table) for name, table in self.allowances.items()]
 
@@ -81,5 +81,5 @@ class Case:
 
 
 def higher(*levels):
-    """The least demanding of several levels: a stage's own and its scene's."""
+    """The least demanding of several levels: the stage's and its scene's."""
     return max(levels, key=LEVELS.index)

@@ -110,7 +110,7 @@ CASES = [
 
 
 def shared_inputs():
-    """path -> content of every file that is given; one path may not have two contents."""
+    """path -> content of every given file; one path must not have two contents."""
     found = {}
     for case in CASES:
         for given in case.inputs.values():

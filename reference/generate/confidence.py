@@ -1,7 +1,8 @@
 """Ray confidence and what follows from it, from the definitions [Eq. 6] to [Eq. 10].
 
-A count is only well defined in floating point if nothing lies on a border. Every distance from a tube's wall and of a
-shadow from the detector's edge is therefore asserted to be above MARGIN, which leaves room for single precision.
+A count is well defined in floating point only if no point lies on a border. Distances from the walls of tubes, and
+distances of projected centres from the detector's edge, are therefore asserted to exceed MARGIN, which suffices for
+single precision.
 """
 
 from mpmath import mp, mpf
@@ -18,7 +19,7 @@ def clear(value, limit):
 
 
 def sphere_point(k, n):
-    """Point k of n: a lattice that turns by the golden section from pole to pole."""
+    """Point k of n: a lattice from pole to pole, rotated by the golden section from point to point."""
     z = 1 - mpf(2 * k + 1) / n
     azimuth = 2 * mp.pi * mp.frac(k * (mp.sqrt(5) - 1) / 2)
     radius = mp.sqrt(1 - z * z)
@@ -26,7 +27,7 @@ def sphere_point(k, n):
 
 
 def seen(scanner, view, centre):
-    """Whether the shadow of a centre lies within the outline of the detector."""
+    """Whether the projection of a centre lies within the outline of the detector."""
     x, y, depth = view.camera(scene.combine((mpf(1), centre), (mpf(-1), view.source)))
     if scanner.mode == "cone":
         if depth <= 0:
@@ -65,17 +66,17 @@ def distance_to_chord(point, u):
 
 
 def confidence(p, scanner, views, sphere_points, r_max, kappa):
-    """[Eq. 8] The share of the points that some ray reaches."""
+    """[Eq. 8] The fraction of the points that at least one ray covers."""
     directions = [direction(scanner, view, p) for view in views if seen(scanner, view, p.mean)]
     tubes = [(u, radius(effective_ratio(p, u), r_max, kappa)) for u in directions]
     points = (sphere_point(k, sphere_points) for k in range(sphere_points))
-    # A list: every margin is looked at.
+    # A list, so that every margin is checked.
     reached = sum(any([clear(distance_to_chord(point, u), r) for u, r in tubes]) for point in points)
     return mpf(reached) / sphere_points
 
 
 def nu_target(c, temperature, nu_range, sphere_points):
-    """[Eq. 9] c is first moved half a point away from 0 and 1."""
+    """[Eq. 9] c is first clamped to half a point from 0 and 1."""
     half = mpf(1) / (2 * sphere_points)
     c = max(half, min(1 - half, c))
     low, high = map(mpf, nu_range)

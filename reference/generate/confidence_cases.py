@@ -18,8 +18,9 @@ from small_cases import loss_tables
 SIX = [0.15, 1.2, 2.3, 3.05, 4.4, 5.6]
 EIGHT = [0.3, 0.5, 1.35, 1.9, 2.85, 3.6, 4.75, 5.5]
 
-# In view 0 the detector reaches from -0.95 to 1.55 along u and from -1 to 0.6 along v; a point of the axis's plane has its shadow at
-# 1.4 y, -1.4 z. Two centres are in the outer half of the first and last columns, two in that of the rows, and four are as far outside.
+# In view 0 the detector extends from -0.95 to 1.55 along u and from -1 to 0.6 along v; a point in the plane of the axis is
+# projected to 1.4 y, -1.4 z. Two centres are in the outer half of the first and last columns, two in that of the rows, and
+# four are as far outside.
 EDGES = [(1.04, 0.1), (-0.64, -0.1), (0.2, 0.68), (0.3, -0.39), (1.18, 0.05), (-0.75, -0.05), (0.25, 0.75), (0.35, -0.47)]
 EDGE = Scene("detector-edge", "Centres on both sides of each of the detector's edges",
              scene.Scanner("cone", dso=5.0, dsd=7.0, n_detector=(4, 5), s_detector=(1.6, 2.5), n_voxel=(3, 4, 5), s_voxel=(2.0, 2.0, 2.0),

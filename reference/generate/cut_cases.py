@@ -1,4 +1,4 @@
-"""Cases of the stages with a cutoff [X2]: support, images, fields and what is lost."""
+"""Cases of the stages with a cutoff [X2]: support, images, fields and the truncation error."""
 
 import support
 from case import Table
@@ -19,7 +19,7 @@ SUPPORT = [
     ("gaussian-cone", 1e-5, "exact"), ("large-support", 1e-3, "exact"), ("large-support", 1e-3, "affine"),
     ("behind-source", 1e-3, "exact"), ("needle", 1e-3, "exact"), ("one-pixel", 1e-2, "exact"),
 ]
-# For nu-3 the cutoff is taken at a pixel's and at a voxel's own distance, to ten digits.
+# For nu-3 the cutoff equals the value at a pixel's and at a voxel's distance, to ten digits.
 IMAGE = [
     ("cone-offset", 1e-3, "exact"), ("cone-offset", 1e-3, "affine"), ("parallel-offset", 1e-2, "exact"),
     ("gaussian-cone", 1e-3, "exact"), ("large-support", 1e-3, "exact"), ("nu-3", 0.01391063957, "exact"),

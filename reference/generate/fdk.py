@@ -1,4 +1,4 @@
-"""Filtered backprojection (Feldkamp, Davis, Kress 1984) from its sums, in the space of the detector: no transform of the data.
+"""Filtered backprojection (Feldkamp, Davis, Kress 1984) as sums in the space of the detector, without a transform of the data.
 
 f(x) = 1/2 sum_views dphi (dso/d)^2 (h * [p dsd/sqrt(dsd^2 + u^2 + v^2)])(u, v); parallel: both weights 1, half a turn, no 1/2.
 """
@@ -24,7 +24,7 @@ def ramp(n):
 
 
 def padding(columns):
-    """Length of the zero-padded rows: the next power of two from twice the columns on, 64 at least."""
+    """Length of the zero-padded rows: the next power of two from twice the columns, at least 64."""
     length = 64
     while length < 2 * columns:
         length *= 2
@@ -71,7 +71,7 @@ class Fdk:
 
     @cached_property
     def scales(self):
-        """What a view's filtered rows are multiplied with: weight of the view over the pixel's size at the axis."""
+        """Factor on a view's filtered rows: weight of the view over the pixel's size at the axis."""
         s = self.scanner
         pitch = mpf(s.s_detector[1]) / s.n_detector[1]
         if self.parallel:

@@ -33,7 +33,7 @@ def npy_bytes(array):
 
 
 def npz_bytes(arrays):
-    """An uncompressed zip without a clock or an operating system in it."""
+    """An uncompressed zip without timestamps or an operating system."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays.items():
@@ -49,7 +49,7 @@ def json_bytes(content):
 
 
 def file_bytes(path, content):
-    """The bytes of a file; its name says of which kind it is."""
+    """The bytes of a file; the format follows from the name."""
     kinds = {"npz": npz_bytes, "npy": npy_bytes, "json": json_bytes}
     return kinds[path.rsplit(".", 1)[1]](content)
 

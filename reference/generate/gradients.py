@@ -2,7 +2,7 @@
 
 With a step of 1e-17 the truncation error is of the order 1e-34 (1e-26 for the thinnest primitives,
 1e-3 of the step's length scale squared) and the rounding error 1e-33 relative to the function, both
-far below a float64. `difference` repeats itself with a step eight times as long and insists on
+far below a float64. `difference` repeats itself with a step eight times as long and asserts
 agreement.
 """
 
@@ -16,7 +16,7 @@ PARAMETERS = {"mean": 3, "scale": 3, "quaternion": 4, "density": None, "nu": Non
 
 
 def shapes(count):
-    """Of the arrays of a model of `count` primitives, and of a gradient."""
+    """Shapes of the arrays of a model of `count` primitives, and of a gradient."""
     return {name: (count,) if width is None else (count, width) for name, width in PARAMETERS.items()}
 
 

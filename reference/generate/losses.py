@@ -22,7 +22,7 @@ def numbers(array):
 
 
 def slope(function, values, index):
-    """d function(values) / d values[index]. At a kink of |.| the two sides cancel: 0, the sub-gradient asked for."""
+    """d function(values) / d values[index]. At a kink of |.| the two sides cancel: 0, the required sub-gradient."""
     def central(h):
         moved = lambda step: function({**values, index: values[index] + step})
         return (moved(h) - moved(-h)) / (2 * h)
@@ -47,7 +47,7 @@ WINDOW = window()
 
 
 def blur(image):
-    """The window over both axes, zeros outside of the image."""
+    """The window over both axes, zeros outside the image."""
     for axis in (0, 1):
         shifted = lambda i, k, axis=axis: (i[0] + k, i[1]) if axis == 0 else (i[0], i[1] + k)
         image = {i: mp.fsum(WINDOW[k + RADIUS] * image[shifted(i, k)] for k in range(-RADIUS, RADIUS + 1) if shifted(i, k) in image)

@@ -1,4 +1,4 @@
-"""The scans in NAF's format that the reader of pickles is tested with: tests/data/naf_{2,3,4,5}.pickle, one per protocol."""
+"""Writes scans in NAF's format for tests of the pickle reader: tests/data/naf_{2,3,4,5}.pickle, one per protocol."""
 
 import pickle
 from pathlib import Path
@@ -18,7 +18,7 @@ def main():
         "dVoxel": [20.0, 20.0, 20.0], "offOrigin": [1, 0, 0], "offDetector": [2.0, 0], "accuracy": 0.5, "mode": "cone",
         "filter": None, "totalAngle": 180.0, "startAngle": 0.0, "randomAngle": False, "convert": True,
         "rescale_slope": 1.0, "rescale_intercept": -1024, "normalize": True, "noise": 2, "numTrain": 2, "numVal": 1,
-        # As NumPy leaves it after a transposition: in Fortran's order.
+        # In Fortran order, as NumPy stores a transposed array.
         "image": np.asfortranarray(counted((4, 5, 6), 1 / 120, np.float32)),
         "train": {"angles": np.array([0.0, 1.5]), "projections": counted((2, 3, 7), 0.01, np.float32)},
         "val": {"angles": np.array([0.25]), "projections": counted((1, 3, 7), 0.01, np.float64)},

@@ -1,7 +1,7 @@
 """Write reference/vectors, or check a random part of it against a fresh computation.
 
     python make_vectors.py                            write everything
-    python make_vectors.py --only image-exact/nu-3    write the cases whose id or name begins so (and the manifest)
+    python make_vectors.py --only image-exact/nu-3    write the cases whose id or name has this prefix (and the manifest)
     python make_vectors.py --check 0.1 --seed 3       recompute a tenth of all numbers; exit 1 on a difference
 """
 
@@ -37,7 +37,7 @@ def files_of(case):
 
 
 def known_paths():
-    """Every file that belongs into the folder."""
+    """Every file that belongs in the folder."""
     return {"manifest.json", *INPUTS} | {path for case in CASES for group in files_of(case).values() for path in group.values()}
 
 
@@ -142,9 +142,9 @@ def check(fraction, seed, only):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", type=float, metavar="FRACTION", help="recompute this part of all numbers and compare")
-    parser.add_argument("--seed", default="0", help="which part --check takes")
-    parser.add_argument("--only", metavar="PREFIX", help="cases whose id (stage/name) or name begins so")
+    parser.add_argument("--check", type=float, metavar="FRACTION", help="recompute this fraction of all numbers and compare")
+    parser.add_argument("--seed", default="0", help="seed of the numbers that --check selects")
+    parser.add_argument("--only", metavar="PREFIX", help="cases whose id (stage/name) or name has this prefix")
     arguments = parser.parse_args()
     if not chosen(arguments.only):
         parser.error(f"--only {arguments.only}: no case's id or name begins so; ids: {', '.join(case.id for case in CASES)}")

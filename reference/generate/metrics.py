@@ -13,12 +13,12 @@ def psnr(truth, result):
 
 
 def psnr_3d(truth, result):
-    """Peak 1, nothing clipped or scaled."""
+    """Peak 1, without clipping or scaling."""
     return psnr(numbers(truth), numbers(result))
 
 
 def ssim_3d(truth, result):
-    """Mean over the three axes of the mean SSIM of the slices; those whose truth is nowhere above 0 are left out."""
+    """Mean over the three axes of the mean SSIM of the slices, without slices whose truth has no value above 0."""
     axes = []
     for axis in range(3):
         pairs = zip(np.moveaxis(truth, axis, 0), np.moveaxis(result, axis, 0))
@@ -28,7 +28,7 @@ def ssim_3d(truth, result):
 
 
 def scaled(image):
-    """Divided by its own maximum; as it is when nothing is above 0."""
+    """Divided by its own maximum; unchanged if no value is above 0."""
     values = numbers(image)
     top = max(values.values())
     return {i: x / top for i, x in values.items()} if top > 0 else values

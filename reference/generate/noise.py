@@ -1,4 +1,4 @@
-"""TIGRE's noise of photons and electronics, for given draws."""
+"""TIGRE's photon and electronic noise, for given draws."""
 
 from mpmath import mp, mpf
 

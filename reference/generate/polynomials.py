@@ -7,8 +7,8 @@ kernel needs [Eq. 5].
 A polynomial is fitted in the weighted minimax sense by Lawson's iteration (reweighted least
 squares on Chebyshev nodes), then its coefficients are rounded to the target format one by one,
 lowest order first, the remaining ones being refitted each time. The printed error is that of the
-polynomial with *rounded* coefficients in *exact* arithmetic; rounding errors of the evaluation
-come on top.
+polynomial with *rounded* coefficients in *exact* arithmetic, without rounding errors of the
+evaluation.
 
 Run: python polynomials.py        (about a minute)
 """
@@ -222,6 +222,6 @@ if __name__ == "__main__":
     exp2("f32", mpf(1) / 16, (2, 3, 4))
     exp2("f64", mpf(1) / 2, (10, 11, 12))
     inverse_root("f32", ((mpf(1) / 16, 4), (mpf(1) / 4, 7)))
-    # The first guess at a step of third order: its error ends as 2.5 times its cube.
+    # Initial value of an iteration of third order, whose error becomes 2.5 times its cube.
     inverse_root("f64", ((mpf(1) / 4, 6),))
     gamma_ratio()

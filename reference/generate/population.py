@@ -1,4 +1,4 @@
-"""How positions are sampled and how primitives come and go, in 50-digit arithmetic; settings are float64 values, taken exactly."""
+"""Position sampler and density control in 50-digit arithmetic; settings are float64 values, taken exactly."""
 
 from dataclasses import replace
 from math import comb
@@ -20,7 +20,7 @@ def gate(density, reference):
 
 
 def sghmc(start, directions, noise, gates, covariance, rates, burn_in, burn_in_friction, friction):
-    """Positions after each step; the first `burn_in` steps are without memory."""
+    """Positions after each step; the first `burn_in` steps have no momentum."""
     x = [[mpf(float(c)) for c in row] for row in start]
     p = [[mpf(0)] * 3 for _ in x]
     trajectory = []
@@ -42,7 +42,7 @@ def sghmc(start, directions, noise, gates, covariance, rates, burn_in, burn_in_f
     return trajectory
 
 
-# ---------------------------------------------------------------------------- coming and going
+# ---------------------------------------------------------------------------- density control
 
 def share(rule, p, n):
     """(density, factor on the scales) of each of n copies of p."""
@@ -55,7 +55,7 @@ def share(rule, p, n):
     each = 1 - (1 - opacity)**(mpf(1) / n)
 
     def line(j):
-        """B(1/2, (j (nu+3) - 1)/2), or what it tends to for large nu, up to a factor that all j share"""
+        """B(1/2, (j (nu+3) - 1)/2), or its limit for large nu, up to a factor common to all j"""
         return 1 / mp.sqrt(j) if p.gaussian else mp.beta(mpf(1) / 2, (j * (p.nu + 3) - 1) / 2)
 
     total = sum(comb(n, j) * (-1)**(j - 1) * each**j * line(j) for j in range(1, n + 1))
@@ -121,10 +121,10 @@ def adc(primitives, pull, normals, gradient, split_scale, faint, cap, low, high)
     return [row for row in stay + clones + parts if row[0].density >= faint and inside(row[0])]
 
 
-# ---------------------------------------------------------------------------- what density control measures
+# ---------------------------------------------------------------------------- criterion of density control
 
 class Moved(CameraFrame):
-    """A primitive whose shadow is pushed over the detector, with everything else held."""
+    """A primitive whose footprint is shifted on the detector, with everything else constant."""
 
     def __init__(self, p, scanner, view, push):
         super().__init__(p, scanner, view)
@@ -143,7 +143,7 @@ class Moved(CameraFrame):
 
 
 def shadow_gradient(p, scanner, view, cotangent, axis, exact):
-    """Slope of sum(cotangent * image of p) for a push along u (axis 0) or v (axis 1), in halves of the detector."""
+    """Slope of sum(cotangent * image of p) for a shift along u (axis 0) or v (axis 1), in halves of the detector."""
     if left_out(p, scanner, view):
         return mpf(0)
 

@@ -19,7 +19,7 @@ from truth import model_arrays, truth
 # ---------------------------------------------------------------------------- the sampler
 
 CHAINS, STEPS = 5, 40
-# From shut (1 and 0.3 are above the reference) to open.
+# From closed (1 and 0.3 are above the reference) to open.
 DENSITIES = [1.0, 0.3, 0.02, 0.004, 0.0]
 
 
@@ -63,7 +63,7 @@ def samplers():
 # ---------------------------------------------------------------------------- density control
 
 def crowd(nus, densities):
-    """One primitive for each density, of different shapes and places."""
+    """One primitive per density, with different shapes and positions."""
     numbers = pseudo_random(f"crowd/{len(densities)}", (len(densities), 10))
     return [primitive(row[:3] * 0.9, 0.02 + 0.2 * np.abs(row[3:6]), row[6:10], density, nu)
             for row, density, nu in zip(numbers, densities, nus)]

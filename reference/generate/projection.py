@@ -1,4 +1,4 @@
-"""Projections of one primitive: line integrals by quadrature, and the formulas they are held against."""
+"""Projections of one primitive: line integrals by quadrature, and the formulas that they are compared with."""
 
 from mpmath import mp, mpf
 
@@ -18,11 +18,11 @@ def line(p, whiten, point, direction):
 def line_integral(p, whiten, point, direction):
     """[X1] Integral of density * T(x(t)) dt over the whole line, by tanh-sinh quadrature.
 
-    Only a change of variable knows about the kernel: with t0 the closest point and a width h,
+    Only a change of variable depends on the kernel: with t0 the closest point and a width h,
     t = t0 + h tan(theta) maps the line to (-pi/2, pi/2) and turns the Student-t kernel into a power
     of cos(theta). For large nu, and for the Gaussian with t = t0 + h x, the interval is cut where the
-    integrand is below 1e-60 of its peak. The integrand is divided by its peak, for the tolerance of
-    mp.quad is an absolute one.
+    integrand is below 1e-60 of its peak. The integrand is divided by its peak, because the tolerance
+    of mp.quad is absolute.
     """
     y, z, t0 = line(p, whiten, point, direction)
 
@@ -68,7 +68,7 @@ def integral_factor(nu):
 
 
 def integral_factor_slope(nu):
-    """[A] Its derivative: a central difference, held against the digamma functions."""
+    """[A] Its derivative: a central difference, compared with the digamma functions."""
     h = mpf(10)**-17
     slope = (integral_factor(nu + h) - integral_factor(nu - h)) / (2 * h)
     other = integral_factor(nu) / 2 * (1 / nu + mp.digamma((nu + 2) / 2) - mp.digamma((nu + 3) / 2))
@@ -82,7 +82,7 @@ def gamma_ratio(nu):
 
 
 class CameraFrame:
-    """[Eq. 4] One primitive in the frame (u, v, w) of one view: everything that no pixel changes."""
+    """[Eq. 4] One primitive in the frame (u, v, w) of one view: all values independent of the pixel."""
 
     def __init__(self, p, scanner, view):
         self.p, self.scanner = p, scanner
@@ -143,7 +143,7 @@ class CameraFrame:
                 (scale * a - mpf(s.off_detector[0])) / du - mpf(1) / 2 + mpf(columns) / 2)
 
     def reach(self, row, column, exact):
-        """[X2] r delta-hat, what the cutoff is compared with; r = 1 in the affine projection."""
+        """[X2] r delta-hat, which is compared with the cutoff; r = 1 in the affine projection."""
         alpha, beta = self.offsets(row, column)
         q, l = self.quadratic_and_linear(alpha, beta)
         kappa = 1 / self.m[2] if exact and not self.parallel else mpf(0)
@@ -151,7 +151,7 @@ class CameraFrame:
 
 
 def left_out(p, scanner, view):
-    """The "near" rule: a centre whose depth from the source is at most dso/100 is not seen by a cone beam [choice]."""
+    """The "near" rule: a centre whose depth from the source is at most dso/100 is left out of a cone beam [choice]."""
     if scanner.mode == "parallel":
         return False
     return view.camera(combine((1, p.mean), (-1, view.source)))[2] <= mpf(scanner.dso) / 100

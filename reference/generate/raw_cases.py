@@ -1,4 +1,4 @@
-"""Cases of our parametrisation: the raw numbers an optimiser moves, and gradients to them."""
+"""Cases of our parametrisation: the raw parameters of the optimiser, and gradients with respect to them."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Cases of what surrounds the method: FDK, noise, random numbers, metrics."""
+"""Cases of related methods: FDK, noise, random numbers, metrics."""
 
 from functools import cache
 
@@ -35,7 +35,7 @@ SMALL = Scanner("cone", dso=5.0, dsd=7.0, n_detector=(4, 5), s_detector=(0.8, 1.
 EVEN, UNEVEN = [0.3 + 1.25 * k for k in range(5)], [5.9, 0.2, 1.9, 2.3, 4.4]
 SHIFTED = ["offset-detector", "non-square-pixels", "offset-volume", "anisotropic-voxels"]
 
-# name, title, scanner, angles, windows, flags. The first window's case has the plain name and a backprojection.
+# name, title, scanner, angles, windows, flags. The case of the first window has the plain name and a backprojection.
 SCANS = [
     ("cone", "cone beam, shifted detector, uneven views out of order", CONE, UNEVEN,
      ["ram-lak", "shepp-logan", "cosine", "hamming", "hann"], [*SHIFTED, "uneven-views"]),
@@ -50,7 +50,7 @@ SCANS = [
 
 
 def scans():
-    """(name, title, scanner, angles, window, flags, projections, the sums, the filtered projections as they are stored)"""
+    """(name, title, scanner, angles, window, flags, projections, the sums, the stored filtered projections)"""
     for name, title, scanner, angles, windows, flags in SCANS:
         projections = uniform(f"fdk/{name}", (len(angles), *scanner.n_detector)) * 2
         for window in windows:
@@ -108,7 +108,7 @@ FLOOR = 0.5
 
 
 def draws(name, projections, photons):
-    """Counts like Poisson's (whole numbers near what is expected) and normals like a Gaussian's."""
+    """Counts like Poisson draws (integers near their expectation), and numbers like normal draws."""
     peak = mpf(float(projections.max()))
     spread, normals = (sum(pseudo_random(f"noise/{name}/{key}/{k}", projections.shape) for k in range(3))
                        for key in ("counts", "normals"))

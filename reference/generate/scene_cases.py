@@ -30,7 +30,7 @@ NO_IMAGE_GRADIENT = ["subnormal"]
 
 
 def equations(scene, family):
-    """[Eq. 2] and [Eq. 5] say nothing of a Gaussian; a large nu is what [X3] is about."""
+    """[Eq. 2] and [Eq. 5] do not cover a Gaussian; [X3] concerns a large nu."""
     tags = EQUATIONS[family]
     if scene.primitives[0].gaussian:
         return [tag for tag in tags if tag not in ("Eq. 2", "Eq. 5")]
@@ -52,7 +52,7 @@ def cotangent(scene, kind):
 
 def scene_case(stage, scene, family, outputs, *, name=None, level="core", settings=None, allowances=None, more=None,
                words=None, flags=(), tags=()):
-    """A case whose level, flags and sentence come from its scene."""
+    """A case whose level, flags and title come from its scene."""
     inputs = {"model": model(scene), "scanner": scanner(scene), **(more or {})}
     return Case(stage, name or scene.id, f"{words or WORDS[stage]}: {scene.title[0].lower()}{scene.title[1:]}",
                 equations(scene, family) + list(tags), inputs, {table.file.split(".")[0]: table for table in outputs},

@@ -27,7 +27,7 @@ PARALLEL = Scanner("parallel", dso=5.0, dsd=7.0, n_detector=(8, 10), s_detector=
                    n_voxel=(6, 5, 7), s_voxel=(1.8, 2.0, 1.5), off_origin=(-0.08, 0.05, 0.11), off_detector=(-0.17, 0.09))
 WIDE = Scanner("cone", dso=5.0, dsd=7.0, n_detector=(8, 12), s_detector=(9.0, 13.0),
                n_voxel=(6, 5, 7), s_voxel=(2.0, 2.0, 2.0), off_detector=(0.4, 0.3))
-# Every pixel centre below is a dyadic number, and so is the point of the axis that it looks at.
+# Every pixel centre below is a dyadic number, and so is the point on the axis that its ray meets.
 DYADIC = Scanner("cone", dso=4.0, dsd=8.0, n_detector=(7, 9), s_detector=(1.75, 4.5),
                  n_voxel=(5, 6, 7), s_voxel=(2.0, 2.0, 2.0))
 

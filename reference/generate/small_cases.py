@@ -155,7 +155,7 @@ STEPS, WIDTH = 100, 6
 
 
 def decaying(first):
-    """Multiplied up, so that no library's pow is in the inputs."""
+    """Computed by multiplication, so that inputs do not depend on a library's pow."""
     rates = [first]
     while len(rates) < STEPS:
         rates.append(rates[-1] * 0.977)

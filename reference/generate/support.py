@@ -1,8 +1,8 @@
-"""[X2] Where a primitive ends: the cutoff, the box of its shadow, and what is lost beyond.
+"""[X2] The support of a primitive: the cutoff, the bounding box of the projection, and the truncation error.
 
 The box comes from tangent planes and the covariance, not from the conic's coefficients: a plane with normal n through
-a point at m from the ellipsoid's centre touches it when (n.m)^2 = cut n'Sigma n. The conic's own value where it
-touches is held against the cutoff.
+a point at m from the ellipsoid's centre touches it when (n.m)^2 = cut n'Sigma n. The conic's value at the tangent
+point is compared with the cutoff.
 """
 
 from mpmath import mp, mpf
@@ -88,7 +88,7 @@ class Cut:
         self.limits = [cut(p.nu, cutoff) for p in truth.primitives]
 
     def place(self, number, pixel):
-        """r delta-hat over the cutoff: above 1 the pixel is skipped; None where the primitive is not seen at all."""
+        """r delta-hat over the cutoff: above 1 the pixel is skipped; None where the primitive is left out of the view."""
         frame = self.truth.frames[number][pixel[0]]
         return None if frame is None else frame.reach(*pixel[1:], self.exact) / self.limits[number]
 
@@ -98,7 +98,7 @@ class Cut:
         return frame.exact(*pixel[1:]) if self.exact else frame.affine(*pixel[1:])
 
     def pixel_sum(self, pixel, what, where):
-        """Sum of what(number) over the primitives whose place satisfies `where`."""
+        """Sum of what(number) over the primitives whose distance satisfies `where`."""
         places = [(number, self.place(number, pixel)) for number in range(len(self.limits))]
         return mp.fsum(what(number) for number, place in places if place is not None and where(place))
 
@@ -109,7 +109,7 @@ class Cut:
         return self.pixel_sum(pixel, lambda number: abs(self.value(number, pixel)), near_one)
 
     def lost(self, number):
-        """A bound on what a primitive adds to a pixel that skips it."""
+        """A bound on a primitive's contribution to a pixel that skips it."""
         p = self.truth.primitives[number]
         return abs(p.density) * projection.integral_factor(p.nu) * max(p.scale) * self.cutoff
 

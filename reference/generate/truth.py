@@ -28,7 +28,7 @@ class Truth:
 
     @cached_property
     def seen(self):
-        """Of each primitive, the views that do not leave it out."""
+        """For each primitive, the views that do not leave it out."""
         return [[n for n, view in enumerate(self.views) if not projection.left_out(p, self.scanner, view)]
                 for p in self.primitives]
 
@@ -59,11 +59,11 @@ class Truth:
     def d_volume(self):
         return pseudo_random(f"{self.scene.id}/volume", self.scanner.n_voxel)
 
-    # ------------------------------------------------------------------------ what one primitive adds to a pixel
+    # ------------------------------------------------------------------------ contribution of one primitive to a pixel
 
     @cache
     def exact(self, number, pixel):
-        """[X1] By quadrature; on the way both closed forms are held against it."""
+        """[X1] By quadrature; both closed forms are compared with it."""
         p, whiten, ratio = self.parts[number]
         frame = self.frames[number][pixel[0]]
         if frame is None:
@@ -89,7 +89,7 @@ class Truth:
         """[Eq. 1]"""
         return sum(density.sample(p, whiten, self.centres[voxel]) for p, whiten, _ in self.parts)
 
-    # ------------------------------------------------------------------------ <cotangent, what one primitive adds>
+    # ------------------------------------------------------------------------ <cotangent, contribution of one primitive>
 
     def pixels_of(self, number):
         return [i for i in self.rays if i[0] in self.seen[number]]
@@ -118,7 +118,7 @@ _TRUTHS = {}
 
 
 def truth(of):
-    """The one Truth of a scene: what it has computed, the next case need not compute again."""
+    """The Truth of a scene, shared by all cases so that no number is computed twice."""
     return _TRUTHS.setdefault(of.id, Truth(of))
 
 
@@ -133,7 +133,7 @@ def model_arrays(primitives):
 
 
 def meta_data(s):
-    """meta_data.json as R2-Gaussian writes it: there the offset along v counts upwards, towards +z."""
+    """meta_data.json in R2-Gaussian's form, whose offset along v counts upwards, towards +z."""
     low = [o - size / 2 for o, size in zip(s.off_origin, s.s_voxel)]
     high = [o + size / 2 for o, size in zip(s.off_origin, s.s_voxel)]
     assert max(s.s_voxel) == 2, "the scene scale must be 1"

@@ -61,7 +61,7 @@ def inverse(bands):
 
 
 def alone(block, band, level=1):
-    """What one band of a level (1: the finest) adds to the block: the inverse transform with all others zero."""
+    """The contribution of one band of a level (1: the finest) to the block: the inverse transform with all others zero."""
     bands = transform(block)
     kept = 0 if level > 1 else band
     bands = {b: values if b == kept else dict.fromkeys(values, mpf(0)) for b, values in bands.items()}
@@ -82,7 +82,7 @@ def order(centre, means):
 
 
 def gap(centre, means, neighbours):
-    """By how much the last neighbour is nearer than the first that is none."""
+    """Distance between the last neighbour and the first primitive that is none."""
     near = order(centre, means)
     if len(means) <= neighbours:
         return mp.inf
@@ -91,7 +91,7 @@ def gap(centre, means, neighbours):
 
 
 def confident(centre, means, confidence, neighbours, threshold):
-    """[Eq. 12] How many of the nearest primitives have a confidence of at least the threshold; [Eq. 13] are the others."""
+    """[Eq. 12] Number of nearest primitives with a confidence of at least the threshold; [Eq. 13] are the others."""
     return sum(confidence[i] >= threshold for i in order(centre, means)[:neighbours])
 
 
@@ -124,7 +124,7 @@ def loss(block, high, s):
 
 
 def slope(block, high, s, index):
-    """dL/d block[index], by central differences; insists on agreement with a step eight times as long."""
+    """dL/d block[index], by central differences; asserts agreement with a step eight times as long."""
     def central(h):
         moved = lambda step: loss({**block, index: block[index] + step}, high, s)[0]
         return (moved(h) - moved(-h)) / (2 * h)
@@ -138,7 +138,7 @@ def slope(block, high, s, index):
 # ---------------------------------------------------------------------------- self-check
 
 def check():
-    """The inverse is the inverse, the energy the same, and a cell of eight voxels is what its formula says."""
+    """Asserts that the inverse inverts, energy is preserved, and a cell of eight voxels follows its formula."""
     block = {i: mpf((7 * i[0] + 5 * i[1] * i[1] + 3 * i[2]) % 11) / 8 for i in itertools.product(range(4), range(2), range(6))}
     bands = transform(block)
     assert all(abs(value - block[i]) < mpf(10)**-48 for i, value in inverse(bands).items())

@@ -16,10 +16,10 @@ from scene import Scanner, whitening
 from scenes import several
 from truth import meta_data, model_arrays
 
-# No volume is larger: what a case of routing takes grows with voxels times primitives.
+# No volume is larger: the time of a routing case grows with voxels times primitives.
 GAP = mpf(10)**-9
 DEFAULT = {"neighbours": 8, "enhancement": 1.5, "suppress": 1e-3, "enhance": 1e-3, "levels": 1}
-# Two weights of one size would hide one of them behind the other.
+# Equal weights would hide an exchange of the two.
 UNEQUAL = {"neighbours": 8, "enhancement": 1.5, "suppress": 0.75, "enhance": 0.3, "levels": 1}
 
 
@@ -35,7 +35,7 @@ def counts(key, shape, neighbours):
 
 
 def ramp(shape):
-    """Only along y, and a constant half; dyadic, so that no rounding makes detail of it."""
+    """Varies only along y, with a constant half; dyadic, so that rounding adds no detail."""
     block = np.zeros(shape) + 0.25
     block[: shape[0] // 2] += np.arange(shape[1])[None, :, None] * 0.125
     return block
@@ -87,7 +87,7 @@ def lattice(name):
 
 
 def repeated(name):
-    """Ten points on multiples of 1/8, each four times, in an order of its own."""
+    """Ten points on multiples of 1/8, each four times, in shuffled order."""
     points = [tuple(p) for p in np.round(pseudo_random(name, (10, 3)) * 8) / 8] * 4
     random.Random(name).shuffle(points)
     return np.array(points)

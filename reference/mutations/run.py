@@ -1,10 +1,10 @@
-"""Put each fault of mutations.toml into a copy of the sources and see that the tests fail: the program's own answers
+"""Insert each fault of mutations.toml into a copy of the sources and check that the tests fail: the program's own answers
 to the conformance vectors first, then lanes, unit tests, parity and determinism.
 
-    python run.py                 all of them, and the table of reference/README.md
-    python run.py --sample 2      two by chance (the day decides, or --seed)
+    python run.py                 all faults, and the table of reference/README.md
+    python run.py --sample 2      two at random (seeded by the day, or --seed)
 
-Python 3.11 or newer, its standard library and cargo are all that is needed. A fault that does not compile is an error, one that survives too.
+Needs Python 3.11 or newer, its standard library and cargo. A fault that does not compile or that survives is an error.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import time
 import tomllib
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-# Asked in turn of what the vectors do not notice. The first failure counts.
+# Run in turn if the vectors detect nothing. The first failure counts.
 TESTS = [["--test", "contracts", "lanes::"], ["--lib"], ["--test", "contracts", "parity::"], ["--test", "cli", "determinism::"]]
 
 
@@ -37,7 +37,7 @@ def built(*arguments, folder, target):
 
 
 def wrong_answer(folder, target):
-    """The program's first answer to the vectors that its own check refuses: what tests/contracts/analytic.rs and tests/contracts/gradients.rs ask."""
+    """The first answer to the vectors that the program's own check rejects, as in tests/contracts/{analytic,gradients}.rs."""
     built("build", "--bin", "trgs", folder=folder, target=target)
     trgs = str(target / "mutants" / "trgs")
     for precision in ["f64", "f32"]:
@@ -66,9 +66,9 @@ def failed_test(folder, target):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", metavar="TEXT", help="those whose description or file contains this")
-    parser.add_argument("--sample", type=int, metavar="N", help="only N of them")
-    parser.add_argument("--seed", default=datetime.date.today().isoformat(), help="which ones --sample takes")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only faults whose description or file contains this text")
+    parser.add_argument("--sample", type=int, metavar="N", help="only N random faults")
+    parser.add_argument("--seed", default=datetime.date.today().isoformat(), help="seed of --sample")
     parser.add_argument("--target", type=pathlib.Path, default=ROOT / "target" / "mutations", help="cargo's target folder")
     arguments = parser.parse_args()
     mutations = tomllib.loads((pathlib.Path(__file__).parent / "mutations.toml").read_text())["mutation"]
