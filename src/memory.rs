@@ -99,7 +99,7 @@ impl Estimate {
         }
     }
 
-    /// Estimates a file of `bytes` bytes whose sizes only reading tells: content, arrays and scan.
+    /// Estimates a file of `bytes` bytes of unknown content: the content, its arrays and the scan.
     pub fn of_file(bytes: u64) -> Self {
         let rows = vec![row("the file, its arrays and the scan", usize::try_from(bytes).unwrap_or(usize::MAX), 5)];
         Self { lasting: Vec::new(), moments: vec![Moment { name: "reading", rows }] }

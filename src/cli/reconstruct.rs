@@ -105,7 +105,7 @@ impl Reconstruct {
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
-        // Checked again with the sizes that only reading tells.
+        // Checked again with sizes that are known only after reading.
         self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
         let asked = config;
         let config = asked.resolved(&dataset.scanner, dataset.train.len());

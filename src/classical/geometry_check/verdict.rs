@@ -34,7 +34,7 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
     let mut verdict = vec![conventions(check, as_stated, turns)];
     if !explained {
         verdict.push(format!(
-            "No convention explains the data: even the best leaves {}. Look for another fault: DSO, DSD, sizes, the order of the views.",
+            "No convention explains the data: even the best leaves {}. Check DSO, DSD, sizes and the order of the views.",
             percent(least)
         ));
     }
@@ -47,7 +47,7 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
             verdict.push(format!("{} {shallow}", place("v, down the rows,", scan, false)));
         }
         Some(scan) => verdict.push(place("v, down the rows,", scan, displaced_v)),
-        None => verdict.push("Along v the detector's place cannot be seen: the rays are parallel.".into()),
+        None => verdict.push("The detector's offset along v cannot be determined: the rays are parallel.".into()),
     }
     if displaced_u || displaced_v {
         let [u, up] = check.off_detector;
@@ -104,7 +104,7 @@ fn alternatives(check: &GeometryCheck, class: usize) -> Option<String> {
         )
     } else {
         format!(
-            "The data do not exclude {words}: {}, where {TOLD_APART} standard errors of difference would tell.",
+            "The data do not exclude {words}: {}, less than {TOLD_APART} standard errors worse.",
             percent(other.residual)
         )
     })
@@ -114,8 +114,11 @@ fn alternatives(check: &GeometryCheck, class: usize) -> Option<String> {
 fn equals(check: &GeometryCheck, class: usize, beam: &Beam) -> String {
     let members: Vec<&Candidate> = check.candidates.iter().filter(|c| c.class == class).collect();
     let others: Vec<&str> = members[1..].iter().map(|c| c.words.as_str()).collect();
-    let parallel =
-        if matches!(beam, Beam::Parallel { .. }) { " For parallel rays mirrored columns are half a turn." } else { "" };
+    let parallel = if matches!(beam, Beam::Parallel { .. }) {
+        " For parallel rays, mirrored columns equal half a turn."
+    } else {
+        ""
+    };
     // In a parallel beam a member with mirrored columns equals one without, half a turn later.
     let same = |c: &Candidate| {
         let (a, b) = (c.convention, members[0].convention);
@@ -135,9 +138,12 @@ fn equals(check: &GeometryCheck, class: usize, beam: &Beam) -> String {
                 format!(" {name} cannot either: correlation {best:.3} and {next:.3}.")
             }
         }
-        _ => " Neither can they tell where the angles begin.".into(),
+        _ => " Nor can they determine the zero of the angles.".into(),
     };
-    format!("Projections cannot tell this from {}, of a mirrored or turned object.{parallel}{told}", others.join("; "))
+    format!(
+        "Projections cannot distinguish this from {}, of a mirrored or rotated object.{parallel}{told}",
+        others.join("; ")
+    )
 }
 
 /// The sentence about the detector offset along one direction.

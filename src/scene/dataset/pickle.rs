@@ -495,7 +495,7 @@ impl Machine<'_> {
     fn spend(&mut self, size: usize) -> Parsed<()> {
         self.spent = self.spent.saturating_add(size);
         if self.spent > 4 * self.content.len() + 4096 {
-            return Err("a small file that stands for a large object".into());
+            return Err("a small file that expands to a large object".into());
         }
         Ok(())
     }
