@@ -249,7 +249,7 @@ mod tests {
         };
         let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
         let message = refused(&format!("{head}property float scale_0\nend_header\n0 0 0 1\n"));
-        assert!(message.contains("scale_x") && message.contains("3DGS"), "{message}");
+        assert!(message.contains("scale_x") && message.contains("3D Gaussian splatting"), "{message}");
         assert!(refused("ply\nformat ascii 1.0\nend_header\n").contains("no vertices"));
         let message = refused("ply\nformat ascii 1.0\nelement vertex 99999999999\nend_header\n");
         assert!(message.contains("99999999999"), "{message}");

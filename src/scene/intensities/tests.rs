@@ -176,7 +176,7 @@ fn what_cannot_be_is_an_error_that_names_it() {
     let refused = |correction: &Correction, stack: &Array3<f32>| correction.apply(stack).unwrap_err().to_string();
     let field = |value: f64| Array2::from_elem((ROWS, COLUMNS), value);
     let exchanged = Correction { dark: Some(field(900.0)), white: White::Flat(field(20.0)), air: None };
-    assert!(refused(&exchanged, &stack).contains("exchanged"));
+    assert!(refused(&exchanged, &stack).contains("exchange flat and dark field"));
     let dark = Correction { dark: Some(field(600.0)), ..correction(White::OfStack) };
     assert!(refused(&dark, &stack).contains("more than the dark field"));
     let other = correction(White::Flat(Array2::ones((COLUMNS, ROWS))));

@@ -244,7 +244,7 @@ fn a_file_beside_raw_numbers_describes_them() {
     assert_eq!((found.values[[4, 0, 0]], found.spacing), (0.0, None));
     for (text, part) in [
         (r#"{"shape": [4, 1, 2], "type": "uint16"}"#, "20 bytes after the first 0, 16 expected"),
-        (r#"{"shape": [4, 1, 2], "type": "uint16", "skip_bytes": 99}"#, "0 bytes behind the first 99"),
+        (r#"{"shape": [4, 1, 2], "type": "uint16", "skip_bytes": 99}"#, "0 bytes after the first 99"),
         (r#"{"shape": [4, 1, 0], "type": "uint16"}"#, "[4, 1, 0]"),
         (r#"{"shape": [4, 1, 2], "type": "complex64"}"#, "complex64"),
         (r#"{"shape": [4, 1], "type": "uint16"}"#, "v.raw.json"),
