@@ -67,7 +67,7 @@ pub(super) struct Reconstruct {
     /// Arithmetic of the pixel kernels
     #[arg(long, value_enum)]
     precision: Option<Precision>,
-    /// Choose the passes of sart, os-sart or cgls on held-out views, at most ten times the default
+    /// Choose the passes of sart, os-sart, cgls on held-out views, up to --iterations or 10 times the default
     #[arg(long)]
     auto: bool,
     /// Seed of all random choices

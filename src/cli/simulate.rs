@@ -39,8 +39,7 @@ pub(super) struct Simulate {
     /// Number of test views, at random angles and without noise
     #[arg(long, value_name = "N", default_value_t = 50)]
     test_views: u16,
-    /// Noise of the training views: none, low, medium, high, or photons per pixel and electronic noise in counts, as in
-    /// TIGRE; an appended `,physical` selects the Beer-Lambert law
+    /// Noise: none, low, medium, high, or I0 photons and SIGMA counts (TIGRE); `,physical`: Beer-Lambert law
     #[arg(long, value_name = "LEVEL|I0,SIGMA", default_value = "none")]
     noise: Noise,
     /// Geometry of the beam
@@ -65,7 +64,7 @@ pub(super) struct Simulate {
 struct ObjectArgs {
     #[arg(long, value_name = "NAME", help = phantom_help())]
     phantom: Option<String>,
-    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii, .nii.gz, .tif or .raw
+    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii.gz, .tif, .raw
     #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
 }

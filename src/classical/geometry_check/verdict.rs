@@ -34,7 +34,7 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
     let mut verdict = vec![conventions(check, as_stated, turns)];
     if !explained {
         verdict.push(format!(
-            "No convention explains the data: even the best leaves {}. Check DSO, DSD, sizes and the order of the views.",
+            "No convention explains the data: even the best leaves {}. Check DSO, DSD, sizes and the order of views.",
             percent(least)
         ));
     }
