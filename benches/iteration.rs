@@ -18,7 +18,7 @@ use trgs::config::Config;
 use trgs::density::{ar, succeed};
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::optim::sghmc::{Phase, Stir};
 use trgs::optim::{Adam, Sghmc};
 use trgs::primitives::activation::Interval;
@@ -186,7 +186,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
 
 /// Among the workers, as a run: work that others hand to them waits for one to wake up.
 fn main() {
-    Pool::new(0).expect("threads").run(|| {
+    WorkerPool::new(0).expect("threads").run(|| {
         let mut criterion = Criterion::default().configure_from_args();
         TRAINED.iter().for_each(|trained| bench(&mut criterion, trained));
         criterion.final_summary();

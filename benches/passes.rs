@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss_into};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
 use trgs::projector::Field;
@@ -242,7 +242,7 @@ fn all(c: &mut Criterion) {
 
 /// On one thread: what a second one gains is measured by `iteration` and `scaling`, where others wait with work of theirs.
 fn main() {
-    Pool::new(1).expect("a thread").run(|| {
+    WorkerPool::new(1).expect("a thread").run(|| {
         let mut criterion = Criterion::default().configure_from_args();
         all(&mut criterion);
         criterion.final_summary();

@@ -10,7 +10,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::primitives::{Kernel, Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
@@ -116,7 +116,7 @@ impl Scene {
 }
 
 fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &str) {
-    let pool = Pool::new(1).expect("one thread");
+    let pool = WorkerPool::new(1).expect("one thread");
     let scanner = scene.scanner();
     for kernel in [Kernel::StudentT, Kernel::Gaussian] {
         let field = Field::<R>::new(&scene.primitives(kernel), CUTOFF);

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::config::Config;
 use trgs::memory::Estimate;
-use trgs::numeric::threads::{self, Pool};
+use trgs::numeric::threads::{self, WorkerPool};
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::{Field, Projection};
 use trgs::scene::dataset::Survey;
@@ -127,7 +127,7 @@ fn all(c: &mut Criterion) {
 
     let (physical, here, mut points) = (primitives(8 * PRIMITIVES), scanner(4 * PIXELS, VOXELS), Vec::new());
     for count in (1..=workers).filter(|n| n.is_power_of_two() || *n == workers) {
-        let pool = Pool::new(count).expect("threads");
+        let pool = WorkerPool::new(count).expect("threads");
         let time = measure("threads, a view and back", count, &|| pool.run(|| project(&physical, &here)));
         points.push((count as f64, time, None));
     }

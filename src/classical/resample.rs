@@ -44,12 +44,12 @@ pub(super) const fn margin<R: Real>() -> usize {
 
 /// How lanes find their values: the tables' width, and how many lanes of a half find theirs within.
 #[derive(Clone, Copy)]
-struct Reach {
+struct TableSpan {
     is_wide: bool,
     lanes: usize,
 }
 
-impl Reach {
+impl TableSpan {
     /// For lanes that are `spacing` values apart.
     fn new<R: Real>(spacing: f64) -> Self {
         let half = R::Lanes::WIDTH / 2;
@@ -66,7 +66,7 @@ impl Reach {
 
 /// Adds to values in two halves of so many lanes each, as far as there are values.
 #[inline(always)]
-fn add<L: Lanes>(lanes: L, reach: Reach, values: &mut [L::Scalar]) {
+fn add<L: Lanes>(lanes: L, reach: TableSpan, values: &mut [L::Scalar]) {
     if 2 * reach.lanes == L::WIDTH && values.len() >= L::WIDTH {
         (L::from_slice(values) + lanes).write(values);
         return;
@@ -91,8 +91,8 @@ fn steps<L: Lanes>(spacing: f64) -> L {
 }
 
 #[inline(always)]
-fn pick<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) -> L {
-    if WIDE { L::pick_wide(tables, index) } else { L::pick(tables, index) }
+fn lookup<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) -> L {
+    if WIDE { L::lookup_wide(tables, index) } else { L::lookup(tables, index) }
 }
 
 /// `out[k] += (1-t)·line[i] + t·line[i+1]` with `i + t = places.at(k)`, for k in `numbers`.
@@ -102,7 +102,7 @@ fn pick<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) 
 /// Tests: `places_are_interpolated`, `spreading_is_the_transpose`.
 #[inline]
 pub(super) fn interpolate<R: Real>(line: &[R], places: Places, numbers: Range<usize>, out: &mut [R]) {
-    let reach = Reach::new::<R>(places.pitch);
+    let reach = TableSpan::new::<R>(places.pitch);
     if reach.is_wide {
         interpolate_by::<R, true>(line, places, numbers, out, reach);
     } else {
@@ -116,7 +116,7 @@ fn interpolate_by<R: Real, const WIDE: bool>(
     places: Places,
     numbers: Range<usize>,
     out: &mut [R],
-    reach: Reach,
+    reach: TableSpan,
 ) {
     let steps = steps::<R::Lanes>(places.pitch);
     for start in numbers.clone().step_by(2 * reach.lanes) {
@@ -125,8 +125,8 @@ fn interpolate_by<R: Real, const WIDE: bool>(
         let first = [from[0].floor(), from[1].floor()];
         let tables = [&line[first[0] as usize..], &line[first[1] as usize..]];
         let (index, share) = (halves::<R::Lanes>([from[0] - first[0], from[1] - first[1]]) + steps).split();
-        let below = pick::<R::Lanes, WIDE>(tables, index);
-        let above = pick::<R::Lanes, WIDE>([&tables[0][1..], &tables[1][1..]], index);
+        let below = lookup::<R::Lanes, WIDE>(tables, index);
+        let above = lookup::<R::Lanes, WIDE>([&tables[0][1..], &tables[1][1..]], index);
         add(below + (above - below) * share, reach, &mut out[start..numbers.end]);
     }
 }
@@ -144,7 +144,7 @@ pub(super) fn spread<R: Real, const N: usize>(
     heights: Range<usize>,
     give: impl FnMut(Range<usize>, Shares<R::Lanes, N>),
 ) {
-    let reach = Reach::new::<R>(1.0 / places.pitch);
+    let reach = TableSpan::new::<R>(1.0 / places.pitch);
     if reach.is_wide {
         spread_by::<R, N, true>(columns, places, numbers, heights, reach, give);
     } else {
@@ -155,7 +155,7 @@ pub(super) fn spread<R: Real, const N: usize>(
 /// What lanes of heights get.
 pub(super) struct Shares<L, const N: usize> {
     sums: [L; N],
-    reach: Reach,
+    reach: TableSpan,
 }
 
 impl<L: Lanes, const N: usize> Shares<L, N> {
@@ -172,7 +172,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
     places: Places,
     numbers: &Range<usize>,
     heights: Range<usize>,
-    reach: Reach,
+    reach: TableSpan,
     mut give: impl FnMut(Range<usize>, Shares<R::Lanes, N>),
 ) {
     let (margin, one, zero) = (margin::<R>() as f64, R::Lanes::splat(R::ONE), R::Lanes::default());
@@ -201,7 +201,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
             let at = [at(first[0]), at(first[1])];
             for n in 0..N {
                 let tables = [&columns[n][at[0]..], &columns[n][at[1]..]];
-                sums[n] += pick::<R::Lanes, WIDE>(tables, index) * weight;
+                sums[n] += lookup::<R::Lanes, WIDE>(tables, index) * weight;
             }
             step += 1.0;
         }

@@ -1,9 +1,10 @@
 //! From confidence to degrees of freedom: the target of ν and the loss that pulls ν towards it.
 
 use super::Settings;
+use crate::numeric::Lanes;
 use crate::numeric::elementary::{logit, sigmoid};
 use crate::numeric::exponentials::log;
-use crate::numeric::vectors::{EIGHT, each};
+use crate::numeric::vectors::{LANES, f64x8};
 use crate::numeric::{reduce, threads};
 use crate::primitives::activation::Interval;
 
@@ -51,8 +52,8 @@ pub(crate) fn nu_loss_into(
     gradient.resize(m, 0.0);
     // Distances first, which become slopes.
     threads::for_each_chunk(gradient, CHUNK, |chunk, distance| {
-        for (first, distance) in (chunk * CHUNK..).step_by(EIGHT).zip(distance.chunks_mut(EIGHT)) {
-            let logs = |of: &[f64]| log(each(|i| of[(first + i).min(m - 1)]));
+        for (first, distance) in (chunk * CHUNK..).step_by(LANES).zip(distance.chunks_mut(LANES)) {
+            let logs = |of: &[f64]| log(f64x8::from_fn(|i| of[(first + i).min(m - 1)]));
             let found = (logs(nu) - logs(target)).to_array();
             distance.copy_from_slice(&found[..distance.len()]);
         }

@@ -1,6 +1,6 @@
 //! Total variation of a block of voxels.
 
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
@@ -23,11 +23,11 @@ pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
 #[derive(Debug, Default)]
 pub struct Spaces<R> {
     /// Of each voxel of a slice, the distances to those after it.
-    distances: Spares<Vec<R>>,
+    distances: Pool<Vec<R>>,
     /// Of each voxel of a slice 1 where it has one before it along z, else 0; and 0 for one more.
-    joined: Spares<Vec<R>>,
+    joined: Pool<Vec<R>>,
     /// Of each slice, the sum of its distances.
-    sums: Spares<Vec<f64>>,
+    sums: Pool<Vec<f64>>,
 }
 
 /// [`tv`] with the gradient in the place of another array. Not in the paper.
@@ -43,7 +43,7 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
         return 0.0;
     }
     let [nx, ny, nz] = shape;
-    let (mut joined, mut sums) = (spaces.joined.lend(), spaces.sums.lend());
+    let (mut joined, mut sums) = (spaces.joined.take(), spaces.sums.take());
     joined.clear();
     joined.resize(ny * nz + 1, R::ONE);
     joined.iter_mut().step_by(nz).for_each(|first| *first = R::ZERO);
@@ -56,8 +56,8 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
     };
     let slices = gradient.as_slice_mut().expect("standard layout");
     let slabs = (threads::chunks(slices, SLAB * ny * nz), threads::chunks(&mut sums, SLAB));
-    threads::for_each_of(slabs, |slab, (slices, sums)| {
-        let mut distances = spaces.distances.lend();
+    threads::for_each_zip(slabs, |slab, (slices, sums)| {
+        let mut distances = spaces.distances.take();
         distances.resize(ny * nz, R::ZERO);
         for (x, (slice, sum)) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz).zip(sums)) {
             whole.slice(x, slice, &mut distances);

@@ -10,4 +10,4 @@ pub mod rng;
 pub mod threads;
 pub mod vectors;
 
-pub use lanes::{Lanes, NEAR_ONE, Real, WIDEST, real};
+pub use lanes::{Lanes, ROOT_RANGES, Real, WIDEST, real};

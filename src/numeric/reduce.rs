@@ -45,7 +45,7 @@ pub fn sum<R: Real>(values: &[R]) -> f64 {
             if n <= SHARE {
                 return sum(left) + sum(right);
             }
-            let (left, right) = threads::both(|| sum(left), || sum(right));
+            let (left, right) = threads::join(|| sum(left), || sum(right));
             left + right
         }
     }
@@ -65,7 +65,7 @@ fn made<R: Real>(indices: Range<usize>, make: &(impl Fn(Range<usize>, &mut [R]) 
     }
     let between = indices.start + middle(n);
     let (left, right) = (|| made(indices.start..between, make), || made(between..indices.end, make));
-    let (left, right) = if n <= SHARE { (left(), right()) } else { threads::both(left, right) };
+    let (left, right) = if n <= SHARE { (left(), right()) } else { threads::join(left, right) };
     left + right
 }
 
@@ -89,7 +89,7 @@ pub fn sum_of(indices: Range<usize>, term: &(impl Fn(usize) -> f64 + Sync)) -> f
         return tree(indices, term);
     }
     let between = indices.start + middle(indices.len());
-    let (left, right) = threads::both(|| sum_of(indices.start..between, term), || sum_of(between..indices.end, term));
+    let (left, right) = threads::join(|| sum_of(indices.start..between, term), || sum_of(between..indices.end, term));
     left + right
 }
 

@@ -1,7 +1,8 @@
 //! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
+use crate::numeric::Lanes;
 use crate::numeric::threads;
-use crate::numeric::vectors::{EIGHT, Eight, all, each};
+use crate::numeric::vectors::{LANES, f64x8, splat};
 use serde::{Deserialize, Serialize};
 
 /// Numbers updated together.
@@ -28,7 +29,7 @@ impl Adam {
     /// # Panics
     /// If an array does not have the length the optimiser was made for.
     pub fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64) {
-        self.advance(parameters, gradient, |parameter, m, root| parameter - all(rate) * m / root);
+        self.advance(parameters, gradient, |parameter, m, root| parameter - splat(rate) * m / root);
     }
 
     /// Writes the direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
@@ -44,7 +45,7 @@ impl Adam {
         &mut self,
         values: &mut [f64],
         gradient: &[f64],
-        then: impl Fn(Eight, Eight, Eight) -> Eight + Sync + Send,
+        then: impl Fn(f64x8, f64x8, f64x8) -> f64x8 + Sync + Send,
     ) {
         assert_eq!(
             (values.len(), gradient.len()),
@@ -53,19 +54,19 @@ impl Adam {
         );
         self.steps += 1;
         let [beta1, beta2] = self.beta;
-        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(all);
-        let (kept, new) = ([beta1, beta2].map(all), [1.0 - beta1, 1.0 - beta2].map(all));
-        let epsilon = all(self.epsilon);
-        let eight = |values: &mut [f64; EIGHT], moments: &mut [[f64; 2]; EIGHT], g: &[f64; EIGHT]| {
-            let g = Eight::new(*g);
-            let m = kept[0] * each(|i| moments[i][0]) + new[0] * g;
-            let v = kept[1] * each(|i| moments[i][1]) + new[1] * (g * g);
-            *values = then(Eight::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
+        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(splat);
+        let (kept, new) = ([beta1, beta2].map(splat), [1.0 - beta1, 1.0 - beta2].map(splat));
+        let epsilon = splat(self.epsilon);
+        let eight = |values: &mut [f64; LANES], moments: &mut [[f64; 2]; LANES], g: &[f64; LANES]| {
+            let g = f64x8::new(*g);
+            let m = kept[0] * f64x8::from_fn(|i| moments[i][0]) + new[0] * g;
+            let v = kept[1] * f64x8::from_fn(|i| moments[i][1]) + new[1] * (g * g);
+            *values = then(f64x8::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
             let (m, v) = (m.to_array(), v.to_array());
             *moments = std::array::from_fn(|i| [m[i], v[i]]);
         };
         let chunks = (threads::chunks(values, CHUNK), threads::chunks(&mut self.moments, CHUNK));
-        threads::for_each_of(chunks, |chunk, (values, moments)| {
+        threads::for_each_zip(chunks, |chunk, (values, moments)| {
             let gradient = &gradient[chunk * CHUNK..][..values.len()];
             let ((values, last_values), (moments, last_moments)) = (values.as_chunks_mut(), moments.as_chunks_mut());
             let (gradient, last_gradient) = gradient.as_chunks();
@@ -73,7 +74,7 @@ impl Adam {
                 eight(values, moments, gradient);
             }
             let n = last_values.len();
-            let (mut values, mut moments, mut gradient) = ([0.0; EIGHT], [[0.0; 2]; EIGHT], [0.0; EIGHT]);
+            let (mut values, mut moments, mut gradient) = ([0.0; LANES], [[0.0; 2]; LANES], [0.0; LANES]);
             values[..n].copy_from_slice(last_values);
             moments[..n].copy_from_slice(last_moments);
             gradient[..n].copy_from_slice(last_gradient);

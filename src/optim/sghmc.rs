@@ -96,7 +96,7 @@ impl Sghmc {
             self.burnt_in = true;
         }
         let chunks = (threads::chunks(positions, CHUNK), threads::chunks(&mut self.momentum, CHUNK));
-        threads::for_each_of(chunks, |chunk, (positions, momentum)| {
+        threads::for_each_zip(chunks, |chunk, (positions, momentum)| {
             let rows = (chunk * CHUNK..).zip(&direction[chunk * CHUNK..]);
             for ((x, p), (i, g)) in positions.iter_mut().zip(momentum).zip(rows) {
                 let Stir { gate, noise, covariance } = stir(i);

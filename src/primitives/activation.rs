@@ -14,7 +14,7 @@ use super::{Kernel, Parameters, Primitives, Rows};
 use crate::numeric::elementary::{logit, softplus_inverse};
 use crate::numeric::exponentials::{expm1, sigmoid, softplus};
 use crate::numeric::threads;
-use crate::numeric::vectors::{self, Eight, all};
+use crate::numeric::vectors::{self, f64x8, splat};
 
 /// Primitives worked on together.
 const CHUNK: usize = 256;
@@ -42,8 +42,8 @@ pub struct Activation {
 }
 
 impl Interval {
-    fn physical(&self, raw: Eight) -> Eight {
-        all(self.min) + all(self.max - self.min) * sigmoid(raw)
+    fn physical(&self, raw: f64x8) -> f64x8 {
+        splat(self.min) + splat(self.max - self.min) * sigmoid(raw)
     }
 
     /// The raw value; what lies outside is first moved just inside.
@@ -120,7 +120,7 @@ impl Activation {
             Kernel::Gaussian => nu.fill(0.0),
             Kernel::StudentT => nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu)),
         };
-        threads::both(of_scale, || threads::both(of_density, of_nu));
+        threads::join(of_scale, || threads::join(of_density, of_nu));
     }
 }
 

@@ -126,7 +126,7 @@ impl Parameters {
             threads::chunks(density, length),
             threads::chunks(nu, length),
         );
-        threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+        threads::for_each_zip(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
             f(chunk, Rows { mean, scale, quaternion, density, nu });
         });
     }

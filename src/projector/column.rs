@@ -1,7 +1,7 @@
 //! A column of registers: what its pixels, or voxels, have in common.
 
 use super::canvas::HALF;
-use super::plane::{Plane, all};
+use super::plane::Plane;
 use crate::numeric::{Lanes, Real, real};
 
 /// Rows in a strip: as many registers as a column has at most.
@@ -63,7 +63,7 @@ impl<L: Lanes> Column<L> {
         Self {
             z,
             floor: z * z + stance.floor,
-            tilt: all::<L>(plane.h_z) * z,
+            tilt: L::splat_f64(plane.h_z) * z,
             ridge: [whole - stance.row, rest],
             x: stance.x,
         }

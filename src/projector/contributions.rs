@@ -8,7 +8,7 @@ use super::patch::{Patch, from_even};
 use super::shape::CHUNK;
 use super::solid::{Placed, Solid};
 use super::{Field, Projection, ViewField};
-use crate::numeric::vectors::EIGHT;
+use crate::numeric::vectors::LANES;
 use crate::numeric::{Lanes, Real, threads};
 use crate::scene::Grid;
 use std::ops::Range;
@@ -106,7 +106,7 @@ impl<R: Kernels> Field<R> {
             let mut voxel = [R::ZERO];
             let one = |i: usize| {
                 blocks.clear();
-                let [solid, ..] = &Solid::eight([&self.shapes[i]; EIGHT], grid);
+                let [solid, ..] = &Solid::eight([&self.shapes[i]; LANES], grid);
                 kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
                 blocks.read(x, y, &mut voxel);
                 voxel[0]

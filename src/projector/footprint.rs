@@ -12,7 +12,7 @@ use super::patch::Patch;
 use super::plane::{Plane, Planes};
 use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
 use crate::numeric::Lanes;
-use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
+use crate::numeric::vectors::{DVec3x8, LANES, f64x8, splat};
 use crate::scene::{Beam, Scanner, View};
 use std::array::from_fn;
 use std::ops::Range;
@@ -52,26 +52,26 @@ struct Geometry<N> {
     half: [N; 2],
 }
 
-impl Geometry<Eight> {
-    fn of(footprints: [&Footprint; EIGHT]) -> Self {
+impl Geometry<f64x8> {
+    fn of(footprints: [&Footprint; LANES]) -> Self {
         let of = footprints.map(|footprint| &footprint.geometry);
         Self {
-            slope: from_fn(|axis| each(|i| of[i].slope[axis])),
-            kappa: each(|i| of[i].kappa),
-            p0: from_fn(|axis| each(|i| of[i].p0[axis])),
-            g: from_fn(|axis| each(|i| of[i].g[axis])),
-            b: each(|i| of[i].b),
-            ab: each(|i| of[i].ab),
-            a: each(|i| of[i].a),
-            half: from_fn(|axis| each(|i| of[i].half[axis])),
+            slope: from_fn(|axis| f64x8::from_fn(|i| of[i].slope[axis])),
+            kappa: f64x8::from_fn(|i| of[i].kappa),
+            p0: from_fn(|axis| f64x8::from_fn(|i| of[i].p0[axis])),
+            g: from_fn(|axis| f64x8::from_fn(|i| of[i].g[axis])),
+            b: f64x8::from_fn(|i| of[i].b),
+            ab: f64x8::from_fn(|i| of[i].ab),
+            a: f64x8::from_fn(|i| of[i].a),
+            half: from_fn(|axis| f64x8::from_fn(|i| of[i].half[axis])),
         }
     }
 
-    fn to_array(self) -> [Geometry<f64>; EIGHT] {
+    fn to_array(self) -> [Geometry<f64>; LANES] {
         let (slope, p0, g) =
-            (self.slope.map(Eight::to_array), self.p0.map(Eight::to_array), self.g.map(Eight::to_array));
-        let half = self.half.map(Eight::to_array);
-        let [kappa, b, ab, a] = [self.kappa, self.b, self.ab, self.a].map(Eight::to_array);
+            (self.slope.map(f64x8::to_array), self.p0.map(f64x8::to_array), self.g.map(f64x8::to_array));
+        let half = self.half.map(f64x8::to_array);
+        let [kappa, b, ab, a] = [self.kappa, self.b, self.ab, self.a].map(f64x8::to_array);
         std::array::from_fn(|i| Geometry {
             slope: slope.map(|of| of[i]),
             kappa: kappa[i],
@@ -84,26 +84,26 @@ impl Geometry<Eight> {
         })
     }
 
-    fn p0(&self) -> Vectors {
+    fn p0(&self) -> DVec3x8 {
         let [x, y, z] = self.p0;
-        Vectors::new(x, y, z)
+        DVec3x8::new(x, y, z)
     }
 
     /// Orthonormal whitened axes of y and z, perpendicular to p0.
-    fn axes(&self, whitened_v: Vectors) -> (Vectors, Vectors) {
+    fn axes(&self, whitened_v: DVec3x8) -> (DVec3x8, DVec3x8) {
         let p0 = self.p0();
         let q_y = p0.cross(whitened_v).cross(p0).unit();
         (q_y, q_y.cross(p0.unit()))
     }
 
     /// `gᵀ(α, β)` in terms of y and z.
-    fn g_yz(&self) -> [Eight; 2] {
+    fn g_yz(&self) -> [f64x8; 2] {
         let [u, v] = self.g;
         [v / self.b, (u - v * self.ab / self.b) / self.a]
     }
 
     /// From a vector in the (y, z) axes to its product with the detector's axes, `(pᵤ·, pᵥ·)`.
-    fn on_detector(&self, [y, z]: [Eight; 2]) -> [Eight; 2] {
+    fn on_detector(&self, [y, z]: [f64x8; 2]) -> [f64x8; 2] {
         [self.ab * y + self.a * z, self.b * y]
     }
 }
@@ -111,37 +111,37 @@ impl Geometry<Eight> {
 /// What footprints are made from, of eight primitives.
 struct Prepared {
     /// Where not 0: it is neither near nor behind the source.
-    seen: Eight,
+    seen: f64x8,
     planes: Planes,
-    geometry: Geometry<Eight>,
+    geometry: Geometry<f64x8>,
     support: Support,
 }
 
 impl Prepared {
     #[inline(always)]
-    fn new(shapes: [&Shape; EIGHT], scanner: &Scanner, view: &View, projection: Projection) -> Self {
+    fn new(shapes: [&Shape; LANES], scanner: &Scanner, view: &View, projection: Projection) -> Self {
         let detector = &scanner.detector;
-        let (vu, vv, vw) = (Vectors::all(view.u), Vectors::all(view.v), Vectors::all(view.w));
-        let offset = Vectors::each(|i| shapes[i].mean) - Vectors::all(view.source);
+        let (vu, vv, vw) = (DVec3x8::splat(view.u), DVec3x8::splat(view.v), DVec3x8::splat(view.w));
+        let offset = DVec3x8::from_fn(|i| shapes[i].mean) - DVec3x8::splat(view.source);
         let m = [vu.dot(offset), vv.dot(offset), vw.dot(offset)];
         let (seen, kappa, slope, [step_u, step_v], [u, v]) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
-                let kappa = all(1.0) / m[2];
+                let kappa = splat(1.0) / m[2];
                 (
-                    m[2].simd_gt(all(NEAR * dso)),
+                    m[2].simd_gt(splat(NEAR * dso)),
                     kappa,
                     [m[0] * kappa, m[1] * kappa],
-                    [all(detector.pitch_u) * m[2] / all(dsd), all(detector.pitch_v) * m[2] / all(dsd)],
-                    [all(dsd) * m[0] / m[2], all(dsd) * m[1] / m[2]],
+                    [splat(detector.pitch_u) * m[2] / splat(dsd), splat(detector.pitch_v) * m[2] / splat(dsd)],
+                    [splat(dsd) * m[0] / m[2], splat(dsd) * m[1] / m[2]],
                 )
             }
             Beam::Parallel { .. } => {
-                let zero = all(0.0);
-                (zero.simd_eq(zero), zero, [zero; 2], [detector.pitch_u, detector.pitch_v].map(all), [m[0], m[1]])
+                let zero = splat(0.0);
+                (zero.simd_eq(zero), zero, [zero; 2], [detector.pitch_u, detector.pitch_v].map(splat), [m[0], m[1]])
             }
         };
-        let at = |along: Eight, offset: f64, pitch: f64, count: usize| {
-            (along - all(offset)) / all(pitch) + all(count as f64 / 2.0) - all(0.5)
+        let at = |along: f64x8, offset: f64, pitch: f64, count: usize| {
+            (along - splat(offset)) / splat(pitch) + splat(count as f64 / 2.0) - splat(0.5)
         };
         let row_centre = at(v, detector.offset_v, detector.pitch_v, detector.rows);
         let column_centre = at(u, detector.offset_u, detector.pitch_u, detector.columns);
@@ -153,30 +153,30 @@ impl Prepared {
         let (cu, cv) = (p0.cross(pu), p0.cross(pv));
         let c = [cu.length_squared() / a0, cu.dot(cv) / a0, cv.length_squared() / a0];
         let b = c[2].sqrt();
-        let half =
-            [step_u * all(detector.columns as f64), step_v * all(detector.rows as f64)].map(|side| side / all(2.0));
-        let determinant = each(|i| shapes[i].determinant());
+        let half = [step_u * splat(detector.columns as f64), step_v * splat(detector.rows as f64)]
+            .map(|side| side / splat(2.0));
+        let determinant = f64x8::from_fn(|i| shapes[i].determinant());
         let a = determinant / (a0.sqrt() * b);
         let geometry = Geometry { slope, kappa, p0: [p0.x, p0.y, p0.z], g, b, ab: c[1] / b, a, half };
-        let unit = each(|i| shapes[i].unit);
+        let unit = f64x8::from_fn(|i| shapes[i].unit);
         let unit_root = unit.sqrt();
-        let line = each(|i| shapes[i].density * shapes[i].line.0);
+        let line = f64x8::from_fn(|i| shapes[i].density * shapes[i].line.0);
         let mut planes = Planes {
             row_centre,
             column_centre,
             slant: -geometry.ab * step_u / (b * step_v),
             b: b * step_v / unit_root,
             a: a * step_u / unit_root,
-            shift: all(0.0),
-            floor: all(0.0),
-            h_y: all(0.0),
-            h_z: all(0.0),
-            k: all(0.0),
-            q: each(|i| (shapes[i].nu + 2.0) / 2.0),
+            shift: splat(0.0),
+            floor: splat(0.0),
+            h_y: splat(0.0),
+            h_z: splat(0.0),
+            k: splat(0.0),
+            q: f64x8::from_fn(|i| (shapes[i].nu + 2.0) / 2.0),
             weight: line / a0.sqrt(),
-            limit: each(|i| shapes[i].limit),
+            limit: f64x8::from_fn(|i| shapes[i].limit),
         };
-        let (mut s, mut k) = ([all(0.0); 2], all(0.0));
+        let (mut s, mut k) = ([splat(0.0); 2], splat(0.0));
         match projection {
             Projection::Exact => {
                 (s, k) = (g.map(|g| g * (kappa / a0)), kappa * kappa / a0);
@@ -196,14 +196,14 @@ impl Footprint {
     /// Up to eight primitives as the view sees them.
     pub(super) fn eight(
         footprints: &mut [Self],
-        shapes: [&Shape; EIGHT],
+        shapes: [&Shape; LANES],
         scanner: &Scanner,
         view: &View,
         projection: Projection,
     ) {
         let Prepared { seen, planes, geometry, support } = Prepared::new(shapes, scanner, view, projection);
         let counts = [scanner.detector.rows, scanner.detector.columns];
-        let unit = each(|i| shapes[i].unit);
+        let unit = f64x8::from_fn(|i| shapes[i].unit);
         let (ellipse, extents) = support.extents(planes.limit * unit);
         let [rows, columns] = from_fn(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
         let planes = planes.to_array(&planes.bounds(rows, columns));
@@ -225,19 +225,19 @@ impl Footprint {
 
     /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has them.
     pub(super) fn support_boxes(
-        shapes: [&Shape; EIGHT],
+        shapes: [&Shape; LANES],
         scanner: &Scanner,
         view: &View,
         projection: Projection,
-    ) -> [[f64; 4]; EIGHT] {
+    ) -> [[f64; 4]; LANES] {
         let Prepared { seen, support, .. } = Prepared::new(shapes, scanner, view, projection);
-        let (ellipse, extents) = support.extents(each(|i| shapes[i].reach * shapes[i].unit));
+        let (ellipse, extents) = support.extents(f64x8::from_fn(|i| shapes[i].reach * shapes[i].unit));
         let ends = extents.map(|extent| [(extent.low, -1.0), (extent.high, 1.0)]);
         let ends = ends.as_flattened().iter().map(|&(end, sign)| {
-            let (all_of_it, none) = (all(sign * f64::INFINITY), all(-sign * f64::INFINITY));
+            let (all_of_it, none) = (splat(sign * f64::INFINITY), splat(-sign * f64::INFINITY));
             seen.select(ellipse.select(end, all_of_it), none).to_array()
         });
-        let mut boxes = [[0.0; 4]; EIGHT];
+        let mut boxes = [[0.0; 4]; LANES];
         for (side, ends) in ends.enumerate() {
             boxes.iter_mut().zip(ends).for_each(|(sides, end)| sides[side] = end);
         }
@@ -267,76 +267,77 @@ impl Footprint {
 
     /// From sums over pixels to the gradients of mean, precision matrix, density and ν. Mirrors [`Self::eight`].
     pub(super) fn pull_back(
-        footprints: [&Self; EIGHT],
-        shapes: [&Shape; EIGHT],
+        footprints: [&Self; LANES],
+        shapes: [&Shape; LANES],
         view: &View,
         projection: Projection,
-        sums: &[Sums; EIGHT],
-    ) -> [ShapeGradient; EIGHT] {
+        sums: &[Sums; LANES],
+    ) -> [ShapeGradient; LANES] {
         let geometry = Geometry::of(footprints);
         let Geometry { slope, kappa, g, .. } = geometry;
         let p0 = geometry.p0();
         let a0 = p0.length_squared();
-        let weight = each(|i| footprints[i].plane.weight);
-        let unit = each(|i| shapes[i].unit);
+        let weight = f64x8::from_fn(|i| footprints[i].plane.weight);
+        let unit = f64x8::from_fn(|i| shapes[i].unit);
         let unit_root = unit.sqrt();
         // Sums with the weight in and lengths for units: Σ G (y, z), Σ G (yy, yz, zz); the same of h; of k.
-        let [y, z, yy, yz, zz] = from_fn(|j| each(|i| sums[i].distance[1 + j]) * weight);
+        let [y, z, yy, yz, zz] = from_fn(|j| f64x8::from_fn(|i| sums[i].distance[1 + j]) * weight);
         let first = [y / unit_root, z / unit_root];
-        let [h, hy, hz] = from_fn(|j| all(2.0) * each(|i| sums[i].h[j]) * weight);
+        let [h, hy, hz] = from_fn(|j| splat(2.0) * f64x8::from_fn(|i| sums[i].h[j]) * weight);
         let d_h = [hy * unit_root, hz * unit_root];
-        let k_sum = each(|i| sums[i].k) * weight;
+        let k_sum = f64x8::from_fn(|i| sums[i].k) * weight;
         let d_k = k_sum * unit;
         let g_yz = geometry.g_yz();
 
         // The weight: ρ · line · a0^-½ (· |d0| if affine).
-        let d_weight = each(|i| sums[i].value);
-        let d0_squared = all(1.0) + (slope[0] * slope[0] + slope[1] * slope[1]);
-        let line = each(|i| shapes[i].line.0);
+        let d_weight = f64x8::from_fn(|i| sums[i].value);
+        let d0_squared = splat(1.0) + (slope[0] * slope[0] + slope[1] * slope[1]);
+        let line = f64x8::from_fn(|i| shapes[i].line.0);
         let per_density = match projection {
             Projection::Affine => line / a0.sqrt() * d0_squared.sqrt(),
             Projection::Exact => line / a0.sqrt(),
         };
 
         // ν at constant δ: the exponent's half, the 1/ν's half (Σ a·x, read off the moments), and the line integral.
-        let nu = each(|i| shapes[i].nu);
-        let d_x = (k_sum * each(|i| footprints[i].plane.k) - yy - zz) / nu;
-        let log = each(|i| sums[i].log);
-        let d_line = each(|i| shapes[i].line.1) / line;
-        let d_nu = all(-0.5 * std::f64::consts::LN_2) * log * weight + d_x + d_line * weight * d_weight;
-        let d_nu = nu.select_le(all(f64::MAX), d_nu, all(0.0));
+        let nu = f64x8::from_fn(|i| shapes[i].nu);
+        let d_x = (k_sum * f64x8::from_fn(|i| footprints[i].plane.k) - yy - zz) / nu;
+        let log = f64x8::from_fn(|i| sums[i].log);
+        let d_line = f64x8::from_fn(|i| shapes[i].line.1) / line;
+        let d_nu = splat(-0.5 * std::f64::consts::LN_2) * log * weight + d_x + d_line * weight * d_weight;
+        let d_nu = nu.select_le(splat(f64::MAX), d_nu, splat(0.0));
 
         // Σ⁻¹ at fixed centre: δ = |e|² for the nearest point e = y·q_y + z·q_z, A0 = |p0|², and h's slope on p0.
         let whitening = whitening(shapes);
-        let (q_y, q_z) = geometry.axes(whitening * Vectors::all(view.v));
-        let d_a0 = -(all(0.5) * weight * d_weight + kappa * kappa * d_k / a0) / a0;
+        let (q_y, q_z) = geometry.axes(whitening * DVec3x8::splat(view.v));
+        let d_a0 = -(splat(0.5) * weight * d_weight + kappa * kappa * d_k / a0) / a0;
         let precision = Symmetric::new(q_y, q_y, yy)
-            + Symmetric::new(q_y, q_z, all(2.0) * yz)
+            + Symmetric::new(q_y, q_z, splat(2.0) * yz)
             + Symmetric::new(q_z, q_z, zz)
             + Symmetric::new(q_y * d_h[0] + q_z * d_h[1], p0, kappa / a0)
             + Symmetric::new(p0, p0, d_a0);
 
         // The centre's place in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
-        let [mut d_offset_u, mut d_offset_v] = geometry.on_detector(first).map(|d| d * all(2.0));
+        let [mut d_offset_u, mut d_offset_v] = geometry.on_detector(first).map(|d| d * splat(2.0));
         if projection == Projection::Exact {
             (d_offset_u, d_offset_v) = (d_offset_u + g[0] * (kappa / a0) * h, d_offset_v + g[1] * (kappa / a0) * h);
         }
         // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|. In a parallel beam κ is 0.
         let g_h = g_yz[0] * d_h[0] + g_yz[1] * d_h[1];
         let along = [yy * g_yz[0] + yz * g_yz[1], yz * g_yz[0] + zz * g_yz[1]];
-        let mut d_slope = geometry.on_detector(from_fn(|j| along[j] * (all(-2.0) / a0) + d_h[j] * (kappa / a0)));
-        let by_g = all(2.0) * d_a0 - kappa * g_h / (a0 * a0);
+        let mut d_slope = geometry.on_detector(from_fn(|j| along[j] * (splat(-2.0) / a0) + d_h[j] * (kappa / a0)));
+        let by_g = splat(2.0) * d_a0 - kappa * g_h / (a0 * a0);
         let by_slope = weight * d_weight / d0_squared;
-        let mut d_z = slope[0] * d_offset_u + slope[1] * d_offset_v + kappa * (all(2.0) * (yy + zz) + kappa / a0 * g_h);
+        let mut d_z =
+            slope[0] * d_offset_u + slope[1] * d_offset_v + kappa * (splat(2.0) * (yy + zz) + kappa / a0 * g_h);
         d_slope = from_fn(|j| d_slope[j] + g[j] * by_g);
         match projection {
             Projection::Affine => d_slope = from_fn(|j| d_slope[j] + slope[j] * by_slope),
-            Projection::Exact => d_z -= kappa * kappa * (g_h + all(2.0) * kappa * d_k) / a0,
+            Projection::Exact => d_z -= kappa * kappa * (g_h + splat(2.0) * kappa * d_k) / a0,
         }
         let d_u = kappa * d_slope[0] - d_offset_u;
         let d_v = kappa * d_slope[1] - d_offset_v;
         let d_z = d_z - kappa * (slope[0] * d_slope[0] + slope[1] * d_slope[1]);
-        let mean = Vectors::all(view.u) * d_u + Vectors::all(view.v) * d_v + Vectors::all(view.w) * d_z;
+        let mean = DVec3x8::splat(view.u) * d_u + DVec3x8::splat(view.v) * d_v + DVec3x8::splat(view.w) * d_z;
         Gradients {
             mean,
             precision,
@@ -351,32 +352,34 @@ impl Footprint {
 /// The quadratic forms of eight primitives on the detector, in lengths (α, β) from their centre's shadow.
 struct Support {
     /// Row and column of the centre.
-    centre: [Eight; 2],
+    centre: [f64x8; 2],
     /// Lengths per row and per column.
-    steps: [Eight; 2],
+    steps: [f64x8; 2],
     /// `c_uu, c_uv, c_vv` of δ `[Eq. 4]`, and its determinant.
-    c: [Eight; 3],
-    det_c: Eight,
+    c: [f64x8; 3],
+    det_c: f64x8,
     /// `h = 1 + s·(α, β)` and k of the exact projection `[X1]`; 0 for the affine one.
-    s: [Eight; 2],
-    k: Eight,
+    s: [f64x8; 2],
+    k: f64x8,
 }
 
 impl Support {
     /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`. The first is 0
     /// where that is no ellipse: the support holds the source or passes beside it, or there is no cutoff.
-    fn extents(&self, cut: Eight) -> (Eight, [Extents; 2]) {
+    fn extents(&self, cut: f64x8) -> (f64x8, [Extents; 2]) {
         let Self { centre: [row, column], steps: [step_v, step_u], c, det_c, s, k } = *self;
-        let zero = all(0.0);
-        let t = all(1.0) / cut - k;
+        let zero = splat(0.0);
+        let t = splat(1.0) / cut - k;
         // The conic's matrix is t·c - s sᵀ; its determinant is taken from that of c.
         let s_adjugate = [c[2] * s[0] - c[1] * s[1], c[0] * s[1] - c[1] * s[0]];
         let determinant = t * (t * det_c - (s[0] * s_adjugate[0] + s[1] * s_adjugate[1]));
         let n = [t * c[0] - s[0] * s[0], t * c[2] - s[1] * s[1]];
-        let ellipse =
-            t.simd_gt(zero) & n[0].simd_gt(zero) & n[1].simd_gt(zero) & determinant.simd_gt(all(1e-9) * t * t * det_c);
+        let ellipse = t.simd_gt(zero)
+            & n[0].simd_gt(zero)
+            & n[1].simd_gt(zero)
+            & determinant.simd_gt(splat(1e-9) * t * t * det_c);
         let centre = s_adjugate.map(|s| s * (t / determinant));
-        let radius = all(1.0) + (s[0] * centre[0] + s[1] * centre[1]);
+        let radius = splat(1.0) + (s[0] * centre[0] + s[1] * centre[1]);
         let half = [n[1], n[0]].map(|n| (radius * n / determinant).sqrt());
         let extents = [Extents::new(row, step_v, centre[1], half[1]), Extents::new(column, step_u, centre[0], half[0])];
         (ellipse, extents)
@@ -404,14 +407,14 @@ mod tests {
         }
     }
 
-    fn eight(shapes: [&Shape; EIGHT], scanner: &Scanner, view: &View, projection: Projection) -> [Footprint; EIGHT] {
-        let mut footprints: [Footprint; EIGHT] = Default::default();
+    fn eight(shapes: [&Shape; LANES], scanner: &Scanner, view: &View, projection: Projection) -> [Footprint; LANES] {
+        let mut footprints: [Footprint; LANES] = Default::default();
         Footprint::eight(&mut footprints, shapes, scanner, view, projection);
         footprints
     }
 
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
-        let [footprint, ..] = eight([&shape(mean, scale, 1e-2); EIGHT], &scanner(), &scanner().view(0.8), projection);
+        let [footprint, ..] = eight([&shape(mean, scale, 1e-2); LANES], &scanner(), &scanner().view(0.8), projection);
         footprint
     }
 
@@ -427,7 +430,7 @@ mod tests {
     }
 
     fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {
-        Footprint::support_boxes([&shape(mean, scale, cutoff); EIGHT], &scanner(), &scanner().view(0.8), projection)[0]
+        Footprint::support_boxes([&shape(mean, scale, cutoff); LANES], &scanner(), &scanner().view(0.8), projection)[0]
     }
 
     /// Rows and columns that hold a pixel of the support, found by asking every pixel.
@@ -482,7 +485,7 @@ mod tests {
             [v0, v1, u0, u1]
         };
         let [finer, ..] =
-            Footprint::support_boxes([&shape(mean, scale, 1e-2); EIGHT], &fine, &fine.view(0.8), Projection::Exact);
+            Footprint::support_boxes([&shape(mean, scale, 1e-2); LANES], &fine, &fine.view(0.8), Projection::Exact);
         assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
         for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
             assert!((a - b).abs() < 1e-13, "{a} against {b}");
@@ -516,8 +519,8 @@ mod tests {
                 shape(mean, if i == 2 { [2.5, 2.0, 3.0] } else { [0.04 * (i + 1) as f64, 0.05, 0.06] }, 1e-2)
             })
             .collect();
-        let shapes: [&Shape; EIGHT] = std::array::from_fn(|i| &shapes[i]);
-        let sums: [Sums; EIGHT] = std::array::from_fn(|i| Sums {
+        let shapes: [&Shape; LANES] = std::array::from_fn(|i| &shapes[i]);
+        let sums: [Sums; LANES] = std::array::from_fn(|i| Sums {
             distance: std::array::from_fn(|j| (i + j) as f64 / 7.0),
             h: [0.3 * i as f64, -0.2, 0.1],
             k: 0.7,
@@ -531,12 +534,12 @@ mod tests {
             let parts = Footprint::pull_back(together.each_ref(), shapes, &view, projection, &sums);
             assert_eq!(together.each_ref().map(|f| f.seen), [true, false, true, true, true, true, true, true]);
             for (i, shape) in shapes.into_iter().enumerate() {
-                let [alone, ..] = eight([shape; EIGHT], &scanner, &view, projection);
+                let [alone, ..] = eight([shape; LANES], &scanner, &view, projection);
                 assert_eq!(format!("{alone:?}"), format!("{:?}", together[i]), "{i} {projection:?}");
-                assert_eq!(Footprint::support_boxes([shape; EIGHT], &scanner, &view, projection)[0], boxes[i]);
+                assert_eq!(Footprint::support_boxes([shape; LANES], &scanner, &view, projection)[0], boxes[i]);
                 if alone.seen {
                     let part =
-                        Footprint::pull_back([&alone; EIGHT], [shape; EIGHT], &view, projection, &[sums[i]; EIGHT]);
+                        Footprint::pull_back([&alone; LANES], [shape; LANES], &view, projection, &[sums[i]; LANES]);
                     assert_eq!(part[0], parts[i], "{i} {projection:?}");
                 }
             }

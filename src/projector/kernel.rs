@@ -18,7 +18,7 @@
 //! Tests: `numeric::lanes`, `tests/contracts/analytic.rs`, `tests/contracts/parity.rs`, `tests/contracts/gradients.rs`.
 
 use super::column::Column;
-use super::plane::{Plane, all};
+use super::plane::Plane;
 use super::queue::{BATCH, Queue, Queued, Shared};
 use crate::numeric::{Lanes, Real};
 use std::f64::consts::LN_2;
@@ -71,7 +71,7 @@ pub(super) struct Sums {
 enum Logarithm {
     /// A Gaussian has none.
     None,
-    /// No x within the support is beyond [`Lanes::NEAR`].
+    /// No x within the support is beyond [`Lanes::LOG_NEAR`].
     Near,
     Any,
 }
@@ -81,7 +81,7 @@ impl Plane {
     fn logarithm<L: Lanes, const STUDENT: bool>(&self) -> Logarithm {
         match STUDENT {
             false => Logarithm::None,
-            true if self.limit <= L::NEAR => Logarithm::Near,
+            true if self.limit <= L::LOG_NEAR => Logarithm::Near,
             true => Logarithm::Any,
         }
     }
@@ -145,7 +145,7 @@ fn paint<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     scratch: &mut Scratch<R::Lanes>,
     board: &mut T::Board,
 ) {
-    let (weight, zero) = (all(plane.weight), R::Lanes::default());
+    let (weight, zero) = (R::Lanes::splat_f64(plane.weight), R::Lanes::default());
     let Scratch { x, root, log, power, queue, .. } = scratch;
     for batch in queue.batches() {
         queue.look(shared, batch.clone(), x.iter_mut().zip(&mut *root), |(x, root), sight| {
@@ -208,7 +208,7 @@ fn logarithms<L: Lanes>(
 /// 2^(factor·exponent), the same way.
 #[inline(always)]
 fn powers<L: Lanes>(filled: usize, factor: f64, exponent: &[L; BATCH], power: &mut [L; BATCH]) {
-    let factor = all::<L>(factor);
+    let factor = L::splat_f64(factor);
     let (exponent, power) = (exponent.as_chunks::<ABREAST>().0, power.as_chunks_mut().0);
     for (exponent, power) in exponent.iter().zip(power).take(filled.div_ceil(ABREAST)) {
         *power = L::exp2_each(exponent.map(|exponent| factor * exponent));
@@ -252,7 +252,7 @@ fn gather<R: Real, T: Reach<R>, const STUDENT: bool, const EXACT: bool>(
     let Scratch { x, y, root, log, power, queue, total } = scratch;
     let zero = R::Lanes::default();
     // What is beyond the limit is multiplied by zero: it, and its logarithm near 0, have to be finite.
-    let beyond = all(2.0 * plane.limit + 1.0);
+    let beyond = R::Lanes::splat_f64(2.0 * plane.limit + 1.0);
     let mut columns = queue.columns();
     let mut part = ColumnSums::<R::Lanes>::default();
     for batch in queue.batches() {

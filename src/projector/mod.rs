@@ -44,7 +44,7 @@ pub use view::ViewField;
 pub use voxelizer::GridField;
 
 use crate::numeric::Real;
-use crate::numeric::threads::{self, Lent, Spares};
+use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::primitives::{Kernel, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
 use canvas::{Blocks, Canvas};
@@ -89,14 +89,14 @@ pub struct Field<R: Real> {
 /// [renews](Field::renew) it asks the system for no more memory.
 #[derive(Default)]
 struct Spaces<R: Real> {
-    footprints: Spares<Vec<Footprint>>,
-    members: Spares<Vec<view::Members>>,
-    canvases: Spares<Canvas<R>>,
-    fetched: Spares<Vec<Patch>>,
-    solids: Spares<Vec<voxelizer::Chunk>>,
-    blocks: Spares<Blocks<R>>,
-    scratch: Spares<Scratch<R::Lanes>>,
-    gradients: Spares<FieldGradient>,
+    footprints: Pool<Vec<Footprint>>,
+    members: Pool<Vec<view::Members>>,
+    canvases: Pool<Canvas<R>>,
+    fetched: Pool<Vec<Patch>>,
+    solids: Pool<Vec<voxelizer::Chunk>>,
+    blocks: Pool<Blocks<R>>,
+    scratch: Pool<Scratch<R::Lanes>>,
+    gradients: Pool<FieldGradient>,
 }
 
 /// A gradient to a [`Field`], summed over any number of views and volumes.
@@ -153,8 +153,8 @@ impl<R: Kernels> Field<R> {
     }
 
     /// A gradient of zeros in memory that the field gets back.
-    pub(crate) fn lend_gradient(&self) -> Lent<'_, FieldGradient> {
-        let mut gradient = self.spaces.gradients.lend();
+    pub(crate) fn pooled_gradient(&self) -> PoolGuard<'_, FieldGradient> {
+        let mut gradient = self.spaces.gradients.take();
         gradient.shapes.resize(self.shapes.len(), ShapeGradient::ZERO);
         threads::for_each_chunk(&mut gradient.shapes, shape::CHUNK, |_, shapes| shapes.fill(ShapeGradient::ZERO));
         gradient

@@ -70,7 +70,7 @@ impl<R: Kernels> ViewField<'_, R> {
                 Pairs::of::<R, _>(&patch, useful)
             }
         };
-        threads::map_many(self.footprints.len(), one).into_iter().sum()
+        threads::map_fine(self.footprints.len(), one).into_iter().sum()
     }
 }
 
@@ -90,7 +90,7 @@ impl<R: Kernels> GridField<'_, R> {
             };
             Pairs::of::<R, _>(&Placed { solid, window: &window }, solid.slices().map(of_slice).sum())
         };
-        threads::map_many(solids.len(), one).into_iter().sum()
+        threads::map_fine(solids.len(), one).into_iter().sum()
     }
 }
 

@@ -144,7 +144,7 @@ fn both_rows<L: Lanes>(values: [f64; HALF]) -> L {
 mod tests {
     use super::super::kernel::{Scratch, Sums, backward, forward};
     use super::*;
-    use crate::numeric::NEAR_ONE;
+    use crate::numeric::ROOT_RANGES;
     use crate::numeric::rng::{Purpose, stream};
     use rand::RngExt;
 
@@ -209,7 +209,7 @@ mod tests {
                 });
             }
             assert!(worst <= plane.bend, "{worst}: {plane:?}");
-            counts[NEAR_ONE.iter().filter(|&&near| plane.bend > near).count()] += 1;
+            counts[ROOT_RANGES.iter().filter(|&&near| plane.bend > near).count()] += 1;
         }
         assert!(counts.iter().all(|&count| count > 50) && slim > 50, "{counts:?}, {slim} slim");
     }

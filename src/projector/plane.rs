@@ -2,8 +2,8 @@
 
 use super::canvas::HALF;
 use super::extents::Indices;
-use crate::numeric::vectors::{self, EIGHT, Eight};
-use crate::numeric::{Lanes, Real, real};
+use crate::numeric::vectors::{LANES, f64x8, splat};
+use crate::numeric::{Lanes, Real};
 #[cfg(test)]
 use std::ops::Range;
 
@@ -58,28 +58,28 @@ impl Plane {
     }
 }
 
-/// Eight planes, with what [`Plane`] says of each field.
+/// f64x8 planes, with what [`Plane`] says of each field.
 pub(super) struct Planes {
-    pub(super) row_centre: Eight,
-    pub(super) column_centre: Eight,
-    pub(super) slant: Eight,
-    pub(super) b: Eight,
-    pub(super) a: Eight,
-    pub(super) shift: Eight,
-    pub(super) floor: Eight,
-    pub(super) h_y: Eight,
-    pub(super) h_z: Eight,
-    pub(super) k: Eight,
-    pub(super) q: Eight,
-    pub(super) weight: Eight,
-    pub(super) limit: Eight,
+    pub(super) row_centre: f64x8,
+    pub(super) column_centre: f64x8,
+    pub(super) slant: f64x8,
+    pub(super) b: f64x8,
+    pub(super) a: f64x8,
+    pub(super) shift: f64x8,
+    pub(super) floor: f64x8,
+    pub(super) h_y: f64x8,
+    pub(super) h_z: f64x8,
+    pub(super) k: f64x8,
+    pub(super) q: f64x8,
+    pub(super) weight: f64x8,
+    pub(super) limit: f64x8,
 }
 
 /// [`Plane::most`], [`Plane::bend`] and, where not 0, [`Plane::corners`] of eight planes.
 pub(super) struct Bounds {
-    pub(super) most: Eight,
-    pub(super) bend: Eight,
-    pub(super) corners: Eight,
+    pub(super) most: f64x8,
+    pub(super) bend: f64x8,
+    pub(super) corners: f64x8,
 }
 
 impl Planes {
@@ -87,40 +87,39 @@ impl Planes {
     /// `δ/unit·(1 - limit·k) ≤ limit·h²`, with the largest h that a corner of the box has.
     #[inline(always)]
     pub(super) fn bounds(&self, rows: Indices, columns: Indices) -> Bounds {
-        let all = vectors::all;
-        let half = all(0.5);
+        let half = splat(0.5);
         let (tall, wide) = (rows.len(), columns.len());
         // h is linear: its value in the middle, and how far it goes from there to a corner.
-        let middle = |range: Indices| half * (range.start + range.end - all(1.0));
+        let middle = |range: Indices| half * (range.start + range.end - splat(1.0));
         let across = middle(columns) - self.column_centre;
         let y = self.b * (middle(rows) - self.row_centre - self.slant * across);
         let steps = [self.h_y * self.b, self.h_z * self.a - self.h_y * self.b * self.slant];
         let reach = half * (steps[0].abs() * tall + steps[1].abs() * wide);
         let z = self.a * across + self.shift;
         let tilt = self.h_y * y + self.h_z * z;
-        let h = (all(1.0) + tilt).abs() + reach;
-        let free = all(1.0) - self.limit * self.k;
-        let infinite = all(f64::INFINITY);
-        let most = free.simd_gt(all(0.0)).select(self.limit * h * h / free, infinite);
+        let h = (splat(1.0) + tilt).abs() + reach;
+        let free = splat(1.0) - self.limit * self.k;
+        let infinite = splat(f64::INFINITY);
+        let most = free.simd_gt(splat(0.0)).select(self.limit * h * h / free, infinite);
         // Small ellipses along the axes fill their registers as well as an outline could.
         let oblique = (self.slant * wide).abs().simd_gt(half * tall);
-        let corners = wide.simd_gt(all(PLUMP as f64)) | oblique;
+        let corners = wide.simd_gt(splat(PLUMP as f64)) | oblique;
         // Registers reach beyond the box, by up to two rows and all but one of their columns.
-        let (tall, wide) = (half * tall + all(2.0), half * wide + all(HALF as f64));
+        let (tall, wide) = (half * tall + splat(2.0), half * wide + splat(HALF as f64));
         let y_most = y.abs() + self.b.abs() * (tall + self.slant.abs() * wide);
         let z_most = z.abs() + self.a.abs() * wide;
         let tilt = tilt.abs() + steps[0].abs() * tall + steps[1].abs() * wide;
         let farthest = y_most * y_most + z_most * z_most + self.floor;
-        let bend = tilt * (all(2.0) + tilt) + self.k * farthest;
-        Bounds { most, bend: farthest.select_le(all(f32::FAR), bend, infinite), corners }
+        let bend = tilt * (splat(2.0) + tilt) + self.k * farthest;
+        Bounds { most, bend: farthest.select_le(splat(f32::FAR), bend, infinite), corners }
     }
 
     /// One plane for each lane.
     #[inline(always)]
-    pub(super) fn to_array(&self, bounds: &Bounds) -> [Plane; EIGHT] {
+    pub(super) fn to_array(&self, bounds: &Bounds) -> [Plane; LANES] {
         let Self { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit } = *self;
         let fields = [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit];
-        let (fields, [most, bend]) = (fields.map(Eight::to_array), [bounds.most, bounds.bend].map(Eight::to_array));
+        let (fields, [most, bend]) = (fields.map(f64x8::to_array), [bounds.most, bounds.bend].map(f64x8::to_array));
         let corners = bounds.corners.to_bitmask();
         std::array::from_fn(|i| {
             let [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit] =
@@ -147,21 +146,15 @@ impl Planes {
     }
 }
 
-/// The same number in every lane.
-#[inline(always)]
-pub(super) fn all<L: Lanes>(value: f64) -> L {
-    L::splat(real(value))
-}
-
 #[cfg(test)]
 impl Plane {
     /// The same with its bounds, for a support within these rows and columns.
     pub(super) fn bounded(&self, rows: &Range<usize>, columns: &Range<usize>) -> Self {
         let Self { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit, .. } = *self;
         let fields = [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit];
-        let [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit] = fields.map(all);
+        let [row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit] = fields.map(splat);
         let planes = Planes { row_centre, column_centre, slant, b, a, shift, floor, h_y, h_z, k, q, weight, limit };
-        let indices = |range: &Range<usize>| Indices { start: all(range.start as f64), end: all(range.end as f64) };
+        let indices = |range: &Range<usize>| Indices { start: splat(range.start as f64), end: splat(range.end as f64) };
         planes.to_array(&planes.bounds(indices(rows), indices(columns)))[0]
     }
 }

@@ -5,8 +5,8 @@
 //! they are in.
 
 use super::column::{Column, STRIP};
-use super::plane::{Plane, all};
-use crate::numeric::{Lanes, NEAR_ONE, Real, real};
+use super::plane::Plane;
+use crate::numeric::{Lanes, ROOT_RANGES, Real, real};
 use std::ops::Range;
 
 /// Registers in a batch: enough for their long chains to hide behind each other, few enough for the nearest cache.
@@ -20,7 +20,7 @@ const REGISTERS: usize = 8 * BATCH;
 enum Root {
     /// The affine projection has none.
     None,
-    /// No e is beyond the first of [`NEAR_ONE`].
+    /// No e is beyond the first of [`ROOT_RANGES`].
     Nearest,
     /// No e is beyond the second.
     Near,
@@ -32,8 +32,8 @@ impl Root {
     fn new<const EXACT: bool>(plane: &Plane) -> Self {
         match EXACT {
             false => Self::None,
-            true if plane.bend <= NEAR_ONE[0] => Self::Nearest,
-            true if plane.bend <= NEAR_ONE[1] => Self::Near,
+            true if plane.bend <= ROOT_RANGES[0] => Self::Nearest,
+            true if plane.bend <= ROOT_RANGES[1] => Self::Near,
             true => Self::Any,
         }
     }
@@ -53,9 +53,16 @@ pub(super) struct Shared<L> {
 impl<L: Lanes> Shared<L> {
     #[inline(always)]
     pub(super) fn new<const EXACT: bool>(plane: &Plane) -> Self {
-        let (h_y, k) = (all::<L>(plane.h_y), all(plane.k));
+        let (h_y, k) = (L::splat_f64(plane.h_y), L::splat_f64(plane.k));
         let curvature = h_y.fma(h_y, k);
-        Self { minus_b: all(-plane.b), h_y, k, curvature, limit: all(plane.limit), root: Root::new::<EXACT>(plane) }
+        Self {
+            minus_b: L::splat_f64(-plane.b),
+            h_y,
+            k,
+            curvature,
+            limit: L::splat_f64(plane.limit),
+            root: Root::new::<EXACT>(plane),
+        }
     }
 }
 
@@ -136,7 +143,8 @@ impl<L: Lanes> Queue<L> {
         if EXACT {
             let Column { tilt, floor, .. } = column;
             queued.tilt = tilt;
-            queued.e = [tilt.fma(tilt + all(2.0), shared.k * floor), shared.h_y * (tilt + tilt + all(2.0))];
+            queued.e =
+                [tilt.fma(tilt + L::splat_f64(2.0), shared.k * floor), shared.h_y * (tilt + tilt + L::splat_f64(2.0))];
         }
         if BACK {
             (queued.z, queued.x, queued.end) = (column.z, column.x, filled + registers.len());
@@ -190,13 +198,13 @@ impl<L: Lanes> Queue<L> {
         let e = |of: &Queued<L>, y: L| y.fma(y.fma(shared.curvature, of.e[1]), of.e[0]);
         let looked = Looked { queue: self, shared, registers, places, write };
         match shared.root {
-            Root::None => looked.each(|_, _, delta| (delta, L::default())),
-            Root::Nearest => looked.each(|of, y, delta| (delta, e(of, y).rsqrt_1p_nearest())),
-            Root::Near => looked.each(|of, y, delta| (delta, e(of, y).rsqrt_1p_near())),
+            Root::None => looked.run(|_, _, delta| (delta, L::default())),
+            Root::Nearest => looked.run(|of, y, delta| (delta, e(of, y).rsqrt_1p_sixteenth())),
+            Root::Near => looked.run(|of, y, delta| (delta, e(of, y).rsqrt_1p_quarter())),
             // Far from the centre e could overflow, and beside the source 1+e would lose its digits.
-            Root::Any => looked.each(|of, y, delta| {
-                let delta = delta.at_most(all(L::Scalar::FAR));
-                let h = shared.h_y.fma(y, of.tilt + all(1.0));
+            Root::Any => looked.run(|of, y, delta| {
+                let delta = delta.at_most(L::splat_f64(L::Scalar::FAR));
+                let h = shared.h_y.fma(y, of.tilt + L::splat_f64(1.0));
                 (delta, h.fma(h, shared.k * delta).rsqrt())
             }),
         }
@@ -215,7 +223,7 @@ struct Looked<'a, L, P, W> {
 impl<L: Lanes, P: Iterator, W: FnMut(P::Item, Sight<L>)> Looked<'_, L, P, W> {
     /// `root` is δ/unit, where it has to be bounded, and 1/√(1+e).
     #[inline(always)]
-    fn each(self, root: impl Fn(&Queued<L>, L, L) -> (L, L)) {
+    fn run(self, root: impl Fn(&Queued<L>, L, L) -> (L, L)) {
         let Self { queue, shared, registers, places, mut write } = self;
         let rows = &queue.row[registers.clone()];
         for ((&owner, &row), place) in queue.owner[registers].iter().zip(rows).zip(places) {

@@ -1,7 +1,7 @@
 //! What a primitive is, wherever it is seen from: its whitening matrix and the constants of its kernel, and the
 //! way back from a gradient in these terms to scales, quaternion, density and ν.
 
-use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, each};
+use crate::numeric::vectors::{DMat3x8, DVec3x8, LANES, f64x8, splat};
 use crate::numeric::{Lanes, Real, threads};
 use crate::primitives::rotation::Units;
 use crate::primitives::{Kernel, Parameters, Primitives, Rows, gaussian, student_t};
@@ -67,13 +67,13 @@ impl ShapeGradient {
 
 /// A symmetric matrix in each of eight lanes: xx, xy, xz, yy, yz, zz.
 #[derive(Clone, Copy)]
-pub(super) struct Symmetric([Eight; 6]);
+pub(super) struct Symmetric([f64x8; 6]);
 
 impl Symmetric {
     /// `factor · (a bᵀ + b aᵀ)/2`.
     #[inline(always)]
-    pub(super) fn new(a: Vectors, b: Vectors, factor: Eight) -> Self {
-        let half = all(0.5) * factor;
+    pub(super) fn new(a: DVec3x8, b: DVec3x8, factor: f64x8) -> Self {
+        let half = splat(0.5) * factor;
         let (a, b) = ([a.x, a.y, a.z], [b.x, b.y, b.z]);
         let entry = |i: usize, j: usize| (a[i] * b[j] + b[i] * a[j]) * half;
         Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])
@@ -90,18 +90,18 @@ impl Add for Symmetric {
 
 /// The [`ShapeGradient`] of eight primitives.
 pub(super) struct Gradients {
-    pub(super) mean: Vectors,
+    pub(super) mean: DVec3x8,
     pub(super) precision: Symmetric,
-    pub(super) density: Eight,
-    pub(super) nu: Eight,
+    pub(super) density: f64x8,
+    pub(super) nu: f64x8,
     /// Along u and v.
-    pub(super) shadow: [Eight; 2],
+    pub(super) shadow: [f64x8; 2],
 }
 
 impl Gradients {
     /// One for each lane.
     #[inline(always)]
-    pub(super) fn to_array(&self) -> [ShapeGradient; EIGHT] {
+    pub(super) fn to_array(&self) -> [ShapeGradient; LANES] {
         let mean = self.mean.to_array();
         let precision: [_; 6] = from_fn(|entry| self.precision.0[entry].to_array());
         let (density, nu) = (self.density.to_array(), self.nu.to_array());
@@ -119,29 +119,29 @@ impl Gradients {
 impl Shape {
     /// Up to eight primitives, cut off where they have fallen to 2^-`bits`, for kernels that run in `R`.
     #[inline(always)]
-    fn eight<R: Real>(shapes: &mut [Self], primitives: &Primitives, indices: [usize; EIGHT], bits: f64) {
+    fn eight<R: Real>(shapes: &mut [Self], primitives: &Primitives, indices: [usize; LANES], bits: f64) {
         let p = &primitives.parameters;
-        let (rotations, norms) = Units::new(from_fn(|entry| each(|i| p.quaternion[indices[i]][entry])));
-        let one = all(1.0);
-        let [x, y, z] = from_fn(|axis| one / each(|i| p.scale[indices[i]][axis]));
-        let nu = each(|i| p.nu[indices[i]]);
+        let (rotations, norms) = Units::new(from_fn(|entry| f64x8::from_fn(|i| p.quaternion[indices[i]][entry])));
+        let one = splat(1.0);
+        let [x, y, z] = from_fn(|axis| one / f64x8::from_fn(|i| p.scale[indices[i]][axis]));
+        let nu = f64x8::from_fn(|i| p.nu[indices[i]]);
         let (line, unit, reach, limit) = match primitives.kernel {
             Kernel::Gaussian => {
                 let reach = gaussian::reach(bits) / gaussian::UNIT;
-                let line = (all(gaussian::line_integral()), all(0.0));
-                (line, all(gaussian::UNIT), all(reach), all(reach.min(gaussian::horizon::<R>())))
+                let line = (splat(gaussian::line_integral()), splat(0.0));
+                (line, splat(gaussian::UNIT), splat(reach), splat(reach.min(gaussian::horizon::<R>())))
             }
             Kernel::StudentT => {
                 let reach = student_t::reaches(nu, bits) / nu;
                 (student_t::line_integrals(nu), nu, reach, student_t::limits::<R>(nu, bits, reach))
             }
         };
-        let radius = (limit * unit).sqrt() / x.at_most(y.at_most(z)) * all(1.0 + 1e-9);
+        let radius = (limit * unit).sqrt() / x.at_most(y.at_most(z)) * splat(1.0 + 1e-9);
         let columns = rotations.transposed().columns;
         let whitening: [_; 3] =
-            from_fn(|j| Vectors::new(x * columns[j].x, y * columns[j].y, z * columns[j].z).to_array());
+            from_fn(|j| DVec3x8::new(x * columns[j].x, y * columns[j].y, z * columns[j].z).to_array());
         let (rotations, norms) = (rotations.to_array(), norms.to_array());
-        let inverse_scale = Vectors::new(x, y, z).to_array();
+        let inverse_scale = DVec3x8::new(x, y, z).to_array();
         let (line, slope, unit) = (line.0.to_array(), line.1.to_array(), unit.to_array());
         let (reach, limit, radius) = (reach.to_array(), limit.to_array(), radius.to_array());
         for (lane, (shape, i)) in shapes.iter_mut().zip(indices).enumerate() {
@@ -166,7 +166,7 @@ impl Shape {
     #[cfg(test)]
     pub(super) fn new<R: Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
         let mut shape = Self::default();
-        Self::eight::<R>(std::slice::from_mut(&mut shape), primitives, [i; EIGHT], bits);
+        Self::eight::<R>(std::slice::from_mut(&mut shape), primitives, [i; LANES], bits);
         shape
     }
 
@@ -175,7 +175,7 @@ impl Shape {
         let (bits, last) = (student_t::bits(epsilon), primitives.len().saturating_sub(1));
         shapes.resize(primitives.len(), Self::default());
         threads::for_each_chunk(shapes, CHUNK, |chunk, shapes| {
-            for (first, shapes) in (chunk * CHUNK..).step_by(EIGHT).zip(shapes.chunks_mut(EIGHT)) {
+            for (first, shapes) in (chunk * CHUNK..).step_by(LANES).zip(shapes.chunks_mut(LANES)) {
                 let indices = from_fn(|i| (first + i).min(last));
                 Self::eight::<R>(shapes, primitives, indices, bits);
             }
@@ -211,9 +211,9 @@ impl Shape {
 
 /// The whitening matrices of eight primitives.
 #[inline(always)]
-pub(super) fn whitening(shapes: [&Shape; EIGHT]) -> Matrices {
-    let (x, y) = (Vectors::each(|i| shapes[i].whitening.x_axis), Vectors::each(|i| shapes[i].whitening.y_axis));
-    Matrices { columns: [x, y, Vectors::each(|i| shapes[i].whitening.z_axis)] }
+pub(super) fn whitening(shapes: [&Shape; LANES]) -> DMat3x8 {
+    let (x, y) = (DVec3x8::from_fn(|i| shapes[i].whitening.x_axis), DVec3x8::from_fn(|i| shapes[i].whitening.y_axis));
+    DMat3x8 { columns: [x, y, DVec3x8::from_fn(|i| shapes[i].whitening.z_axis)] }
 }
 
 /// The gradient to all parameters of all primitives, in parallel.

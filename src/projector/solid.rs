@@ -6,7 +6,7 @@ use super::extents::Extents;
 use super::kernel::Reach;
 use super::plane::{Bounds, Plane, Planes};
 use super::shape::{Shape, whitening};
-use crate::numeric::vectors::{EIGHT, Eight, Vectors, all, each};
+use crate::numeric::vectors::{DVec3x8, LANES, f64x8, splat};
 use crate::numeric::{Lanes, Real, WIDEST, real};
 use crate::scene::Grid;
 use std::ops::Range;
@@ -47,47 +47,48 @@ impl Solid {
     }
 
     /// Primitives anywhere: their slices are none where they do not reach the grid.
-    pub(super) fn eight(shapes: [&Shape; EIGHT], grid: &Grid) -> [Self; EIGHT] {
+    pub(super) fn eight(shapes: [&Shape; LANES], grid: &Grid) -> [Self; LANES] {
         let Grid { min, spacing, shape } = *grid;
         let [mx, my, mz] = whitening(shapes).columns;
         let (yz, yx) = (my.cross(mz), my.cross(mx));
         let b = my.length();
         let a = yz.length() / b;
-        let root = each(|i| shapes[i].unit).sqrt();
-        let offset = Vectors::each(|i| shapes[i].mean) - Vectors::all(min);
-        let place = |along: Eight, spacing: f64| along / all(spacing) - all(0.5);
+        let root = f64x8::from_fn(|i| shapes[i].unit).sqrt();
+        let offset = DVec3x8::from_fn(|i| shapes[i].mean) - DVec3x8::splat(min);
+        let place = |along: f64x8, spacing: f64| along / splat(spacing) - splat(0.5);
         let (slice, row, column) = (place(offset.x, spacing.x), place(offset.y, spacing.y), place(offset.z, spacing.z));
-        let limit = each(|i| shapes[i].limit);
+        let limit = f64x8::from_fn(|i| shapes[i].limit);
         let planes = Planes {
             row_centre: row,
             column_centre: column,
-            slant: -my.dot(mz) / (b * b) * all(spacing.z) / all(spacing.y),
-            b: b * all(spacing.y) / root,
-            a: a * all(spacing.z) / root,
-            shift: all(0.0),
-            floor: all(0.0),
-            h_y: all(0.0),
-            h_z: all(0.0),
-            k: all(0.0),
-            q: each(|i| (shapes[i].nu + 3.0) / 2.0),
-            weight: each(|i| shapes[i].density),
+            slant: -my.dot(mz) / (b * b) * splat(spacing.z) / splat(spacing.y),
+            b: b * splat(spacing.y) / root,
+            a: a * splat(spacing.z) / root,
+            shift: splat(0.0),
+            floor: splat(0.0),
+            h_y: splat(0.0),
+            h_z: splat(0.0),
+            k: splat(0.0),
+            q: f64x8::from_fn(|i| (shapes[i].nu + 3.0) / 2.0),
+            weight: f64x8::from_fn(|i| shapes[i].density),
             limit,
         };
-        let xx = each(|i| shapes[i].determinant()) / (b * a * root);
-        let ridge_x = -my.dot(mx) / (b * b * all(spacing.y));
+        let xx = f64x8::from_fn(|i| shapes[i].determinant()) / (b * a * root);
+        let ridge_x = -my.dot(mx) / (b * b * splat(spacing.y));
         let ax = yz.dot(yx) / (b * b * a * root);
         let radius = limit.sqrt();
         // How far the ridge of each of the unit sphere's axes leads, in rows, and how far columns do.
         let slant = planes.slant;
-        let tall = Vectors::new((ridge_x - slant * ax / planes.a) / xx, all(1.0) / planes.b, slant / planes.a).length();
-        let wide = Vectors::new(ax / xx, all(0.0), all(1.0)).length() / planes.a;
-        let slices = reach(slice, all(spacing.x), radius / xx, shape[0]);
-        let rows = reach(row, all(1.0), radius * tall, shape[1]);
-        let columns = reach(column, all(1.0), radius * wide, shape[2]);
-        let zero = all(0.0);
+        let tall =
+            DVec3x8::new((ridge_x - slant * ax / planes.a) / xx, splat(1.0) / planes.b, slant / planes.a).length();
+        let wide = DVec3x8::new(ax / xx, splat(0.0), splat(1.0)).length() / planes.a;
+        let slices = reach(slice, splat(spacing.x), radius / xx, shape[0]);
+        let rows = reach(row, splat(1.0), radius * tall, shape[1]);
+        let columns = reach(column, splat(1.0), radius * wide, shape[2]);
+        let zero = splat(0.0);
         let bounds = Bounds { most: limit, bend: zero, corners: zero.simd_eq(zero) };
         let planes = planes.to_array(&bounds);
-        let [ridge_x, ax, xx, centre] = [ridge_x, ax, xx, slice].map(Eight::to_array);
+        let [ridge_x, ax, xx, centre] = [ridge_x, ax, xx, slice].map(f64x8::to_array);
         std::array::from_fn(|i| Self {
             plane: planes[i],
             ridge_x: ridge_x[i],
@@ -109,12 +110,12 @@ impl Solid {
     /// Where the plane is in some slices from one on.
     #[inline(always)]
     fn levels(&self, slice: usize) -> Levels {
-        let offset = (all(slice as f64) + each(|i| i as f64) - all(self.centre)) * all(self.step);
-        let x = all(self.xx) * offset;
+        let offset = (splat(slice as f64) + f64x8::from_fn(|i| i as f64) - splat(self.centre)) * splat(self.step);
+        let x = splat(self.xx) * offset;
         Levels {
             x: x.to_array(),
-            row_centre: (all(self.plane.row_centre) + all(self.ridge_x) * offset).to_array(),
-            shift: (all(self.ax) * offset).to_array(),
+            row_centre: (splat(self.plane.row_centre) + splat(self.ridge_x) * offset).to_array(),
+            shift: (splat(self.ax) * offset).to_array(),
             floor: (x * x).to_array(),
         }
     }
@@ -131,7 +132,6 @@ impl Solid {
     #[inline(always)]
     fn ends<L: Lanes>(&self, slice: usize, rows: &Range<usize>, columns: &Range<usize>, shift: usize) -> Ends {
         let Self { plane, ridge_x, ax, xx, step, .. } = self;
-        let splat = |value: f64| L::splat(real(value));
         let wide = Window::wide::<L>();
         let width = wide as f64 - 1.0;
         let (offset, left) = ((slice as f64 - self.centre) * step, columns.start as f64 - plane.column_centre);
@@ -140,9 +140,9 @@ impl Solid {
         let beside = L::from_fn(|i| L::Scalar::from_index(i % ACROSS * wide));
 
         // What is left of y² + z² in the nearer slice.
-        let x = splat(xx * offset) + splat(xx * step) * along;
-        let next = x + splat(xx * step);
-        let room = splat(plane.limit * (1.0 + SPARE)) - (x * x).at_most(next * next);
+        let x = L::splat_f64(xx * offset) + L::splat_f64(xx * step) * along;
+        let next = x + L::splat_f64(xx * step);
+        let room = L::splat_f64(plane.limit * (1.0 + SPARE)) - (x * x).at_most(next * next);
 
         // z is 0 in the middle of a slice's ellipse. What is not a number bounds nothing.
         let drift = ax * step;
@@ -151,32 +151,36 @@ impl Solid {
                 + (ax * offset).abs()
                 + drift.abs() * L::WIDTH as f64);
         let middle = -left - (ax * offset + drift.max(0.0) + lost) / plane.a - SPARE;
-        let start = splat(middle) - splat(drift / plane.a) * along - room.sqrt() * splat(1.0 / plane.a);
-        let start = start.at_least(splat(0.0)).at_most(splat(MOST));
-        let across = start.ceil() + beside + splat(shift as f64);
+        let start =
+            L::splat_f64(middle) - L::splat_f64(drift / plane.a) * along - room.sqrt() * L::splat_f64(1.0 / plane.a);
+        let start = start.at_least(L::splat_f64(0.0)).at_most(L::splat_f64(MOST));
+        let across = start.ceil() + beside + L::splat_f64(shift as f64);
 
         // And where z is nearest to 0.
         let first = plane.a * left + ax * offset + drift.min(0.0) - lost;
-        let z = splat(first) + splat(plane.a) * across + splat(drift) * along;
-        let beyond = z + splat(plane.a * width + drift.abs() + 2.0 * lost);
-        let nearest = z.at_least(-beyond).at_least(splat(0.0));
+        let z = L::splat_f64(first) + L::splat_f64(plane.a) * across + L::splat_f64(drift) * along;
+        let beyond = z + L::splat_f64(plane.a * width + drift.abs() + 2.0 * lost);
+        let nearest = z.at_least(-beyond).at_least(L::splat_f64(0.0));
         let room = room - nearest * nearest;
 
         // So far it can lead from the ridge, which is straight.
         let (turn, bend) = (ridge_x * step, plane.slant * width);
         let top = plane.row_centre + ridge_x * offset + plane.slant * left - rows.start as f64;
-        let ridge = splat(top + turn.min(0.0) + bend.min(0.0)) + splat(plane.slant) * across + splat(turn) * along;
+        let ridge = L::splat_f64(top + turn.min(0.0) + bend.min(0.0))
+            + L::splat_f64(plane.slant) * across
+            + L::splat_f64(turn) * along;
         let led = top.abs() + turn.abs() * L::WIDTH as f64 + plane.slant.abs() * self.columns.len() as f64;
         let spare = SPARE + SPARE_CANCELLED * led;
-        let reach = room.sqrt() * splat(1.0 / plane.b) + splat(spare);
-        let low = (ridge - reach).at_least(splat(0.0));
-        let high = (ridge + splat(turn.abs() + bend.abs()) + reach).at_most(splat(rows.len() as f64 - 1.0));
+        let reach = room.sqrt() * L::splat_f64(1.0 / plane.b) + L::splat_f64(spare);
+        let low = (ridge - reach).at_least(L::splat_f64(0.0));
+        let high =
+            (ridge + L::splat_f64(turn.abs() + bend.abs()) + reach).at_most(L::splat_f64(rows.len() as f64 - 1.0));
         // None where the last row is above the first one.
-        let per_row = splat(1.0 / PAIR as f64);
-        let end = low.select_le(high, high * per_row + splat(1.0), splat(0.0));
-        let end = room.select_le(splat(-f64::from(f32::MIN_POSITIVE)), splat(0.0), end);
-        let end = across.select_le(splat(columns.len() as f64 - 1.0), end, splat(0.0));
-        let some = splat(0.0).below(end);
+        let per_row = L::splat_f64(1.0 / PAIR as f64);
+        let end = low.select_le(high, high * per_row + L::splat_f64(1.0), L::splat_f64(0.0));
+        let end = room.select_le(L::splat_f64(-f64::from(f32::MIN_POSITIVE)), L::splat_f64(0.0), end);
+        let end = across.select_le(L::splat_f64(columns.len() as f64 - 1.0), end, L::splat_f64(0.0));
+        let some = L::splat_f64(0.0).below(end);
         let [across, begin, end] = [across, low * per_row, end].map(|lanes| {
             let mut indices = [0; WIDEST];
             L::write_indices(lanes.split().0, &mut indices);
@@ -197,10 +201,10 @@ struct Ends {
 
 /// What differs from slice to slice in a solid's [`Plane`], and the slice's own coordinate x: of some slices.
 struct Levels {
-    x: [f64; EIGHT],
-    row_centre: [f64; EIGHT],
-    shift: [f64; EIGHT],
-    floor: [f64; EIGHT],
+    x: [f64; LANES],
+    row_centre: [f64; LANES],
+    shift: [f64; LANES],
+    floor: [f64; LANES],
 }
 
 /// A primitive and the window that is looked at.
@@ -271,8 +275,8 @@ impl<L: Lanes> Stance<L> {
     /// In a row, slice `first` of the levels and the next one take turns.
     #[inline(always)]
     fn of_slices(levels: &Levels, first: usize) -> Self {
-        let turns = |levels: &[f64; EIGHT]| std::array::from_fn(|i| levels[first + i % PAIR]);
-        let lanes = |levels: &[f64; EIGHT]| L::from_fn(|i| real(levels[first + i % PAIR]));
+        let turns = |levels: &[f64; LANES]| std::array::from_fn(|i| levels[first + i % PAIR]);
+        let lanes = |levels: &[f64; LANES]| L::from_fn(|i| real(levels[first + i % PAIR]));
         Self {
             columns: std::array::from_fn(|i| (i / PAIR) as f64),
             row_centre: turns(&levels.row_centre),
@@ -292,8 +296,8 @@ fn both_rows<L: Lanes>(values: [f64; HALF]) -> L {
 }
 
 /// Indices within `half` of `centre`, with a breath of rounding to spare.
-fn reach(centre: Eight, step: Eight, half: Eight, count: usize) -> [Range<usize>; EIGHT] {
-    Extents::new(centre, step, all(0.0), half).indices(count).ranges()
+fn reach(centre: f64x8, step: f64x8, half: f64x8, count: usize) -> [Range<usize>; LANES] {
+    Extents::new(centre, step, splat(0.0), half).indices(count).ranges()
 }
 
 #[cfg(test)]
@@ -350,7 +354,7 @@ mod tests {
                 nu: vec![draw(2.0, 40.0)],
             });
             let shape = Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2));
-            let [solid, ..] = Solid::eight([&shape; EIGHT], &grid);
+            let [solid, ..] = Solid::eight([&shape; LANES], &grid);
             let window = match number % 3 {
                 0 => Window { slices: 8..12, rows: 47, columns: 16..31 },
                 _ => Window { slices: 0..45, rows: 47, columns: 0..49 },
@@ -385,7 +389,7 @@ mod tests {
                 nu: vec![5.0],
             });
             let shape = Shape::new::<R>(&primitives.unwrap(), 0, student_t::bits(1e-2));
-            let [solid, ..] = Solid::eight([&shape; EIGHT], &grid);
+            let [solid, ..] = Solid::eight([&shape; LANES], &grid);
             let mut visited = BTreeSet::new();
             Reach::<R>::walk(&Placed { solid: &solid, window: &window }, |_, place, registers| {
                 visited.extend(registers.map(|j| place + j * window.step::<R::Lanes>()));
@@ -426,10 +430,10 @@ mod tests {
         let mut shapes = Vec::new();
         Shape::all_into::<f32>(&mut shapes, &primitives.unwrap(), 1e-2);
         let mut reaching = 0;
-        for eight in shapes.chunks(EIGHT) {
+        for eight in shapes.chunks(LANES) {
             let together = Solid::eight(std::array::from_fn(|i| &eight[i]), &grid);
             for (shape, solid) in eight.iter().zip(together) {
-                let [alone, ..] = Solid::eight([shape; EIGHT], &grid);
+                let [alone, ..] = Solid::eight([shape; LANES], &grid);
                 assert_eq!(format!("{alone:?}"), format!("{solid:?}"));
                 reaching += usize::from(!solid.slices().is_empty());
             }

@@ -6,15 +6,15 @@ use super::kernel::Sums;
 use super::kernels::Kernels;
 use super::{Field, FieldGradient, Projection};
 use crate::numeric::Real;
-use crate::numeric::threads::{self, Lent};
-use crate::numeric::vectors::{EIGHT, lanes};
+use crate::numeric::threads::{self, PoolGuard};
+use crate::numeric::vectors::{LANES, lane_refs};
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
 use std::hint::black_box;
 
 /// Primitives whose gradients one task gathers.
 const GATHER: usize = 64;
-/// Primitives that one task prepares, or sorts into bands; a multiple of [`EIGHT`].
+/// Primitives that one task prepares, or sorts into bands; a multiple of [`LANES`].
 const BIN: usize = 512;
 /// Footprints that a band fetches at a time: they lie far apart, and the memory answers several as fast as one.
 const FETCH: usize = 16;
@@ -28,7 +28,7 @@ pub struct ViewField<'a, R: Real> {
     pub(super) scanner: Scanner,
     view: View,
     pub(super) projection: Projection,
-    pub(super) footprints: Lent<'a, Vec<Footprint>>,
+    pub(super) footprints: PoolGuard<'a, Vec<Footprint>>,
 }
 
 impl<'a, R: Kernels> ViewField<'a, R> {
@@ -36,12 +36,12 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
-        let mut footprints = field.spaces.footprints.lend();
+        let mut footprints = field.spaces.footprints.take();
         footprints.resize(field.shapes.len(), Footprint::default());
         threads::for_each_chunk(&mut footprints, BIN, |chunk, footprints| {
-            let shapes = field.shapes[chunk * BIN..].chunks(EIGHT);
-            for (footprints, shapes) in footprints.chunks_mut(EIGHT).zip(shapes) {
-                Footprint::eight(footprints, lanes(shapes, |shape| shape), scanner, &view, projection);
+            let shapes = field.shapes[chunk * BIN..].chunks(LANES);
+            for (footprints, shapes) in footprints.chunks_mut(LANES).zip(shapes) {
+                Footprint::eight(footprints, lane_refs(shapes, |shape| shape), scanner, &view, projection);
             }
         });
         Self { field, scanner: *scanner, view, projection, footprints }
@@ -68,8 +68,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     ///
     /// Tests: `support_boxes_bound_the_pixels_of_each_primitive`, `boxes_know_the_cutoff_alone`.
     pub fn support_boxes(&self) -> Vec<[f64; 4]> {
-        let boxes = self.field.shapes.chunks(EIGHT).flat_map(|some| {
-            let shapes = lanes(some, |shape| shape);
+        let boxes = self.field.shapes.chunks(LANES).flat_map(|some| {
+            let shapes = lane_refs(some, |shape| shape);
             let boxes = Footprint::support_boxes(shapes, &self.scanner, &self.view, self.projection);
             boxes.into_iter().take(some.len())
         });
@@ -95,7 +95,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         threads::for_each_chunk_in(image, STRIP * columns, &self.field.spaces.scratch, |band, pixels, scratch| {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
-            let (mut canvas, mut fetched) = (self.field.spaces.canvases.lend(), self.field.spaces.fetched.lend());
+            let (mut canvas, mut fetched) = (self.field.spaces.canvases.take(), self.field.spaces.fetched.take());
             canvas.renew(height, columns);
             fetched.reserve(FETCH);
             for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
@@ -120,8 +120,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     }
 
     /// The primitives that reach each of `bands` bands.
-    fn members(&self, bands: usize) -> Lent<'_, Vec<Members>> {
-        let mut members = self.field.spaces.members.lend();
+    fn members(&self, bands: usize) -> PoolGuard<'_, Vec<Members>> {
+        let mut members = self.field.spaces.members.take();
         members.resize(self.footprints.len().div_ceil(BIN), Vec::new());
         threads::for_each_chunk(&mut members, 1, |chunk, members| {
             let [members] = members else { unreachable!("a chunk of one") };
@@ -165,7 +165,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
         assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
-        let mut canvas = self.field.spaces.canvases.lend();
+        let mut canvas = self.field.spaces.canvases.take();
         canvas.renew(rows, columns);
         let stride = canvas.stride;
         threads::for_each_chunk(&mut canvas.pixels, STRIP * stride, |band, pixels| {
@@ -180,15 +180,15 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
             let here = chunk * GATHER..chunk * GATHER + gradients.len();
             let (footprints, shapes) = (&self.footprints[here.clone()], &self.field.shapes[here]);
-            let groups = footprints.chunks(EIGHT).zip(shapes.chunks(EIGHT));
-            for ((footprints, shapes), gradients) in groups.zip(gradients.chunks_mut(EIGHT)) {
-                let mut sums = [Sums::default(); EIGHT];
+            let groups = footprints.chunks(LANES).zip(shapes.chunks(LANES));
+            for ((footprints, shapes), gradients) in groups.zip(gradients.chunks_mut(LANES)) {
+                let mut sums = [Sums::default(); LANES];
                 for (sums, footprint) in sums.iter_mut().zip(footprints).filter(|(_, f)| !f.is_empty()) {
                     let rows = footprint.rows.clone();
                     let top = rows.start;
                     *sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
                 }
-                let (all, shapes) = (lanes(footprints, |f| f), lanes(shapes, |shape| shape));
+                let (all, shapes) = (lane_refs(footprints, |f| f), lane_refs(shapes, |shape| shape));
                 let parts = Footprint::pull_back(all, shapes, &self.view, self.projection, &sums);
                 for ((gradient, part), footprint) in gradients.iter_mut().zip(&parts).zip(footprints) {
                     if !footprint.is_empty() {

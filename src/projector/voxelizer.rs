@@ -8,8 +8,8 @@ use super::kernels::Kernels;
 use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
 use super::solid::{Placed, Solid};
 use super::{Field, FieldGradient, Projection};
-use crate::numeric::threads::{self, Lent};
-use crate::numeric::vectors::{EIGHT, Vectors, all, each, lanes};
+use crate::numeric::threads::{self, PoolGuard};
+use crate::numeric::vectors::{DVec3x8, LANES, f64x8, lane_refs, splat};
 use crate::numeric::{Lanes, Real};
 use crate::scene::Grid;
 use ndarray::{Array3, ArrayView3};
@@ -21,10 +21,10 @@ const GATHER: usize = 64;
 const SLAB: usize = 8;
 
 /// The gradients of primitives from the sums over all their slices, in the axes of [`Solid`].
-fn pull_back(sums: &[Sums; EIGHT], shapes: [&Shape; EIGHT]) -> [ShapeGradient; EIGHT] {
-    let density = each(|i| shapes[i].density);
-    let [y, z, yy, yz, zz] = from_fn(|j| each(|i| sums[i].distance[1 + j]));
-    let [x, xx, xy, xz] = from_fn(|j| each(|i| sums[i].x[j]));
+fn pull_back(sums: &[Sums; LANES], shapes: [&Shape; LANES]) -> [ShapeGradient; LANES] {
+    let density = f64x8::from_fn(|i| shapes[i].density);
+    let [y, z, yy, yz, zz] = from_fn(|j| f64x8::from_fn(|i| sums[i].distance[1 + j]));
+    let [x, xx, xy, xz] = from_fn(|j| f64x8::from_fn(|i| sums[i].x[j]));
     let [mx, my, mz] = whitening(shapes).columns;
     let q_x = my.cross(mz).unit();
     let q_y = my.unit();
@@ -32,23 +32,23 @@ fn pull_back(sums: &[Sums; EIGHT], shapes: [&Shape; EIGHT]) -> [ShapeGradient; E
     let second = [xx, xy, xz, yy, yz, zz];
     let [xx, xy, xz, yy, yz, zz] = from_fn(|j| second[j] * density);
     let precision = Symmetric::new(q_x, q_x, xx)
-        + Symmetric::new(q_x, q_y, all(2.0) * xy)
-        + Symmetric::new(q_x, q_z, all(2.0) * xz)
+        + Symmetric::new(q_x, q_y, splat(2.0) * xy)
+        + Symmetric::new(q_x, q_z, splat(2.0) * xz)
         + Symmetric::new(q_y, q_y, yy)
-        + Symmetric::new(q_y, q_z, all(2.0) * yz)
+        + Symmetric::new(q_y, q_z, splat(2.0) * yz)
         + Symmetric::new(q_z, q_z, zz);
-    let factor = density / each(|i| shapes[i].unit).sqrt();
+    let factor = density / f64x8::from_fn(|i| shapes[i].unit).sqrt();
     let first = q_x * (x * factor) + q_y * (y * factor) + q_z * (z * factor);
-    let mean = Vectors::new(mx.dot(first), my.dot(first), mz.dot(first)) * all(-2.0);
-    let nu = each(|i| shapes[i].nu);
-    let log = each(|i| sums[i].log);
-    let d_nu = all(-0.5 * std::f64::consts::LN_2) * log * density - (xx + yy + zz) / nu;
-    let zero = all(0.0);
+    let mean = DVec3x8::new(mx.dot(first), my.dot(first), mz.dot(first)) * splat(-2.0);
+    let nu = f64x8::from_fn(|i| shapes[i].nu);
+    let log = f64x8::from_fn(|i| sums[i].log);
+    let d_nu = splat(-0.5 * std::f64::consts::LN_2) * log * density - (xx + yy + zz) / nu;
+    let zero = splat(0.0);
     Gradients {
         mean,
         precision,
-        density: each(|i| sums[i].value),
-        nu: nu.select_le(all(f64::MAX), d_nu, zero),
+        density: f64x8::from_fn(|i| sums[i].value),
+        nu: nu.select_le(splat(f64::MAX), d_nu, zero),
         shadow: [zero; 2],
     }
     .to_array()
@@ -61,13 +61,13 @@ pub(super) type Chunk = Vec<(usize, Solid)>;
 pub struct GridField<'a, R: Real> {
     field: &'a Field<R>,
     pub(super) grid: Grid,
-    pub(super) solids: Lent<'a, Vec<Chunk>>,
+    pub(super) solids: PoolGuard<'a, Vec<Chunk>>,
 }
 
 impl<R: Kernels> Field<R> {
     /// The field on a grid.
     pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
-        let mut solids = self.spaces.solids.lend();
+        let mut solids = self.spaces.solids.take();
         // Room for all of them: what comes with another grid needs no more.
         solids.resize_with(self.shapes.len().div_ceil(GATHER), || Vec::with_capacity(GATHER));
         threads::for_each_chunk(&mut solids, 1, |chunk, solids| {
@@ -78,8 +78,8 @@ impl<R: Kernels> Field<R> {
                 near[count] = i;
                 count += usize::from(Solid::is_near(shape, grid));
             }
-            for some in near[..count].chunks(EIGHT) {
-                let eight = Solid::eight(lanes(some, |&i| &self.shapes[i]), grid);
+            for some in near[..count].chunks(LANES) {
+                let eight = Solid::eight(lane_refs(some, |&i| &self.shapes[i]), grid);
                 solids.extend(some.iter().copied().zip(eight).filter(|(_, solid)| !solid.slices().is_empty()));
             }
         });
@@ -112,7 +112,7 @@ impl<R: Kernels> GridField<'_, R> {
         threads::for_each_chunk_in(volume, SLAB * ny * nz, &field.spaces.scratch, |slab, voxels, scratch| {
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
             let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
-            let mut blocks = field.spaces.blocks.lend();
+            let mut blocks = field.spaces.blocks.take();
             blocks.renew(window.clone());
             for (_, solid) in solids.iter().flatten() {
                 if solid.slices().start < slices.end && slices.start < solid.slices().end {
@@ -137,18 +137,18 @@ impl<R: Kernels> GridField<'_, R> {
         let cotangent = cotangent.as_standard_layout();
         let values = cotangent.as_slice().expect("standard layout");
         let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
-        let mut blocks = field.spaces.blocks.lend();
+        let mut blocks = field.spaces.blocks.take();
         blocks.renew(window.clone());
         blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
         let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
         let scratch = &field.spaces.scratch;
         threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
-            for some in solids[chunk].chunks(EIGHT) {
-                let mut sums = [Sums::default(); EIGHT];
+            for some in solids[chunk].chunks(LANES) {
+                let mut sums = [Sums::default(); LANES];
                 for (sums, (_, solid)) in sums.iter_mut().zip(some) {
                     *sums = kernel(&Placed { solid, window: &window }, &blocks, scratch);
                 }
-                let shapes = lanes(some, |(i, _)| &field.shapes[*i]);
+                let shapes = lane_refs(some, |(i, _)| &field.shapes[*i]);
                 for ((i, _), gradient) in some.iter().zip(pull_back(&sums, shapes)) {
                     gradients[i - chunk * GATHER].add(&gradient);
                 }
@@ -194,7 +194,7 @@ mod tests {
             let there = field.on(grid);
             view.image_into(&mut into.0);
             there.voxels_into(&mut into.1);
-            let mut gradient = field.lend_gradient();
+            let mut gradient = field.pooled_gradient();
             view.pull_back(into.0.view(), &mut gradient);
             there.pull_back(into.1.view(), &mut gradient);
             gradient.clone()

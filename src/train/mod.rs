@@ -26,7 +26,7 @@ use crate::density::{self, Successor, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
 use crate::numeric::rng::{self, Purpose};
-use crate::numeric::threads::{self, Lent, Spares};
+use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::{Real, real, reduce};
 use crate::primitives::activation::Interval;
 use crate::primitives::{Activation, Kernel, Parameters, Primitives};
@@ -129,13 +129,13 @@ struct Trainer<'a, R: Kernels> {
 /// What the losses of an iteration work in.
 #[derive(Default)]
 struct Spaces<R: Real> {
-    images: Spares<Array2<R>>,
-    volumes: Spares<Array3<R>>,
+    images: Pool<Array2<R>>,
+    volumes: Pool<Array3<R>>,
     tv: tv::Spaces<R>,
-    routers: Spares<Router>,
-    routings: Spares<Routing>,
+    routers: Pool<Router>,
+    routings: Pool<Routing>,
     wavelets: wavelet::Spaces<R>,
-    pulls: Spares<Vec<f64>>,
+    pulls: Pool<Vec<f64>>,
 }
 
 /// What an iteration makes anew from the raw parameters, in the memory of the one before.
@@ -264,10 +264,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let Derived { physical, field, spaces, gradient, .. } = derived;
         let view = self.order.view(iteration - 1);
         // Side by side: while one waits for its last piece of work, the others have some.
-        let (((mut losses, seen, mut of_view), tv), (wavelet, pull)) = threads::both(
-            || threads::both(|| self.data_loss(field, spaces, view), || self.total_variation(field, spaces, iteration)),
+        let (((mut losses, seen, mut of_view), tv), (wavelet, pull)) = threads::join(
+            || threads::join(|| self.data_loss(field, spaces, view), || self.total_variation(field, spaces, iteration)),
             || {
-                threads::both(
+                threads::join(
                     || self.wavelets(field, spaces, physical, iteration),
                     || self.pull_on_nu(spaces, physical),
                 )
@@ -295,13 +295,13 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         field: &'f Field<R>,
         spaces: &Spaces<R>,
         view: usize,
-    ) -> (Losses, ViewField<'f, R>, Lent<'f, FieldGradient>) {
+    ) -> (Losses, ViewField<'f, R>, PoolGuard<'f, FieldGradient>) {
         let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
-        let (mut image, mut cotangent) = (spaces.images.lend(), spaces.images.lend());
+        let (mut image, mut cotangent) = (spaces.images.take(), spaces.images.take());
         seen.image_into(&mut image);
         let (target, weight) = (&self.images[view], self.config.loss.d_ssim);
         let [total, l1, d_ssim] = image_loss_into(&self.ssim, weight, image.view(), target, &mut cotangent);
-        let mut gradient = field.lend_gradient();
+        let mut gradient = field.pooled_gradient();
         seen.pull_back(cotangent.view(), &mut gradient);
         (Losses { total, l1, d_ssim, ..Losses::default() }, seen, gradient)
     }
@@ -312,18 +312,18 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         field: &'f Field<R>,
         spaces: &Spaces<R>,
         iteration: usize,
-    ) -> Option<(f64, Lent<'f, FieldGradient>)> {
+    ) -> Option<(f64, PoolGuard<'f, FieldGradient>)> {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
         if loss.tv <= 0.0 {
             return None;
         }
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
         let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
+        let (mut voxels, mut cotangent) = (spaces.volumes.take(), spaces.volumes.take());
         there.voxels_into(&mut voxels);
         let value = tv::tv_into(voxels.view(), &spaces.tv, &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
-        let mut gradient = field.lend_gradient();
+        let mut gradient = field.pooled_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
         Some((value, gradient))
     }
@@ -335,7 +335,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         spaces: &Spaces<R>,
         physical: &Primitives,
         iteration: usize,
-    ) -> Result<Option<(f64, Lent<'f, FieldGradient>)>> {
+    ) -> Result<Option<(f64, PoolGuard<'f, FieldGradient>)>> {
         let (grid, wavelet) = (&self.dataset.scanner.grid, &self.config.wavelet);
         if !(wavelet.enabled && iteration.is_multiple_of(wavelet.every)) {
             return Ok(None);
@@ -343,20 +343,20 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let multiple = 1 << wavelet.levels;
         let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
         let settings = wavelet.settings();
-        let (mut router, mut routing) = (spaces.routers.lend(), spaces.routings.lend());
+        let (mut router, mut routing) = (spaces.routers.take(), spaces.routings.take());
         let (means, confidence) = (&physical.parameters.mean, &self.state.confidence);
         router.route_into(&block, means, confidence, &settings, &mut routing)?;
         let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (spaces.volumes.lend(), spaces.volumes.lend());
+        let (mut voxels, mut cotangent) = (spaces.volumes.take(), spaces.volumes.take());
         there.voxels_into(&mut voxels);
         let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &spaces.wavelets, &mut cotangent);
-        let mut gradient = field.lend_gradient();
+        let mut gradient = field.pooled_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
         Ok(Some((value, gradient)))
     }
 
     /// Adds the gradients of blocks to that of the view; they may leave the centres alone.
-    fn add_blocks(&self, gradient: &mut FieldGradient, of_blocks: [Option<Lent<'_, FieldGradient>>; 2]) {
+    fn add_blocks(&self, gradient: &mut FieldGradient, of_blocks: [Option<PoolGuard<'_, FieldGradient>>; 2]) {
         let mut of_blocks = of_blocks.into_iter().flatten();
         if self.config.loss.blocks_move {
             of_blocks.for_each(|block| gradient.add(&block));
@@ -368,10 +368,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     }
 
     /// The pull of ν towards its target `[Eq. 10]` and its gradient, if it counts.
-    fn pull_on_nu<'f>(&self, spaces: &'f Spaces<R>, physical: &Primitives) -> Option<(f64, Lent<'f, Vec<f64>>)> {
+    fn pull_on_nu<'f>(&self, spaces: &'f Spaces<R>, physical: &Primitives) -> Option<(f64, PoolGuard<'f, Vec<f64>>)> {
         let settings = &self.config.confidence;
         let loss = || {
-            let mut gradient = spaces.pulls.lend();
+            let mut gradient = spaces.pulls.take();
             let (nu, confidence) = (&physical.parameters.nu, &self.state.confidence);
             (nu_loss_into(nu, &self.targets, confidence, settings.weight, &mut gradient), gradient)
         };

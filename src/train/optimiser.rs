@@ -62,11 +62,11 @@ impl Optimiser {
         };
         let step_others = || {
             let each = (threads::chunks(others, 1), threads::chunks(&mut values, 1));
-            threads::for_each_of(each, |i, (adam, values)| {
+            threads::for_each_zip(each, |i, (adam, values)| {
                 adam[0].step(values[0], gradient.group(Group::ALL[1 + i]), rate(ends[i]));
             });
         };
-        threads::both(move_positions, step_others);
+        threads::join(move_positions, step_others);
     }
 
     /// Takes over a new population: old rows keep what is remembered of them.

@@ -20,8 +20,8 @@
 
 use super::routing::Routing;
 use super::{FLAT, Settings, haar};
-use crate::numeric::threads::{self, Spares};
-use crate::numeric::vectors::{Eight, all};
+use crate::numeric::threads::{self, Pool};
+use crate::numeric::vectors::{f64x8, splat};
 use crate::numeric::{Lanes, Real, WIDEST, real};
 
 /// Voxels of a cell, in the order `4·x + 2·y + z`.
@@ -79,7 +79,7 @@ pub(super) struct Weights<R: Real> {
     /// What each neighbour adds to the gradient of the loss to a strength, and each confident one on top of that.
     push: [R; 2],
     /// Confident neighbours of the first voxels of a slice's cells, of the second ones and so on.
-    apart: Spares<[Vec<R>; VOXELS]>,
+    apart: Pool<[Vec<R>; VOXELS]>,
 }
 
 impl<R: Real> Weights<R> {
@@ -104,7 +104,7 @@ impl<R: Real> Weights<R> {
                 let (odd_x, odd_y, first) = (row / y, row % 2, row % y / 2 * (z / 2));
                 let of_row = 4 * odd_x + 2 * odd_y;
                 let [even, odd] = &mut apart[of_row..of_row + 2] else { unreachable!("a pair of eight") };
-                deal(counts, &mut even[first..], &mut odd[first..]);
+                deinterleave(counts, &mut even[first..], &mut odd[first..]);
             }
             for (voxel, values) in apart.iter().enumerate() {
                 let values = values.chunks_exact(R::Lanes::WIDTH).map(R::Lanes::from_slice);
@@ -139,7 +139,7 @@ impl<R: Real> Weights<R> {
 }
 
 /// Counts in even places and those in odd ones.
-fn deal<R: Real>(counts: &[u16], even: &mut [R], odd: &mut [R]) {
+fn deinterleave<R: Real>(counts: &[u16], even: &mut [R], odd: &mut [R]) {
     // As many as the widest register has lanes, or the compiler takes one after another.
     const PAIRS: usize = WIDEST;
     let (chunks, rest) = counts.as_chunks::<{ 2 * PAIRS }>();
@@ -222,7 +222,7 @@ pub(super) fn strength<R: Real>(
     space.band[cells.slice..][..coefficients.len()].copy_from_slice(coefficients);
     space.lost_before.fill(R::ZERO);
     let at_face = haar::is_high(band).map(|high| if high { AT_FACE } else { 0.0 });
-    let mut sums = [all(0.0); 2];
+    let mut sums = [splat(0.0); 2];
     for x in 0..cells.shape[0] {
         weigh(x, at_face, weights, space, &mut sums);
         space.settle(x, gradient);
@@ -238,15 +238,15 @@ fn registers_of<L: Lanes>(values: &mut [L::Scalar], registers: usize) -> &mut [L
 /// In slice x, adds up strength times confident neighbours and times others, and finds what cells gain and their neighbours
 /// lose.
 #[inline(always)]
-fn weigh<R: Real>(x: usize, at_face: [f64; 3], weights: &Weights<R>, space: &mut Space<R>, sums: &mut [Eight; 2]) {
+fn weigh<R: Real>(x: usize, at_face: [f64; 3], weights: &Weights<R>, space: &mut Space<R>, sums: &mut [f64x8; 2]) {
     let Cells { shape, slice, registers } = weights.cells;
     let [along_x, along_y, along_z] = weights.cells.strides();
-    let splat = |value: f64| R::Lanes::splat(real(value));
-    let (flat, push) = (splat(FLAT), weights.push.map(R::Lanes::splat));
+    let (flat, push) = (R::Lanes::splat_f64(FLAT), weights.push.map(R::Lanes::splat));
     // Of the borders along x all cells of a slice have the same kind; of others the one at faces and what is added between.
-    let factors = [x > 0, x + 1 < shape[0]].map(|within| splat(if within { BETWEEN } else { at_face[0] }));
-    let at_faces = [splat(at_face[1]), splat(at_face[2])];
-    let between = [splat(BETWEEN - at_face[1]), splat(BETWEEN - at_face[2])];
+    let factors =
+        [x > 0, x + 1 < shape[0]].map(|within| R::Lanes::splat_f64(if within { BETWEEN } else { at_face[0] }));
+    let at_faces = [R::Lanes::splat_f64(at_face[1]), R::Lanes::splat_f64(at_face[2])];
+    let between = [R::Lanes::splat_f64(BETWEEN - at_face[1]), R::Lanes::splat_f64(BETWEEN - at_face[2])];
     // All arrays are cut to one length, so that no place in them has to be checked.
     let Space { band, own, lost, .. } = space;
     let cells = |first: usize| &R::Lanes::blocks(&band[first..])[..registers];
@@ -306,8 +306,8 @@ fn weigh<R: Real>(x: usize, at_face: [f64; 3], weights: &Weights<R>, space: &mut
             others = (neighbours - high).fma(strength, others);
             shares[voxel] = push[1].fma(high, least) / strength;
         }
-        sums[0] += Eight::new(confident.eight());
-        sums[1] += Eight::new(others.eight());
+        sums[0] += f64x8::new(confident.eight());
+        sums[1] += f64x8::new(others.eight());
         let [a, b, c, d, e, f, g, h] = shares;
         let (ab, cd, ef, gh) = (a + b, c + d, e + f, g + h);
         let (ae, bf, cg, dh) = (a + e, b + f, c + g, d + h);

@@ -86,7 +86,7 @@ pub(super) fn forward_into<R: Real>(block: ArrayView3<R>, levels: usize, subband
             let of_slab = SLAB * ny * nz / BANDS;
             threads::chunks(band, of_slab)
         });
-        threads::for_each_of((a, b, c, d, e, f, g, h), |slab, (a, b, c, d, e, f, g, h)| {
+        threads::for_each_zip((a, b, c, d, e, f, g, h), |slab, (a, b, c, d, e, f, g, h)| {
             let first = slab * SLAB;
             let slab = &low[first * ny * nz..nx.min(first + SLAB) * ny * nz];
             analyse_all(slab, [ny, nz], [a, b, c, d, e, f, g, h]);

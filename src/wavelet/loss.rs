@@ -4,7 +4,7 @@ use super::Settings;
 use super::detail::{Space, Weights, strength};
 use super::haar::{self, BANDS, Subbands};
 use super::routing::Routing;
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
@@ -27,10 +27,10 @@ pub struct WaveletLoss<R> {
 /// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
 pub struct Spaces<R: Real> {
-    weights: Spares<Weights<R>>,
-    bands: Spares<Space<R>>,
-    subbands: Spares<Subbands<R>>,
-    slopes: Spares<Subbands<R>>,
+    weights: Pool<Weights<R>>,
+    bands: Pool<Space<R>>,
+    subbands: Pool<Subbands<R>>,
+    slopes: Pool<Subbands<R>>,
 }
 
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
@@ -65,23 +65,23 @@ pub fn wavelet_loss_into<R: Real>(
     assert_eq!(block.shape(), routing.high.shape(), "shapes of block and routing");
     let (x, y, z) = block.dim();
     let shape = [x, y, z];
-    let (mut subbands, mut of_subbands) = (spaces.subbands.lend(), spaces.slopes.lend());
+    let (mut subbands, mut of_subbands) = (spaces.subbands.take(), spaces.slopes.take());
     haar::forward_into(block, settings.levels, &mut subbands);
     of_subbands.fit(shape, settings.levels);
     let (k, most) = (routing.neighbours, routing.high.iter().fold(0, |most, &high| high.max(most)));
     assert!(usize::from(most) <= k, "{most} confident neighbours of {k}");
     // What a voxel's count is divided by: neighbours, voxels and bands.
     let share = (k * block.len() * settings.levels * MIDDLE.count()) as f64;
-    let mut weights = spaces.weights.lend();
+    let mut weights = spaces.weights.take();
     weights.fit(routing, settings, share);
     let mut sums = [0.0; 2];
     for level in 1..=settings.levels {
         let slopes = of_subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
         let mut of_bands = [[0.0; 2]; BANDS];
         let bands = (threads::chunks(slopes, block.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
-        threads::for_each_of(bands, |band, (slopes, sums)| {
+        threads::for_each_zip(bands, |band, (slopes, sums)| {
             if MIDDLE.contains(&band) {
-                let mut space = spaces.bands.lend();
+                let mut space = spaces.bands.take();
                 let coefficients = subbands.band(level, band);
                 if level == 1 {
                     sums[0] = strength(coefficients, band, &weights, &mut space, slopes);

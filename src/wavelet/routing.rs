@@ -3,7 +3,7 @@
 use super::Settings;
 use crate::error::{Error, Result};
 use crate::numeric::elementary::length;
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real};
 use crate::scene::Grid;
 use glam::DVec3;
@@ -67,7 +67,7 @@ pub struct Router {
     /// Where the tree has the primitives.
     places: Vec<[f64; 3]>,
     confident: Vec<bool>,
-    rooms: Spares<Room>,
+    rooms: Pool<Room>,
 }
 
 impl Router {

@@ -83,9 +83,9 @@ fn operations<L: Lanes>() -> Vec<Operation<L>> {
         ("log2_1p", |a, _, _| a.log2_1p()),
         ("exp2", |a, _, _| a.exp2()),
         ("log2_1p of positive numbers", |a, _, _| (a * a).log2_1p()),
-        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(L::NEAR))).log2_1p_near()),
-        ("rsqrt_1p_near", |a, _, _| a.rsqrt_1p_near()),
-        ("rsqrt_1p_nearest", |a, _, _| a.rsqrt_1p_nearest()),
+        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(L::LOG_NEAR))).log2_1p_near()),
+        ("rsqrt_1p_quarter", |a, _, _| a.rsqrt_1p_quarter()),
+        ("rsqrt_1p_sixteenth", |a, _, _| a.rsqrt_1p_sixteenth()),
         ("exp2 down to the horizon", |a, _, _| {
             (-(a * a).at_most(L::splat(L::Scalar::from_f64(L::Scalar::HORIZON)))).exp2()
         }),

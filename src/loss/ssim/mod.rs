@@ -20,7 +20,7 @@ mod index;
 mod tests;
 mod window;
 
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, reduce};
 use index::Index;
 use ndarray::{Array2, ArrayView2};
@@ -39,8 +39,8 @@ const SPAN: usize = 13;
 /// Compares images.
 #[derive(Clone, Debug, Default)]
 pub struct Ssim<R: Real> {
-    spaces: Spares<Space<R>>,
-    sums: Spares<Vec<Sums>>,
+    spaces: Pool<Space<R>>,
+    sums: Pool<Vec<Sums>>,
 }
 
 /// Of S and of |a - b|.
@@ -104,16 +104,16 @@ impl<R: Real> SsimTarget<R> {
         let zeros = |count: usize| vec![Column::<R>::default(); count * n];
         let (mut blocks, mut moments) = (zeros(count + 2), [zeros(count), zeros(count)]);
         if !image.is_empty() {
-            let mut space = ssim.spaces.lend();
+            let mut space = ssim.spaces.take();
             space.fit(fold);
             let rows = image.as_slice().expect("standard layout").chunks(BLOCK * columns);
             for (values, block) in rows.zip(blocks[n..].chunks_exact_mut(n)) {
-                fold.deal(values, &mut space.rows[0], block);
+                fold.deinterleave(values, &mut space.rows[0], block);
             }
         }
         let [of_b, variances] = moments.each_mut().map(|moments| threads::chunks(moments, n));
-        threads::for_each_of((of_b, variances), |i, (of_b, variances)| {
-            let mut space = ssim.spaces.lend();
+        threads::for_each_zip((of_b, variances), |i, (of_b, variances)| {
+            let mut space = ssim.spaces.take();
             space.fit(fold);
             let near = [i, i + 1, i + 2].map(|i| &blocks[i * n..][..n]);
             let [down, down_square, _] = &mut space.down;
@@ -182,16 +182,18 @@ impl<R: Real> Ssim<R> {
         let (index, step) = (Index::new(index), R::Lanes::splat(R::from_f64(step)));
         let image = image.as_slice().expect("standard layout");
         let pass = Comparison { fold, window, index, step, image, rows, columns, target };
-        let mut sums = self.sums.lend();
+        let mut sums = self.sums.take();
         sums.resize(rows.div_ceil(SPAN * BLOCK), [0.0; 2]);
         let of_tasks = threads::chunks(&mut sums, 1);
-        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.spaces.lend(), gradient);
+        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.spaces.take(), gradient);
         match gradient {
             Some(gradient) => {
                 let gradients = threads::chunks(gradient, SPAN * BLOCK * columns);
-                threads::for_each_of((of_tasks, gradients), |i, (sums, gradient)| sums[0] = of_task(i, Some(gradient)));
+                threads::for_each_zip((of_tasks, gradients), |i, (sums, gradient)| {
+                    sums[0] = of_task(i, Some(gradient))
+                });
             }
-            None => threads::for_each_of(of_tasks, |i, sums| sums[0] = of_task(i, None)),
+            None => threads::for_each_zip(of_tasks, |i, sums| sums[0] = of_task(i, None)),
         }
         [0, 1].map(|which| reduce::sum_by(sums.len(), &|task| sums[task][which]) * share)
     }
@@ -223,10 +225,10 @@ impl<R: Real> Comparison<'_, R> {
         let first = 2 + task * SPAN;
         let blocks = first..(first + SPAN).min(2 + self.rows.div_ceil(BLOCK));
         let mut sums = [0.0; 2];
-        self.deal(first - 2, space);
-        self.deal(first - 1, space);
+        self.load_block(first - 2, space);
+        self.load_block(first - 1, space);
         for block in first - 1..=blocks.end {
-            self.deal(block + 1, space);
+            self.load_block(block + 1, space);
             let of_block = self.differentiate(block, space);
             if blocks.contains(&block) {
                 sums = [sums[0] + of_block[0], sums[1] + of_block[1]];
@@ -242,10 +244,10 @@ impl<R: Real> Comparison<'_, R> {
     }
 
     /// Folds a block of `a`.
-    fn deal(&self, block: usize, space: &mut Space<R>) {
+    fn load_block(&self, block: usize, space: &mut Space<R>) {
         let rows = self.rows_of(block);
         let values = &self.image[rows.start * self.columns..rows.end * self.columns];
-        self.fold.deal(values, &mut space.rows[0], &mut space.image[block % KEPT]);
+        self.fold.deinterleave(values, &mut space.rows[0], &mut space.image[block % KEPT]);
     }
 
     /// The sums of a block, and the derivatives of S in it, blurred along the rows; 0 outside of the image.
@@ -335,7 +337,7 @@ impl<R: Real> Comparison<'_, R> {
                 *out = self.slope_of_distance(a - b) + of_index;
             }
         }
-        self.fold.collect(folded, row, gradient);
+        self.fold.interleave(folded, row, gradient);
     }
 
     /// `step`, with the sign of the difference; 0 also for NaN.

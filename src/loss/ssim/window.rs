@@ -5,7 +5,7 @@
 //! it, and a blur along a row reads whole registers, as one down the columns does: nothing is loaded askew.
 
 use crate::numeric::elementary::exp;
-use crate::numeric::rearrange::{DEALT, Rearrange};
+use crate::numeric::rearrange::{INTERLEAVED, Rearrange};
 use crate::numeric::{Lanes, Real, real};
 use std::array::from_fn;
 
@@ -26,13 +26,13 @@ pub(super) type Column<R> = [<R as Real>::Lanes; BLOCK];
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fold {
     columns: usize,
-    /// Pixels of a piece: no fewer than are dealt together, so the window reaches no further than the next piece.
+    /// Pixels of a piece: no fewer than are interleaved together, so the window reaches no further than the next piece.
     pub(super) length: usize,
 }
 
 impl Fold {
     pub(super) fn new<R: Real>(columns: usize) -> Self {
-        Self { columns, length: columns.div_ceil(R::Lanes::WIDTH).max(DEALT) }
+        Self { columns, length: columns.div_ceil(R::Lanes::WIDTH).max(INTERLEAVED) }
     }
 
     /// Values of a row whose pieces are all whole.
@@ -49,14 +49,14 @@ impl Fold {
         row
     }
 
-    /// Where columns that are dealt together begin; the last ones overlap others.
+    /// Where columns that are interleaved together begin; the last ones overlap others.
     fn starts(self) -> impl Iterator<Item = usize> {
-        (0..self.length).step_by(DEALT).map(move |start| start.min(self.length - DEALT))
+        (0..self.length).step_by(INTERLEAVED).map(move |start| start.min(self.length - INTERLEAVED))
     }
 
     /// Folds some rows, one after another in `values`, into the first ones of a block; the others are 0. `row` is padded
     /// with zeros.
-    pub(super) fn deal<R: Real>(self, values: &[R], row: &mut [R], block: &mut [Column<R>]) {
+    pub(super) fn deinterleave<R: Real>(self, values: &[R], row: &mut [R], block: &mut [Column<R>]) {
         let rows = values.len() / self.columns;
         if rows < BLOCK {
             block.fill([R::Lanes::default(); BLOCK]);
@@ -64,20 +64,20 @@ impl Fold {
         for (r, values) in values.chunks_exact(self.columns).enumerate() {
             let row = self.whole(values, row);
             for start in self.starts() {
-                let columns = block[start..].first_chunk_mut().expect("as many as are dealt together");
-                R::Lanes::deal(&row[start..], self.length, columns, r);
+                let columns = block[start..].first_chunk_mut().expect("as many as are interleaved together");
+                R::Lanes::deinterleave(&row[start..], self.length, columns, r);
             }
         }
     }
 
     /// Writes the first rows of a block to `values`, as many as there are. `row` is padded.
-    pub(super) fn collect<R: Real>(self, block: &[Column<R>], row: &mut [R], values: &mut [R]) {
+    pub(super) fn interleave<R: Real>(self, block: &[Column<R>], row: &mut [R], values: &mut [R]) {
         for (r, values) in values.chunks_exact_mut(self.columns).enumerate() {
             let whole = values.len() == row.len();
             let to = if whole { &mut *values } else { &mut *row };
             for start in self.starts() {
-                let columns = block[start..].first_chunk().expect("as many as are dealt together");
-                R::Lanes::collect(columns, r, &mut to[start..], self.length);
+                let columns = block[start..].first_chunk().expect("as many as are interleaved together");
+                R::Lanes::interleave(columns, r, &mut to[start..], self.length);
             }
             if !whole {
                 values.copy_from_slice(&row[..self.columns]);
@@ -160,7 +160,7 @@ pub(super) fn around<'a, L: Copy>(blocks: [&'a [[L; BLOCK]]; 3], j: usize) -> im
 pub(super) fn margins<L: Lanes>(line: &mut [[L; BLOCK]]) {
     let length = line.len() - 2 * RADIUS;
     for i in 0..RADIUS {
-        line[i] = from_fn(|row| line[length + i][row].up());
-        line[RADIUS + length + i] = from_fn(|row| line[RADIUS + i][row].down());
+        line[i] = from_fn(|row| line[length + i][row].shift_up());
+        line[RADIUS + length + i] = from_fn(|row| line[RADIUS + i][row].shift_down());
     }
 }
