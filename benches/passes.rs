@@ -165,9 +165,9 @@ fn all(c: &mut Criterion) {
     // 5, which is added up in f64 10.
     let block = Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 13.0);
     let work = Work { operations: 59.0 * voxels / f32s, ..Work::default() };
-    let (spaces, of_block) = (tv::Spaces::default(), RefCell::new(Array3::default(block.dim())));
+    let (workspace, of_block) = (tv::Workspace::default(), RefCell::new(Array3::default(block.dim())));
     pass("total variation with gradient, 32³", work, &|| {
-        black_box(tv_into(block.view(), &spaces, &mut of_block.borrow_mut()));
+        black_box(tv_into(block.view(), &workspace, &mut of_block.borrow_mut()));
     });
 
     // Forward 36 operations for a register of lanes, backward 44, as the kernels have them (README.md), and 19 and 38 for a
@@ -226,10 +226,10 @@ fn all(c: &mut Criterion) {
     let operations = ((6.0 * 110.0 + 64.0) / 8.0 + 1.0) * registers;
     let of_bands = [6.0 * registers, 0.0];
     let work = Work { operations, divisions: of_bands, roots: of_bands, ..Work::default() };
-    let spaces = wavelet::Spaces::default();
+    let workspace = wavelet::Workspace::default();
     pass("wavelet loss with gradient, 32³", work, &|| {
         let settings = wavelet::Settings::default();
-        black_box(wavelet_loss_into(block.view(), &routing, &settings, &spaces, &mut of_block.borrow_mut()));
+        black_box(wavelet_loss_into(block.view(), &routing, &settings, &workspace, &mut of_block.borrow_mut()));
     });
     group.finish();
 

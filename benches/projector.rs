@@ -11,7 +11,7 @@ use ndarray::Array2;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trgs::numeric::threads::WorkerPool;
-use trgs::primitives::{Kernel, Parameters, Primitives};
+use trgs::primitives::{KernelKind, Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
@@ -96,20 +96,20 @@ impl Scene {
         }
     }
 
-    fn primitives(&self, kernel: Kernel) -> Primitives {
+    fn primitives(&self, kernel: KernelKind) -> Primitives {
         let side = self.side;
         let m = side * side * side;
         let at = |k: usize| ((k as f64 + 0.5) / side as f64 * 2.0 - 1.0) * self.half;
         let scale = match kernel {
-            Kernel::StudentT => self.scale,
-            Kernel::Gaussian => 1.24 * self.scale,
+            KernelKind::StudentT => self.scale,
+            KernelKind::Gaussian => 1.24 * self.scale,
         };
         Primitives::new(Parameters {
             mean: (0..m).map(|i| [at(i / (side * side)), at(i / side % side), at(i % side)]).collect(),
             scale: (0..m).map(|i| [scale, scale * 1.1, scale * (0.9 + 0.02 * (i % 7) as f64)]).collect(),
             quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
             density: vec![0.5; m],
-            nu: vec![if kernel == Kernel::Gaussian { f64::INFINITY } else { 10.0 }; m],
+            nu: vec![if kernel == KernelKind::Gaussian { f64::INFINITY } else { 10.0 }; m],
         })
         .expect("a valid lattice")
     }
@@ -118,7 +118,7 @@ impl Scene {
 fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &str) {
     let pool = WorkerPool::new(1).expect("one thread");
     let scanner = scene.scanner();
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let field = Field::<R>::new(&scene.primitives(kernel), CUTOFF);
         for projection in [Projection::Affine, Projection::Exact] {
             let view = field.view(&scanner, 0.4, projection);

@@ -13,7 +13,7 @@ use trgs::memory::Estimate;
 use trgs::numeric::threads::{self, WorkerPool};
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::{Field, Projection};
-use trgs::scene::dataset::Survey;
+use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const CUTOFF: f64 = 1e-3;
@@ -54,8 +54,8 @@ fn memory(scanner: Scanner, views: usize, points: usize, workers: usize) -> f64 
     let mut config = Config::default();
     (config.model.points, config.density_control.cap) = (points, points);
     config.initialisation.from = trgs::config::Start::Random;
-    let survey = Survey { scanner, train: views, test: 0, has_truth: false, points: 0 };
-    Estimate::new(&survey, views, &config, workers).peak() as f64
+    let info = DatasetInfo { scanner, train: views, test: 0, has_truth: false, points: 0 };
+    Estimate::new(&info, views, &config, workers).peak() as f64
 }
 
 fn all(c: &mut Criterion) {

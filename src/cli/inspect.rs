@@ -1,13 +1,13 @@
 //! `trgs inspect`: what a file or folder is, and what is odd about it.
 
 use super::geometry_check::check_geometry;
-use super::{Answer, Global};
+use super::{Global, Output};
 use clap::Args;
 use serde_json::{Value, json};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
-use trgs::primitives::{Group, Kernel, Primitives, model};
+use trgs::primitives::{Group, KernelKind, Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
@@ -34,7 +34,7 @@ pub(super) struct Inspect {
 }
 
 impl Inspect {
-    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         let path = self.path.as_path();
         if self.check_geometry {
             return check_geometry(path, global);
@@ -52,7 +52,7 @@ impl Inspect {
                 return Err(Error::invalid("path to inspect", path.display(), expected, "check the path"));
             }
         };
-        Ok(Answer::list(&found))
+        Ok(Output::list(&found))
     }
 }
 
@@ -143,10 +143,11 @@ fn of_model(primitives: &Primitives) -> Value {
         count(&format!("are more than {NEEDLE} times as long as thin"), needles),
     ];
     let values = |group: Group| (group.key().to_owned(), range(p.group(group)));
-    let finite = Group::ALL.into_iter().filter(|group| !(primitives.kernel == Kernel::Gaussian && *group == Group::Nu));
+    let finite =
+        Group::ALL.into_iter().filter(|group| !(primitives.kernel == KernelKind::Gaussian && *group == Group::Nu));
     json!({
         "kind": "model",
-        "kernel": match primitives.kernel { Kernel::StudentT => "student-t", Kernel::Gaussian => "gaussian" },
+        "kernel": match primitives.kernel { KernelKind::StudentT => "student-t", KernelKind::Gaussian => "gaussian" },
         "primitives": p.len(),
         "values": finite.map(values).collect::<Value>(),
         "oddities": oddities.into_iter().flatten().collect::<Vec<_>>(),

@@ -3,7 +3,7 @@
 use super::arguments::{cutoff, list};
 use super::explain::{self, Written};
 use super::views::ViewArgs;
-use super::{Answer, check_size, interrupt};
+use super::{Output, check_size, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -73,14 +73,14 @@ struct Pixel {
 }
 
 impl Render {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         match self.kernel.precision {
             Precision::F32 => self.render::<f32>(),
             Precision::F64 => self.render::<f64>(),
         }
     }
 
-    fn render<R: Kernels + Element>(&self) -> Result<Answer> {
+    fn render<R: Kernels + Element>(&self) -> Result<Output> {
         let primitives = model::read(&self.model)?;
         let (scanner, angles) = self.views.read()?;
         let shape = [angles.len(), scanner.detector.rows, scanner.detector.columns];
@@ -98,7 +98,7 @@ impl Render {
                 let pixel = Pixel { view, angle: angles[view], row, column };
                 Ok(explain::answer(pixel, &primitives, &contributions, written))
             }
-            (None, written) => Ok(Answer::list(&written)),
+            (None, written) => Ok(Output::list(&written)),
         }
     }
 

@@ -58,9 +58,9 @@ pub(crate) fn nu_loss_into(
             distance.copy_from_slice(&found[..distance.len()]);
         }
     });
-    let pull = |i: usize| weight * (1.0 - confidence[i]);
-    let value = reduce::sum_by(m, &|i| pull(i) * gradient[i] * gradient[i]);
-    gradient.iter_mut().enumerate().for_each(|(i, slope)| *slope = 2.0 * pull(i) * *slope / (nu[i] * count));
+    let weight_of = |i: usize| weight * (1.0 - confidence[i]);
+    let value = reduce::sum_by(m, &|i| weight_of(i) * gradient[i] * gradient[i]);
+    gradient.iter_mut().enumerate().for_each(|(i, slope)| *slope = 2.0 * weight_of(i) * *slope / (nu[i] * count));
     value / count
 }
 

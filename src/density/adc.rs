@@ -1,7 +1,7 @@
 //! Adaptive density control: what pulls hard on its place in the projections is cloned if small and split if large;
 //! what is faint or has left the volume is removed.
 
-use super::Successor;
+use super::NextPrimitive;
 use crate::primitives::{Parameters, rotation};
 use crate::scene::Grid;
 use glam::DVec3;
@@ -24,7 +24,7 @@ pub struct Settings {
     pub cap: usize,
 }
 
-/// One step of `[ADC]`. `pull[i]` is the mean length of the gradient to the centre's shadow over the views that saw
+/// One step of `[ADC]`. `view_gradient[i]` is the mean length of the gradient to the centre's shadow over the views that saw
 /// primitive `i` (see [`FieldGradient::shadows`](crate::projector::FieldGradient::shadows)), `normals(i)` are six
 /// standard normal numbers for the places of its two parts.
 ///
@@ -34,32 +34,32 @@ pub struct Settings {
 /// Not in the paper: R²-Gaussian's rules. Tests: below, and `tests/contracts/invariance.rs`.
 ///
 /// # Panics
-/// If `pull` does not have one number per primitive.
+/// If `view_gradient` does not have one number per primitive.
 pub fn adc(
     primitives: &Parameters,
-    pull: &[f64],
+    view_gradient: &[f64],
     settings: &Settings,
     grid: &Grid,
     normals: impl Fn(usize) -> [f64; 3 * PARTS],
-) -> Vec<Successor> {
-    assert_eq!(pull.len(), primitives.len(), "numbers of pulls and primitives");
+) -> Vec<NextPrimitive> {
+    assert_eq!(view_gradient.len(), primitives.len(), "numbers of pulls and primitives");
     let room = primitives.len() < settings.cap;
     let (mut stay, mut clones, mut parts) = (Vec::new(), Vec::new(), Vec::new());
-    for (i, &pull) in pull.iter().enumerate() {
-        let same = Successor::same(primitives, i);
-        let half = Successor { density: same.density / 2.0, ..same };
+    for (i, &view_gradient) in view_gradient.iter().enumerate() {
+        let same = NextPrimitive::same(primitives, i);
+        let half = NextPrimitive { density: same.density / 2.0, ..same };
         let largest = same.scale.into_iter().fold(0.0, f64::max);
-        if !room || pull < settings.gradient {
+        if !room || view_gradient < settings.gradient {
             stay.push(same);
         } else if largest <= settings.split_scale {
             stay.push(half);
-            clones.push(Successor { fresh: true, ..half });
+            clones.push(NextPrimitive { fresh: true, ..half });
         } else {
             let (rotation, _) = rotation::unit(primitives.quaternion[i]);
             for z in normals(i).chunks_exact(3) {
                 let offset = rotation * (DVec3::from_array(same.scale) * DVec3::from_slice(z));
                 let mean = (DVec3::from_array(same.mean) + offset).to_array();
-                parts.push(Successor { mean, scale: same.scale.map(|s| s / SHRINK), fresh: true, ..half });
+                parts.push(NextPrimitive { mean, scale: same.scale.map(|s| s / SHRINK), fresh: true, ..half });
             }
         }
     }
@@ -75,7 +75,7 @@ pub fn adc(
 
 #[cfg(test)]
 mod tests {
-    use super::super::succeed;
+    use super::super::next_parameters;
     use super::*;
 
     const SETTINGS: Settings = Settings { gradient: 1e-3, split_scale: 0.2, faint: 1e-2, cap: 100 };
@@ -90,8 +90,8 @@ mod tests {
         }
     }
 
-    fn step(pull: [f64; 4], settings: &Settings) -> Vec<Successor> {
-        adc(&primitives(), &pull, settings, &Grid::cube(8), |_| [0.5, -1.0, 2.0, -0.5, 1.0, -2.0])
+    fn step(view_gradient: [f64; 4], settings: &Settings) -> Vec<NextPrimitive> {
+        adc(&primitives(), &view_gradient, settings, &Grid::cube(8), |_| [0.5, -1.0, 2.0, -0.5, 1.0, -2.0])
     }
 
     #[test]
@@ -107,7 +107,7 @@ mod tests {
             approx::assert_relative_eq!(got, expected, epsilon = 1e-15);
         }
         assert_eq!(next[4].scale, [0.1, 0.3, 0.1].map(|s| s / 1.6));
-        let parameters = succeed(&primitives(), &next);
+        let parameters = next_parameters(&primitives(), &next);
         assert_eq!((parameters.nu[4], parameters.quaternion[4]), (4.0, [1.0, 0.0, 0.0, 1.0]));
     }
 
@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn a_full_population_is_only_thinned() {
         let next = step([1.0; 4], &Settings { cap: 4, ..SETTINGS });
-        assert_eq!(next, (0..4).map(|i| Successor::same(&primitives(), i)).collect::<Vec<_>>());
+        assert_eq!(next, (0..4).map(|i| NextPrimitive::same(&primitives(), i)).collect::<Vec<_>>());
         assert_eq!(step([1.0; 4], &Settings { cap: 5, ..SETTINGS }).len(), 8);
     }
 }

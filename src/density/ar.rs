@@ -1,8 +1,8 @@
 //! Adding and recycling: primitives that are nearly gone move onto others, and a few are added, all as copies drawn
 //! with a probability in proportion to density.
 
-use super::{Relocation, Successor};
-use crate::primitives::{Kernel, Parameters, Primitives};
+use super::{NextPrimitive, Relocation};
+use crate::primitives::{KernelKind, Parameters, Primitives};
 
 /// Thresholds and fractions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,9 +28,9 @@ pub struct Settings {
 ///
 /// With [`Relocation::Exact`] field and projections change by the recycled primitives' own parts alone.
 /// Not in the paper: it names 3D Student Splatting, whose rule this is. Tests: below, and `tests/contracts/invariance.rs`.
-pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<Successor> {
+pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<NextPrimitive> {
     let (p, m) = (&primitives.parameters, primitives.len());
-    let mut next: Vec<_> = (0..m).map(|i| Successor::same(p, i)).collect();
+    let mut next: Vec<_> = (0..m).map(|i| NextPrimitive::same(p, i)).collect();
 
     let dead = faintest(&p.density, settings.dead, (settings.recycled * m as f64) as usize);
     let alive = |i: usize| if p.density[i] >= settings.dead { p.density[i] } else { 0.0 };
@@ -76,20 +76,20 @@ fn draw(weights: impl Iterator<Item = f64>, n: usize, uniform: &mut impl FnMut()
 
 /// Gives every parent its share and returns the copies, one for each entry of `parents`.
 fn share(
-    next: &mut [Successor],
+    next: &mut [NextPrimitive],
     parents: &[usize],
     relocation: Relocation,
-    kernel: Kernel,
+    kernel: KernelKind,
     old: &Parameters,
-) -> Vec<Successor> {
+) -> Vec<NextPrimitive> {
     let mut drawn = vec![0; next.len()];
     parents.iter().for_each(|&parent| drawn[parent] += 1);
-    for (successor, k) in next.iter_mut().zip(drawn).filter(|(_, k)| *k > 0) {
-        let nu = old.nu[successor.parent];
-        let (density, factor) = relocation.share(kernel, successor.density, nu, k + 1);
-        *successor = Successor { density, scale: successor.scale.map(|s| s * factor), ..*successor };
+    for (primitive, k) in next.iter_mut().zip(drawn).filter(|(_, k)| *k > 0) {
+        let nu = old.nu[primitive.parent];
+        let (density, factor) = relocation.share(kernel, primitive.density, nu, k + 1);
+        *primitive = NextPrimitive { density, scale: primitive.scale.map(|s| s * factor), ..*primitive };
     }
-    parents.iter().map(|&parent| Successor { fresh: true, ..next[parent] }).collect()
+    parents.iter().map(|&parent| NextPrimitive { fresh: true, ..next[parent] }).collect()
 }
 
 #[cfg(test)]
@@ -111,7 +111,7 @@ mod tests {
         .unwrap()
     }
 
-    fn step(density: &[f64], settings: &Settings, draws: &[f64]) -> Vec<Successor> {
+    fn step(density: &[f64], settings: &Settings, draws: &[f64]) -> Vec<NextPrimitive> {
         let mut draws = draws.iter();
         let next = ar(&primitives(density), settings, || *draws.next().expect("no more draws than copies"));
         assert_eq!(draws.next(), None, "as many draws as copies");
@@ -166,7 +166,7 @@ mod tests {
     fn the_rule_for_opacities_changes_scales_too() {
         let settings = Settings { growth: 0.25, relocation: Relocation::Sss, ..SETTINGS };
         let next = step(&[0.4; 4], &settings, &[0.6]);
-        let (density, factor) = Relocation::Sss.share(Kernel::StudentT, 0.4, 5.0, 2);
+        let (density, factor) = Relocation::Sss.share(KernelKind::StudentT, 0.4, 5.0, 2);
         for copy in [next[2], next[4]] {
             let before = primitives(&[0.4; 4]).parameters.scale[2];
             assert_eq!((copy.density, copy.scale), (density, before.map(|s| s * factor)));

@@ -28,7 +28,7 @@ enum Source {
 
 /// How a case is seen in a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Sight {
+pub(super) struct Acquisition {
     pub(super) views: usize,
     pub(super) noise: Noise,
     pub(super) seed: u64,
@@ -91,8 +91,13 @@ impl Case {
 
     /// The scan. Phantoms and volumes are seen by a cone beam over a full turn, with the distances of R²-Gaussian's
     /// synthetic data; of a scan that was taken, so many training views, evenly spaced.
-    pub(super) fn scan(&self, scale: Scale, sight: &Sight) -> Result<Dataset> {
-        let plan = Plan { views: sight.views, test_views: scale.test_views(), noise: sight.noise, seed: sight.seed };
+    pub(super) fn scan(&self, scale: Scale, acquisition: &Acquisition) -> Result<Dataset> {
+        let plan = Plan {
+            views: acquisition.views,
+            test_views: scale.test_views(),
+            noise: acquisition.noise,
+            seed: acquisition.seed,
+        };
         match &self.source {
             Source::Phantom => {
                 let phantom = Phantom::by_name(&self.name, 0)?;
@@ -104,7 +109,7 @@ impl Case {
             }
             Source::Scan(path) => {
                 let mut dataset = Dataset::read(path)?;
-                dataset.train = dataset.train.evenly_spaced(sight.views)?;
+                dataset.train = dataset.train.evenly_spaced(acquisition.views)?;
                 Ok(dataset)
             }
         }

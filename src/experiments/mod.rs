@@ -25,7 +25,7 @@ pub use runner::{Done, Observe, run};
 pub use scale::Scale;
 pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
-pub use table::{NAMES, Row, Table};
+pub use table::{NAMES, Table, TableRow};
 
 /// What a cell may find.
 pub const METRICS: [&str; 5] = ["spearman", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];

@@ -44,7 +44,7 @@ pub struct Table {
     /// What is plotted from left to right: views, noise, or a column that numbers the rows in the paper.
     pub against: Option<String>,
     /// From top to bottom.
-    pub rows: Vec<Row>,
+    pub rows: Vec<TableRow>,
     /// The paper's figures.
     #[serde(skip)]
     printed: Vec<BTreeMap<String, String>>,
@@ -53,7 +53,7 @@ pub struct Table {
 /// A row of each block of a table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Row {
+pub struct TableRow {
     /// As it is printed.
     pub name: String,
     /// What selects it in the paper's table: column → value. None: the paper does not have it.
@@ -105,7 +105,7 @@ impl Table {
     }
 
     /// The figure that the paper prints for a row, if it does.
-    pub fn printed(&self, row: &Row, views: usize, noise: &str, metric: &str) -> Option<f64> {
+    pub fn printed(&self, row: &TableRow, views: usize, noise: &str, metric: &str) -> Option<f64> {
         if row.paper.is_empty() {
             return None;
         }
@@ -119,7 +119,7 @@ impl Table {
     }
 
     /// Where a row stands from left to right in a plot.
-    pub fn place(&self, row: &Row, views: usize, noise: &str) -> Option<f64> {
+    pub fn place(&self, row: &TableRow, views: usize, noise: &str) -> Option<f64> {
         match self.against.as_deref()? {
             "views" => Some(views as f64),
             "noise" => self.noise.iter().position(|known| known == noise).map(|place| place as f64),
@@ -128,7 +128,7 @@ impl Table {
     }
 }
 
-impl Row {
+impl TableRow {
     /// Its configuration before it is scaled; None for one that only the paper has. Both methods on primitives project
     /// as the paper does, affinely, unless the row says otherwise.
     ///

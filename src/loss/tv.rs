@@ -16,12 +16,12 @@ const SLAB: usize = 8;
 /// f64. Not in the paper: the third part of R²-Gaussian's data loss.
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let mut gradient = Array3::default(block.raw_dim());
-    (tv_into(block, &Spaces::default(), &mut gradient), gradient)
+    (tv_into(block, &Workspace::default(), &mut gradient), gradient)
 }
 
 /// What [`tv_into`] works in: it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
-pub struct Spaces<R> {
+pub struct Workspace<R> {
     /// Of each voxel of a slice, the distances to those after it.
     distances: Pool<Vec<R>>,
     /// Of each voxel of a slice 1 where it has one before it along z, else 0; and 0 for one more.
@@ -31,7 +31,7 @@ pub struct Spaces<R> {
 }
 
 /// [`tv`] with the gradient in the place of another array. Not in the paper.
-pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut Array3<R>) -> f64 {
+pub fn tv_into<R: Real>(block: ArrayView3<R>, workspace: &Workspace<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
         *gradient = Array3::default(block.raw_dim());
@@ -43,7 +43,7 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
         return 0.0;
     }
     let [nx, ny, nz] = shape;
-    let (mut joined, mut sums) = (spaces.joined.take(), spaces.sums.take());
+    let (mut joined, mut sums) = (workspace.joined.take(), workspace.sums.take());
     joined.clear();
     joined.resize(ny * nz + 1, R::ONE);
     joined.iter_mut().step_by(nz).for_each(|first| *first = R::ZERO);
@@ -57,7 +57,7 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
     let slices = gradient.as_slice_mut().expect("standard layout");
     let slabs = (threads::chunks(slices, SLAB * ny * nz), threads::chunks(&mut sums, SLAB));
     threads::for_each_zip(slabs, |slab, (slices, sums)| {
-        let mut distances = spaces.distances.take();
+        let mut distances = workspace.distances.take();
         distances.resize(ny * nz, R::ZERO);
         for (x, (slice, sum)) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz).zip(sums)) {
             whole.slice(x, slice, &mut distances);
@@ -167,10 +167,10 @@ mod tests {
 
     #[test]
     fn a_block_after_others_has_the_bits_of_the_first_one() {
-        let (spaces, mut gradient) = (Spaces::default(), Array3::default((0, 0, 0)));
+        let (workspace, mut gradient) = (Workspace::default(), Array3::default((0, 0, 0)));
         for shape in [(9, 5, 7), (4, 3, 5), (1, 1, 1), (9, 5, 7), (1, 6, 1)] {
             let block = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 3.0);
-            let value = tv_into(block.view(), &spaces, &mut gradient);
+            let value = tv_into(block.view(), &workspace, &mut gradient);
             let expected = tv(block.view());
             assert_eq!((value, &gradient), (expected.0, &expected.1), "{shape:?}");
         }

@@ -20,8 +20,8 @@ pub enum Purpose {
     TestAngles = 5,
     /// Solids of a procedural phantom; id = solid.
     Phantom = 6,
-    /// Stirring of positions by the sampler; step = iteration, id = primitive.
-    Stirring = 7,
+    /// PositionNoise of positions by the sampler; step = iteration, id = primitive.
+    PositionNoise = 7,
     /// Positions of the parts of a split primitive; step = iteration, id = primitive.
     Splitting = 8,
     /// Choice of the primitives to copy; step = iteration.

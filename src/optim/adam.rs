@@ -86,13 +86,13 @@ impl Adam {
 
     /// Takes over a new population of rows of `width` numbers: the moments of an old row, or zeros. The count of steps
     /// goes on.
-    pub fn succeed(&mut self, width: usize, rows: &[Option<usize>]) {
-        self.moments = succeed(&self.moments, width, rows, [0.0; 2]);
+    pub fn remap_rows(&mut self, width: usize, rows: &[Option<usize>]) {
+        self.moments = remap_rows(&self.moments, width, rows, [0.0; 2]);
     }
 }
 
 /// Rows of `width` elements taken from `old`, or filled with `empty`.
-pub(super) fn succeed<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
+pub(super) fn remap_rows<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
     let mut new = vec![empty; rows.len() * width];
     for (new, row) in new.chunks_exact_mut(width).zip(rows) {
         if let Some(row) = row {
@@ -160,7 +160,7 @@ mod tests {
     fn a_new_population_keeps_the_moments_of_its_old_rows() {
         let mut adam = Adam::new(6, [0.9, 0.999], 1e-15);
         adam.direction(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], &mut [0.0; 6]);
-        adam.succeed(2, &[Some(2), None, Some(0), Some(0)]);
+        adam.remap_rows(2, &[Some(2), None, Some(0), Some(0)]);
         let first: Vec<f64> = adam.moments.iter().map(|[m, _]| *m * 10.0).collect();
         for (got, expected) in first.iter().zip([5.0, 6.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0]) {
             approx::assert_relative_eq!(*got, expected, max_relative = 1e-14);

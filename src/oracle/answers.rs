@@ -118,7 +118,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "loss-ssim" => {
             let ssim = Ssim::<R>::default();
             let target = SsimTarget::new(&ssim, pixels(q, "target")?.view());
-            let (value, gradient) = ssim.value_and_gradient(pixels(q, "prediction")?.view(), &target);
+            let (value, gradient) = ssim.value_and_grad(pixels(q, "prediction")?.view(), &target);
             valued(value, gradient)
         }
         "loss-image" => {
@@ -377,7 +377,7 @@ fn random(q: &Question) -> Result<Outputs> {
         Purpose::TotalVariation,
         Purpose::TestAngles,
         Purpose::Phantom,
-        Purpose::Stirring,
+        Purpose::PositionNoise,
         Purpose::Splitting,
         Purpose::Recycling,
         Purpose::Wavelet,

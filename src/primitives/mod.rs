@@ -17,9 +17,10 @@ use crate::numeric::threads;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Which profile all primitives of a scene have.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kernel {
+/// The profile of all primitives of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KernelKind {
     /// `(1+δ/ν)^(-(ν+3)/2)`.
     StudentT,
     /// `exp(-δ/2)`; ν is infinite.
@@ -54,7 +55,7 @@ pub(crate) struct Rows<'a> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Primitives {
     /// The profile.
-    pub kernel: Kernel,
+    pub kernel: KernelKind,
     /// Physical values, not raw ones.
     pub parameters: Parameters,
 }
@@ -224,7 +225,7 @@ impl Primitives {
             }
         }
         let infinite = parameters.nu.iter().filter(|nu| **nu == f64::INFINITY).count();
-        let kernel = if m > 0 && infinite == m { Kernel::Gaussian } else { Kernel::StudentT };
+        let kernel = if m > 0 && infinite == m { KernelKind::Gaussian } else { KernelKind::StudentT };
         let bad = |what: &str, i: usize, got: &dyn std::fmt::Debug, expected: &str| {
             Err(Error::invalid(
                 format!("{what} of primitive {i}"),
@@ -249,7 +250,7 @@ impl Primitives {
             if !parameters.density[i].is_finite() {
                 return bad("density", i, &parameters.density[i], "a finite number");
             }
-            if kernel == Kernel::StudentT && !(nu > 0.0 && nu.is_finite()) {
+            if kernel == KernelKind::StudentT && !(nu > 0.0 && nu.is_finite()) {
                 return bad(
                     "nu",
                     i,
@@ -258,7 +259,7 @@ impl Primitives {
                 );
             }
         }
-        if kernel == Kernel::Gaussian {
+        if kernel == KernelKind::Gaussian {
             parameters.nu.fill(f64::INFINITY);
         }
         Ok(Self { kernel, parameters })

@@ -6,7 +6,7 @@ use super::kernel::{self, Scratch, Sums};
 use super::patch::{Patch, Slim};
 use super::solid::Placed;
 use crate::numeric::Real;
-use crate::primitives::Kernel;
+use crate::primitives::KernelKind;
 
 /// The kernels for a profile and a projection.
 pub struct KernelPair<R: Real> {
@@ -22,12 +22,12 @@ pub(super) struct Solids<R: Real> {
 }
 
 impl<R: Real> KernelPair<R> {
-    fn new(kernel: Kernel, projection: Projection) -> Self {
+    fn new(kernel: KernelKind, projection: Projection) -> Self {
         match (kernel, projection) {
-            (Kernel::StudentT, Projection::Exact) => Self::of::<true, true>(),
-            (Kernel::StudentT, Projection::Affine) => Self::of::<true, false>(),
-            (Kernel::Gaussian, Projection::Exact) => Self::of::<false, true>(),
-            (Kernel::Gaussian, Projection::Affine) => Self::of::<false, false>(),
+            (KernelKind::StudentT, Projection::Exact) => Self::of::<true, true>(),
+            (KernelKind::StudentT, Projection::Affine) => Self::of::<true, false>(),
+            (KernelKind::Gaussian, Projection::Exact) => Self::of::<false, true>(),
+            (KernelKind::Gaussian, Projection::Affine) => Self::of::<false, false>(),
         }
     }
 
@@ -61,21 +61,21 @@ impl<R: Real> KernelPair<R> {
 /// scalar gets its own where it implements this: `impl Kernels for MyScalar {}`.
 pub trait Kernels: Real {
     /// The kernels for a profile and a projection.
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
+    fn kernels(kernel: KernelKind, projection: Projection) -> KernelPair<Self> {
         KernelPair::new(kernel, projection)
     }
 }
 
 impl Kernels for f32 {
     #[inline(never)]
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
+    fn kernels(kernel: KernelKind, projection: Projection) -> KernelPair<Self> {
         KernelPair::new(kernel, projection)
     }
 }
 
 impl Kernels for f64 {
     #[inline(never)]
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
+    fn kernels(kernel: KernelKind, projection: Projection) -> KernelPair<Self> {
         KernelPair::new(kernel, projection)
     }
 }

@@ -45,7 +45,7 @@ pub use voxelizer::GridField;
 
 use crate::numeric::Real;
 use crate::numeric::threads::{self, Pool, PoolGuard};
-use crate::primitives::{Kernel, Parameters, Primitives};
+use crate::primitives::{KernelKind, Parameters, Primitives};
 use crate::scene::{Grid, Scanner};
 use canvas::{Blocks, Canvas};
 use footprint::Footprint;
@@ -79,7 +79,7 @@ pub enum Projection {
 
 /// The density field f(x) = Σ ρT `[Eq. 1]`: primitives prepared for kernels that run in `R`.
 pub struct Field<R: Real> {
-    kernel: Kernel,
+    kernel: KernelKind,
     cutoff: f64,
     shapes: Vec<Shape>,
     spaces: Spaces<R>,

@@ -7,7 +7,7 @@
 use super::Projection;
 use super::footprint::NEAR;
 use crate::numeric::elementary::{exp, log1p};
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
 use crate::scene::{Beam, Grid, Scanner, View};
 use glam::{DMat3, DQuat, DVec3};
 use ndarray::{Array3, ArrayView3};
@@ -24,7 +24,7 @@ struct Plain {
     /// δ beyond which nothing is seen `[X2]`.
     cut: f64,
     line: (f64, f64),
-    kernel: Kernel,
+    kernel: KernelKind,
 }
 
 /// Gradient to a [`Plain`]'s mean, precision matrix, density and ν.
@@ -47,8 +47,8 @@ impl Plain {
         let nu = p.nu[i];
         let bits = student_t::bits(cutoff);
         let (line, cut) = match primitives.kernel {
-            Kernel::StudentT => (student_t::line_integral(nu), student_t::reach(nu, bits)),
-            Kernel::Gaussian => ((gaussian::line_integral(), 0.0), gaussian::reach(bits)),
+            KernelKind::StudentT => (student_t::line_integral(nu), student_t::reach(nu, bits)),
+            KernelKind::Gaussian => ((gaussian::line_integral(), 0.0), gaussian::reach(bits)),
         };
         Self {
             mean: DVec3::from_array(p.mean[i]),
@@ -66,11 +66,11 @@ impl Plain {
     /// `(1+δ/ν)^-((ν+n)/2)` or `exp(-δ/2)`, and its derivatives to δ and ν. n = 3 in space, 2 on the detector.
     fn profile(&self, delta: f64, n: f64) -> (f64, f64, f64) {
         match self.kernel {
-            Kernel::Gaussian => {
+            KernelKind::Gaussian => {
                 let value = exp(-delta / 2.0);
                 (value, -value / 2.0, 0.0)
             }
-            Kernel::StudentT => {
+            KernelKind::StudentT => {
                 let (q, x) = ((self.nu + n) / 2.0, delta / self.nu);
                 let value = exp(-q * log1p(x));
                 let d_delta = -q / self.nu * value / (1.0 + x);

@@ -6,7 +6,7 @@ use super::kernel::Scratch;
 use super::kernels::Kernels;
 use super::patch::Patch;
 use super::plane::Plane;
-use crate::primitives::{Kernel, gaussian, student_t};
+use crate::primitives::{KernelKind, gaussian, student_t};
 
 /// The kernels `T(δ; ν)` at squared Mahalanobis distances δ `[Eq. 2]`, `[X3]`; `[N]`.
 ///
@@ -29,9 +29,9 @@ pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
     let mut scratch = Scratch::default();
     let one = |(&delta, &nu): (&f64, &f64)| {
         let (kernel, unit, limit) = if nu == f64::INFINITY {
-            (Kernel::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())
+            (KernelKind::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())
         } else {
-            (Kernel::StudentT, nu, student_t::horizon::<R>(nu))
+            (KernelKind::StudentT, nu, student_t::horizon::<R>(nu))
         };
         let plane =
             Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, most: limit, ..Plane::default() };

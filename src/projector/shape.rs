@@ -4,7 +4,7 @@
 use crate::numeric::vectors::{DMat3x8, DVec3x8, LANES, f64x8, splat};
 use crate::numeric::{Lanes, Real, threads};
 use crate::primitives::rotation::Units;
-use crate::primitives::{Kernel, Parameters, Primitives, Rows, gaussian, student_t};
+use crate::primitives::{KernelKind, Parameters, Primitives, Rows, gaussian, student_t};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::array::from_fn;
 use std::ops::Add;
@@ -126,12 +126,12 @@ impl Shape {
         let [x, y, z] = from_fn(|axis| one / f64x8::from_fn(|i| p.scale[indices[i]][axis]));
         let nu = f64x8::from_fn(|i| p.nu[indices[i]]);
         let (line, unit, reach, limit) = match primitives.kernel {
-            Kernel::Gaussian => {
+            KernelKind::Gaussian => {
                 let reach = gaussian::reach(bits) / gaussian::UNIT;
                 let line = (splat(gaussian::line_integral()), splat(0.0));
                 (line, splat(gaussian::UNIT), splat(reach), splat(reach.min(gaussian::horizon::<R>())))
             }
-            Kernel::StudentT => {
+            KernelKind::StudentT => {
                 let reach = student_t::reaches(nu, bits) / nu;
                 (student_t::line_integrals(nu), nu, reach, student_t::limits::<R>(nu, bits, reach))
             }

@@ -21,15 +21,15 @@ pub use state::{Checkpoint, Checkpoints};
 
 use crate::classical::density_unit::{density_unit, in_unit};
 use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
-use crate::config::{Config, DensityControl, KernelName, Precision};
-use crate::density::{self, Successor, adc, ar};
+use crate::config::{Config, DensityControl, Precision};
+use crate::density::{self, NextPrimitive, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::{Real, real, reduce};
 use crate::primitives::activation::Interval;
-use crate::primitives::{Activation, Kernel, Parameters, Primitives};
+use crate::primitives::{Activation, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
 use crate::scene::dataset::Dataset;
 use crate::scene::{Grid, Volume};
@@ -50,7 +50,7 @@ pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a
 
 /// What a run ends with.
 #[derive(Clone, Debug)]
-pub struct Reconstruction {
+pub struct TrainedModel {
     /// Physical parameters, densities in attenuation per scene unit.
     pub primitives: Primitives,
     /// The field at the voxel centres of the dataset's grid.
@@ -77,7 +77,7 @@ pub fn train(
     config: &Config,
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
-) -> Result<Reconstruction> {
+) -> Result<TrainedModel> {
     let config = &config.resolved(&dataset.scanner, dataset.train.len());
     dataset.scanner.validate()?;
     let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
@@ -101,13 +101,6 @@ fn scales(grid: &Grid, config: &Config) -> Result<Interval> {
     Ok(Interval { min, max })
 }
 
-fn kernel(config: &Config) -> Kernel {
-    match config.model.kernel {
-        KernelName::StudentT => Kernel::StudentT,
-        KernelName::Gaussian => Kernel::Gaussian,
-    }
-}
-
 /// The state of a run, and what follows from dataset and configuration.
 struct Trainer<'a, R: Kernels> {
     /// In units of density.
@@ -128,32 +121,32 @@ struct Trainer<'a, R: Kernels> {
 
 /// What the losses of an iteration work in.
 #[derive(Default)]
-struct Spaces<R: Real> {
+struct Workspace<R: Real> {
     images: Pool<Array2<R>>,
     volumes: Pool<Array3<R>>,
-    tv: tv::Spaces<R>,
+    tv: tv::Workspace<R>,
     routers: Pool<Router>,
     routings: Pool<Routing>,
-    wavelets: wavelet::Spaces<R>,
-    pulls: Pool<Vec<f64>>,
+    wavelets: wavelet::Workspace<R>,
+    nu_gradients: Pool<Vec<f64>>,
 }
 
 /// What an iteration makes anew from the raw parameters, in the memory of the one before.
-struct Derived<R: Kernels> {
+struct IterationState<R: Kernels> {
     physical: Primitives,
     field: Field<R>,
-    spaces: Spaces<R>,
+    workspace: Workspace<R>,
     /// To the physical parameters, then to the raw ones.
     gradient: Parameters,
     direction: Vec<[f64; 3]>,
 }
 
-impl<R: Kernels> Derived<R> {
+impl<R: Kernels> IterationState<R> {
     fn new(raw: &Parameters, activation: &Activation, cutoff: f64) -> Self {
         let physical = activation.forward(raw);
         let field = Field::new(&physical, cutoff);
-        let (spaces, gradient) = (Spaces::default(), Parameters::default());
-        Self { physical, field, spaces, gradient, direction: Vec::new() }
+        let (workspace, gradient) = (Workspace::default(), Parameters::default());
+        Self { physical, field, workspace, gradient, direction: Vec::new() }
     }
 }
 
@@ -166,7 +159,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         checkpoints: Option<(Checkpoints, String)>,
     ) -> Result<Self> {
         let activation = Activation {
-            kernel: kernel(config),
+            kernel: config.model.kernel,
             scale: scales(&dataset.scanner.grid, config)?,
             nu: Interval { min: config.model.nu_min, max: config.model.nu_max },
         };
@@ -203,10 +196,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(trainer)
     }
 
-    fn run(mut self, observe: &mut Observe<'_>) -> Result<Reconstruction> {
+    fn run(mut self, observe: &mut Observe<'_>) -> Result<TrainedModel> {
         let (began, before) = (Instant::now(), self.state.seconds);
         let iterations = self.config.iterations;
-        let mut derived = Derived::new(&self.state.raw, &self.activation, self.config.cutoff);
+        let mut derived = IterationState::new(&self.state.raw, &self.activation, self.config.cutoff);
         while self.state.iteration < iterations {
             let iteration = self.state.iteration + 1;
             let losses = self.step(iteration, &mut derived)?;
@@ -239,15 +232,15 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let field = Field::<R>::new(&primitives, self.config.cutoff);
         let grid = self.dataset.scanner.grid;
         let volume = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
-        Ok(Reconstruction { primitives, volume, log: self.state.log, unit: self.unit })
+        Ok(TrainedModel { primitives, volume, log: self.state.log, unit: self.unit })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
-    fn step(&mut self, iteration: usize, derived: &mut Derived<R>) -> Result<Losses> {
+    fn step(&mut self, iteration: usize, derived: &mut IterationState<R>) -> Result<Losses> {
         self.activation.forward_into(&self.state.raw, &mut derived.physical);
         derived.field.renew(&derived.physical);
         let losses = self.losses(iteration, derived)?;
-        let Derived { physical, gradient, direction, .. } = derived;
+        let IterationState { physical, gradient, direction, .. } = derived;
         self.activation.vjp(physical, gradient);
         gradient.check_finite("gradient of the raw parameters", iteration)?;
         let State { raw, ids, optimiser, .. } = &mut self.state;
@@ -260,21 +253,26 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     }
 
     /// All losses that count in an iteration, and their gradient to the physical parameters.
-    fn losses(&mut self, iteration: usize, derived: &mut Derived<R>) -> Result<Losses> {
-        let Derived { physical, field, spaces, gradient, .. } = derived;
+    fn losses(&mut self, iteration: usize, derived: &mut IterationState<R>) -> Result<Losses> {
+        let IterationState { physical, field, workspace, gradient, .. } = derived;
         let view = self.order.view(iteration - 1);
         // Side by side: while one waits for its last piece of work, the others have some.
         let (((mut losses, seen, mut of_view), tv), (wavelet, pull)) = threads::join(
-            || threads::join(|| self.data_loss(field, spaces, view), || self.total_variation(field, spaces, iteration)),
             || {
                 threads::join(
-                    || self.wavelets(field, spaces, physical, iteration),
-                    || self.pull_on_nu(spaces, physical),
+                    || self.data_loss(field, workspace, view),
+                    || self.total_variation(field, workspace, iteration),
+                )
+            },
+            || {
+                threads::join(
+                    || self.wavelets(field, workspace, physical, iteration),
+                    || self.nu_loss(workspace, physical),
                 )
             },
         );
         if self.config.density_control.method == DensityControl::Adc {
-            self.state.pulls.add(of_view.shadows(), seen.seen());
+            self.state.gradient_stats.add(of_view.shadows(), seen.seen());
         }
         let wavelet = wavelet?;
         losses.tv = tv.as_ref().map_or(0.0, |(value, _)| *value);
@@ -293,11 +291,11 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn data_loss<'f>(
         &self,
         field: &'f Field<R>,
-        spaces: &Spaces<R>,
+        workspace: &Workspace<R>,
         view: usize,
     ) -> (Losses, ViewField<'f, R>, PoolGuard<'f, FieldGradient>) {
         let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
-        let (mut image, mut cotangent) = (spaces.images.take(), spaces.images.take());
+        let (mut image, mut cotangent) = (workspace.images.take(), workspace.images.take());
         seen.image_into(&mut image);
         let (target, weight) = (&self.images[view], self.config.loss.d_ssim);
         let [total, l1, d_ssim] = image_loss_into(&self.ssim, weight, image.view(), target, &mut cotangent);
@@ -310,7 +308,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn total_variation<'f>(
         &self,
         field: &'f Field<R>,
-        spaces: &Spaces<R>,
+        workspace: &Workspace<R>,
         iteration: usize,
     ) -> Option<(f64, PoolGuard<'f, FieldGradient>)> {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
@@ -319,9 +317,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         }
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
         let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (spaces.volumes.take(), spaces.volumes.take());
+        let (mut voxels, mut cotangent) = (workspace.volumes.take(), workspace.volumes.take());
         there.voxels_into(&mut voxels);
-        let value = tv::tv_into(voxels.view(), &spaces.tv, &mut cotangent);
+        let value = tv::tv_into(voxels.view(), &workspace.tv, &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
         let mut gradient = field.pooled_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
@@ -332,7 +330,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn wavelets<'f>(
         &self,
         field: &'f Field<R>,
-        spaces: &Spaces<R>,
+        workspace: &Workspace<R>,
         physical: &Primitives,
         iteration: usize,
     ) -> Result<Option<(f64, PoolGuard<'f, FieldGradient>)>> {
@@ -343,13 +341,13 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let multiple = 1 << wavelet.levels;
         let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
         let settings = wavelet.settings();
-        let (mut router, mut routing) = (spaces.routers.take(), spaces.routings.take());
+        let (mut router, mut routing) = (workspace.routers.take(), workspace.routings.take());
         let (means, confidence) = (&physical.parameters.mean, &self.state.confidence);
         router.route_into(&block, means, confidence, &settings, &mut routing)?;
         let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (spaces.volumes.take(), spaces.volumes.take());
+        let (mut voxels, mut cotangent) = (workspace.volumes.take(), workspace.volumes.take());
         there.voxels_into(&mut voxels);
-        let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &spaces.wavelets, &mut cotangent);
+        let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &workspace.wavelets, &mut cotangent);
         let mut gradient = field.pooled_gradient();
         there.pull_back(cotangent.view(), &mut gradient);
         Ok(Some((value, gradient)))
@@ -368,10 +366,14 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     }
 
     /// The pull of ν towards its target `[Eq. 10]` and its gradient, if it counts.
-    fn pull_on_nu<'f>(&self, spaces: &'f Spaces<R>, physical: &Primitives) -> Option<(f64, PoolGuard<'f, Vec<f64>>)> {
+    fn nu_loss<'f>(
+        &self,
+        workspace: &'f Workspace<R>,
+        physical: &Primitives,
+    ) -> Option<(f64, PoolGuard<'f, Vec<f64>>)> {
         let settings = &self.config.confidence;
         let loss = || {
-            let mut gradient = spaces.pulls.take();
+            let mut gradient = workspace.nu_gradients.take();
             let (nu, confidence) = (&physical.parameters.nu, &self.state.confidence);
             (nu_loss_into(nu, &self.targets, confidence, settings.weight, &mut gradient), gradient)
         };
@@ -388,7 +390,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         }
         let physical = self.activation.forward(&self.state.raw);
         let (seed, step) = (self.config.seed, iteration as u64);
-        let successors = match control.method {
+        let next = match control.method {
             DensityControl::None => return Ok(()),
             DensityControl::Adc => {
                 let grid = &self.dataset.scanner.grid;
@@ -402,7 +404,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                     let mut random = rng::stream(seed, Purpose::Splitting, step, self.state.ids[i]);
                     std::array::from_fn(|_| random.sample(StandardNormal))
                 };
-                adc::adc(&physical.parameters, &self.state.pulls.means(), &settings, grid, normals)
+                adc::adc(&physical.parameters, &self.state.gradient_stats.means(), &settings, grid, normals)
             }
             DensityControl::Ar => {
                 let settings = ar::Settings {
@@ -420,26 +422,26 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 next
             }
         };
-        if successors.is_empty() {
+        if next.is_empty() {
             let expected = "at least one primitive that is neither faint nor outside of the volume";
             let remedy = "lower density_control.faint or the learning rates";
             return Err(Error::invalid(format!("density control at step {iteration}"), "none left", expected, remedy));
         }
-        self.state.succeed(&physical.parameters, &successors, &self.activation);
-        self.inherit_confidence(&successors);
+        self.state.replace_population(&physical.parameters, &next, &self.activation);
+        self.inherit_confidence(&next);
         Ok(())
     }
 
     /// c of a new population: the fresh have their own, the others keep theirs until all are computed again.
-    fn inherit_confidence(&mut self, successors: &[Successor]) {
+    fn inherit_confidence(&mut self, next: &[NextPrimitive]) {
         if self.state.confidence.is_empty() {
             return;
         }
         let physical = self.activation.forward(&self.state.raw);
         let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
-        let fresh: Vec<usize> = (0..successors.len()).filter(|&row| successors[row].fresh).collect();
+        let fresh: Vec<usize> = (0..next.len()).filter(|&row| next[row].fresh).collect();
         let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, angles);
-        let mut confidence: Vec<f64> = successors.iter().map(|s| self.state.confidence[s.parent]).collect();
+        let mut confidence: Vec<f64> = next.iter().map(|s| self.state.confidence[s.parent]).collect();
         fresh.into_iter().zip(of_fresh).for_each(|(row, c)| confidence[row] = c);
         self.state.confidence = confidence;
         self.find_targets();

@@ -1,6 +1,5 @@
 //! Where the primitives of a run start: points on a first volume, given ones, or anywhere.
 
-use super::kernel;
 use crate::classical::algebraic::{Order, SartSettings, TvSettings, sart, tv};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::classical::{RayModel, VoxelProjector};
@@ -36,7 +35,7 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
         Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
         Start::Dataset => given(dataset)?,
     };
-    initialisation::primitives(&points, kernel(config), start.density_factor, config.model.nu_initial)
+    initialisation::primitives(&points, config.model.kernel, start.density_factor, config.model.nu_initial)
 }
 
 /// The volume whose bright voxels carry the first primitives.

@@ -3,7 +3,7 @@
 use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
 use crate::config::Config;
-use crate::density::{Successor, succeed};
+use crate::density::{NextPrimitive, next_parameters};
 use crate::error::{Error, Result};
 use crate::output::{create_folder, write_atomically};
 use crate::primitives::{Activation, Parameters};
@@ -31,7 +31,7 @@ pub(super) struct State {
     pub(super) optimiser: Optimiser,
     /// c of each primitive when it was last computed; empty if nothing asks for it.
     pub(super) confidence: Vec<f64>,
-    pub(super) pulls: Pulls,
+    pub(super) gradient_stats: GradientStats,
     pub(super) log: Vec<Record>,
     /// Sums of the losses since the last record, and their number.
     pub(super) sums: Losses,
@@ -42,12 +42,12 @@ pub(super) struct State {
 
 /// How hard each primitive pulled on its place in the views that saw it, since the last step of density control.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Pulls {
+pub(super) struct GradientStats {
     sum: Vec<f64>,
     views: Vec<u32>,
 }
 
-impl Pulls {
+impl GradientStats {
     fn new(m: usize) -> Self {
         Self { sum: vec![0.0; m], views: vec![0; m] }
     }
@@ -76,7 +76,7 @@ impl State {
             next_id: m as u64,
             optimiser: Optimiser::new(m, config),
             confidence: Vec::new(),
-            pulls: Pulls::new(m),
+            gradient_stats: GradientStats::new(m),
             raw,
             log: Vec::new(),
             sums: Losses::default(),
@@ -86,25 +86,30 @@ impl State {
     }
 
     /// Replaces the population. What a successor did not change keeps its raw value to the bit.
-    pub(super) fn succeed(&mut self, physical: &Parameters, successors: &[Successor], activation: &Activation) {
-        let new = activation.inverse(&succeed(physical, successors));
+    pub(super) fn replace_population(
+        &mut self,
+        physical: &Parameters,
+        next: &[NextPrimitive],
+        activation: &Activation,
+    ) {
+        let new = activation.inverse(&next_parameters(physical, next));
         let old = &self.raw;
         let keep = |same: bool, old: f64, new: f64| if same { old } else { new };
         self.raw = Parameters {
             mean: new.mean,
-            scale: (successors.iter().zip(&new.scale))
+            scale: (next.iter().zip(&new.scale))
                 .map(|(s, new)| {
                     let p = s.parent;
                     [0, 1, 2].map(|k| keep(s.scale[k] == physical.scale[p][k], old.scale[p][k], new[k]))
                 })
                 .collect(),
             quaternion: new.quaternion,
-            density: (successors.iter().zip(&new.density))
+            density: (next.iter().zip(&new.density))
                 .map(|(s, &new)| keep(s.density == physical.density[s.parent], old.density[s.parent], new))
                 .collect(),
-            nu: successors.iter().map(|s| old.nu[s.parent]).collect(),
+            nu: next.iter().map(|s| old.nu[s.parent]).collect(),
         };
-        let mut id = |s: &Successor| {
+        let mut id = |s: &NextPrimitive| {
             if s.fresh {
                 self.next_id += 1;
                 self.next_id - 1
@@ -112,10 +117,10 @@ impl State {
                 self.ids[s.parent]
             }
         };
-        self.ids = successors.iter().map(&mut id).collect();
-        let rows: Vec<_> = successors.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
-        self.optimiser.succeed(&rows);
-        self.pulls = Pulls::new(successors.len());
+        self.ids = next.iter().map(&mut id).collect();
+        let rows: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
+        self.optimiser.remap_rows(&rows);
+        self.gradient_stats = GradientStats::new(next.len());
     }
 }
 
@@ -226,11 +231,11 @@ pub(super) fn digest(dataset: &Dataset) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::primitives::{Kernel, activation::Interval};
+    use crate::primitives::{KernelKind, activation::Interval};
 
     fn activation() -> Activation {
         Activation {
-            kernel: Kernel::StudentT,
+            kernel: KernelKind::StudentT,
             scale: Interval { min: 0.001, max: 1.0 },
             nu: Interval { min: 2.0, max: 100.0 },
         }
@@ -250,9 +255,9 @@ mod tests {
     fn successors_keep_raw_values_to_the_bit_where_nothing_changed() {
         let mut state = State::new(raw(), &Config::default());
         let physical = activation().forward(&state.raw).parameters;
-        let same = Successor::same(&physical, 1);
-        let half = Successor { density: physical.density[0] / 2.0, ..Successor::same(&physical, 0) };
-        state.succeed(&physical, &[same, half, Successor { fresh: true, ..half }], &activation());
+        let same = NextPrimitive::same(&physical, 1);
+        let half = NextPrimitive { density: physical.density[0] / 2.0, ..NextPrimitive::same(&physical, 0) };
+        state.replace_population(&physical, &[same, half, NextPrimitive { fresh: true, ..half }], &activation());
         assert_eq!((state.raw.scale[0], state.raw.density[0]), (raw().scale[1], raw().density[1]));
         assert_eq!((state.raw.scale[1], state.raw.nu[2]), (raw().scale[0], raw().nu[0]));
         let density = activation().forward(&state.raw).parameters.density;
@@ -262,10 +267,10 @@ mod tests {
 
     #[test]
     fn pulls_are_means_over_the_views_that_saw_a_primitive() {
-        let mut pulls = Pulls::new(3);
-        pulls.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
-        pulls.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
-        assert_eq!(pulls.means(), [3.0, 1.0, 0.0]);
+        let mut gradient_stats = GradientStats::new(3);
+        gradient_stats.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
+        gradient_stats.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
+        assert_eq!(gradient_stats.means(), [3.0, 1.0, 0.0]);
     }
 
     #[test]

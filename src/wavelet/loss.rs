@@ -1,7 +1,7 @@
 //! The loss and its gradient.
 
 use super::Settings;
-use super::detail::{Space, Weights, strength};
+use super::detail::{Scratch, Weights, strength};
 use super::haar::{self, BANDS, Subbands};
 use super::routing::Routing;
 use crate::numeric::threads::{self, Pool};
@@ -26,9 +26,9 @@ pub struct WaveletLoss<R> {
 
 /// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
 #[derive(Debug, Default)]
-pub struct Spaces<R: Real> {
+pub struct Workspace<R: Real> {
     weights: Pool<Weights<R>>,
-    bands: Pool<Space<R>>,
+    bands: Pool<Scratch<R>>,
     subbands: Pool<Subbands<R>>,
     slopes: Pool<Subbands<R>>,
 }
@@ -47,7 +47,7 @@ pub struct Spaces<R: Real> {
 pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: &Settings) -> WaveletLoss<R> {
     let mut gradient = Array3::default((0, 0, 0));
     let [value, enhancement, suppression] =
-        wavelet_loss_into(block, routing, settings, &Spaces::default(), &mut gradient);
+        wavelet_loss_into(block, routing, settings, &Workspace::default(), &mut gradient);
     WaveletLoss { value, enhancement, suppression, gradient }
 }
 
@@ -59,20 +59,20 @@ pub fn wavelet_loss_into<R: Real>(
     block: ArrayView3<R>,
     routing: &Routing,
     settings: &Settings,
-    spaces: &Spaces<R>,
+    workspace: &Workspace<R>,
     gradient: &mut Array3<R>,
 ) -> [f64; 3] {
     assert_eq!(block.shape(), routing.high.shape(), "shapes of block and routing");
     let (x, y, z) = block.dim();
     let shape = [x, y, z];
-    let (mut subbands, mut of_subbands) = (spaces.subbands.take(), spaces.slopes.take());
+    let (mut subbands, mut of_subbands) = (workspace.subbands.take(), workspace.slopes.take());
     haar::forward_into(block, settings.levels, &mut subbands);
     of_subbands.fit(shape, settings.levels);
     let (k, most) = (routing.neighbours, routing.high.iter().fold(0, |most, &high| high.max(most)));
     assert!(usize::from(most) <= k, "{most} confident neighbours of {k}");
     // What a voxel's count is divided by: neighbours, voxels and bands.
     let share = (k * block.len() * settings.levels * MIDDLE.count()) as f64;
-    let mut weights = spaces.weights.take();
+    let mut weights = workspace.weights.take();
     weights.fit(routing, settings, share);
     let mut sums = [0.0; 2];
     for level in 1..=settings.levels {
@@ -81,16 +81,16 @@ pub fn wavelet_loss_into<R: Real>(
         let bands = (threads::chunks(slopes, block.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
         threads::for_each_zip(bands, |band, (slopes, sums)| {
             if MIDDLE.contains(&band) {
-                let mut space = spaces.bands.take();
+                let mut scratch = workspace.bands.take();
                 let coefficients = subbands.band(level, band);
                 if level == 1 {
-                    sums[0] = strength(coefficients, band, &weights, &mut space, slopes);
+                    sums[0] = strength(coefficients, band, &weights, &mut scratch, slopes);
                 } else {
                     // It makes the same block as coefficients of level 1 that are low along all axes.
                     let half = shape.map(|side| side / 2);
                     let alone = haar::alone(coefficients, half, level - 1, band);
                     let mut of_alone = vec![R::ZERO; alone.len()];
-                    sums[0] = strength(&alone, 0, &weights, &mut space, &mut of_alone);
+                    sums[0] = strength(&alone, 0, &weights, &mut scratch, &mut of_alone);
                     slopes.copy_from_slice(&haar::coefficients(&of_alone, half, level - 1, band));
                 }
             }
@@ -213,11 +213,11 @@ mod tests {
 
     #[test]
     fn blocks_of_other_shapes_before_it_do_not_matter_to_a_block() {
-        let (spaces, mut gradient) = (Spaces::default(), Array3::default((0, 0, 0)));
+        let (workspace, mut gradient) = (Workspace::default(), Array3::default((0, 0, 0)));
         // A slice of sixteen cells, of three, of fifteen: what is left over in registers is not that of the last one.
         for (shape, neighbours) in [([4, 8, 8], 8), ([6, 2, 6], 8), ([4, 6, 10], 5), ([4, 8, 8], 3)] {
             let (block, routing) = (block(shape, 6), routing(shape, neighbours));
-            let found = wavelet_loss_into(block.view(), &routing, &plain(), &spaces, &mut gradient);
+            let found = wavelet_loss_into(block.view(), &routing, &plain(), &workspace, &mut gradient);
             let expected = wavelet_loss(block.view(), &routing, &plain());
             assert_eq!(found, [expected.value, expected.enhancement, expected.suppression], "{shape:?}");
             assert_eq!(gradient, expected.gradient, "{shape:?}");

@@ -24,7 +24,7 @@ mod loss;
 pub mod naive;
 mod routing;
 
-pub use loss::{Spaces, WaveletLoss, wavelet_loss, wavelet_loss_into};
+pub use loss::{WaveletLoss, Workspace, wavelet_loss, wavelet_loss_into};
 pub use routing::{Router, Routing, route};
 
 use crate::error::{Error, Result};

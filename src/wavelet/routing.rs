@@ -2,9 +2,10 @@
 
 use super::Settings;
 use crate::error::{Error, Result};
+use crate::numeric::Lanes;
 use crate::numeric::elementary::length;
 use crate::numeric::threads::{self, Pool};
-use crate::numeric::{Lanes, Real};
+use crate::numeric::vectors::{LANES, f64x8};
 use crate::scene::Grid;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -14,10 +15,6 @@ use ndarray::Array3;
 const CELL: usize = 4;
 /// Voxels along each side of a bundle, which are told from each other in lanes. Sides of a block are even.
 const BUNDLE: usize = 2;
-/// Voxels of a bundle.
-const LANES: usize = <Row as Lanes>::WIDTH;
-/// A number for each voxel of a bundle.
-type Row = <f64 as Real>::Lanes;
 /// The most that a cell's half diagonal may be of the distance in which its middle has K primitives: beyond, too many
 /// are near the cell for most of its voxels.
 const CROWDED: f64 = 1.5;
@@ -67,7 +64,7 @@ pub struct Router {
     /// Where the tree has the primitives.
     places: Vec<[f64; 3]>,
     confident: Vec<bool>,
-    rooms: Pool<Room>,
+    scratch: Pool<Scratch>,
 }
 
 impl Router {
@@ -109,13 +106,13 @@ impl Router {
         }
         let step = length(grid.spacing);
         let moved = self.follow(means, STALE * step)?;
-        let Self { tree, confident, rooms, .. } = self;
+        let Self { tree, confident, scratch, .. } = self;
         let tree = tree.as_ref().expect("made for these means or some near them");
         let nearest = Nearest { means, confident, tree, moved, step, neighbours };
         let [_, ny, nz] = grid.shape;
         let voxels = high.as_slice_mut().expect("standard layout");
-        threads::for_each_chunk_in(voxels, CELL * ny * nz, rooms, |slab, high, room| {
-            nearest.route_slab(grid, slab * CELL, high, room);
+        threads::for_each_chunk_in(voxels, CELL * ny * nz, scratch, |slab, high, scratch| {
+            nearest.route_slab(grid, slab * CELL, high, scratch);
         });
         Ok(())
     }
@@ -174,21 +171,21 @@ struct Nearest<'a> {
 
 impl Nearest<'_> {
     /// Counts the confident neighbours of the voxels of a slab of cells, whose first slice is `first`.
-    fn route_slab(&self, grid: &Grid, first: usize, high: &mut [u16], room: &mut Room) {
+    fn route_slab(&self, grid: &Grid, first: usize, high: &mut [u16], scratch: &mut Scratch) {
         let [_, ny, nz] = grid.shape;
         let deep = high.len() / (ny * nz);
-        room.guess = self.step;
+        scratch.guess = self.step;
         for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
             let corner = DVec3::from([first, y, z].map(|i| i as f64));
             let middle = grid.min + (corner + 0.5 * CELL as f64) * grid.spacing;
-            let found = self.cell(middle, 0.5 * (CELL - 1) as f64 * self.step, room);
+            let found = self.cell(middle, 0.5 * (CELL - 1) as f64 * self.step, scratch);
             for [i, j, k] in bundles([deep, ny - y, nz - z]) {
                 let voxels: [[usize; 3]; LANES] =
                     std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
                 let centres = voxels.map(|[i, j, k]| grid.centre([first + i, j, k]));
-                let counts = if found { room.count(self.neighbours, centres) } else { [None; LANES] };
+                let counts = if found { scratch.count(self.neighbours, centres) } else { [None; LANES] };
                 for (([i, j, k], centre), count) in voxels.into_iter().zip(centres).zip(counts) {
-                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| self.count(centre, room));
+                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| self.count(centre, scratch));
                 }
             }
         }
@@ -199,17 +196,17 @@ impl Nearest<'_> {
     ///
     /// K primitives within d of the middle are within d + radius of the centre, so are all of its neighbours, and these within
     /// d + 2·radius of the middle.
-    fn cell(&self, middle: DVec3, radius: f64, room: &mut Room) -> bool {
+    fn cell(&self, middle: DVec3, radius: f64, scratch: &mut Scratch) -> bool {
         if self.neighbours > FEW {
             return false;
         }
-        let distance = self.around(middle, 2.0 * radius, room);
+        let distance = self.around(middle, 2.0 * radius, scratch);
         if radius > CROWDED * distance {
             return false;
         }
         let reach = distance + 2.0 * radius;
         let limit = reach * reach * (1.0 + TIE);
-        let Room { found, near, .. } = room;
+        let Scratch { found, near, .. } = scratch;
         found.retain(|(square, _)| *square <= limit);
         found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let one = |i: u32| Near { point: self.point(i), confident: f64::from(self.confident[i as usize]) };
@@ -219,16 +216,16 @@ impl Nearest<'_> {
     }
 
     /// The number of confident ones among the neighbours of a centre.
-    fn count(&self, centre: DVec3, room: &mut Room) -> u16 {
-        self.around(centre, 0.0, room);
+    fn count(&self, centre: DVec3, scratch: &mut Scratch) -> u16 {
+        self.around(centre, 0.0, scratch);
         let nearest = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        room.found.select_nth_unstable_by(self.neighbours - 1, nearest);
-        room.found[..self.neighbours].iter().filter(|(_, i)| self.confident[*i as usize]).count() as u16
+        scratch.found.select_nth_unstable_by(self.neighbours - 1, nearest);
+        scratch.found[..self.neighbours].iter().filter(|(_, i)| self.confident[*i as usize]).count() as u16
     }
 
     /// A distance d within which K primitives are; finds all within d + `beyond` and perhaps some more.
-    fn around(&self, place: DVec3, beyond: f64, room: &mut Room) -> f64 {
-        let Room { found, guess, .. } = room;
+    fn around(&self, place: DVec3, beyond: f64, scratch: &mut Scratch) -> f64 {
+        let Scratch { found, guess, .. } = scratch;
         self.gather(place, *guess + beyond, found);
         while found.len() < self.neighbours {
             *guess = 2.0 * *guess + self.step;
@@ -265,9 +262,9 @@ struct Near {
     confident: f64,
 }
 
-/// Room to work, kept from place to place.
+/// Scratch to work, kept from place to place.
 #[derive(Default)]
-struct Room {
+struct Scratch {
     /// How far the K-th primitive is expected to be.
     guess: f64,
     /// Squared distances and indices around a place.
@@ -275,23 +272,23 @@ struct Room {
     /// What can be a neighbour of a cell's voxels.
     near: Vec<Near>,
     /// Squared distances of all that are near.
-    distances: Vec<Row>,
+    distances: Vec<f64x8>,
     /// The smallest of them, in order.
-    order: Vec<Row>,
+    order: Vec<f64x8>,
 }
 
-impl Room {
+impl Scratch {
     /// For each centre the number of confident ones among its neighbours, all of which are `near`. `None` where several are as
     /// near as the last of them.
     fn count(&mut self, neighbours: usize, centres: [DVec3; LANES]) -> [Option<u16>; LANES] {
         let Self { near, distances, order, .. } = self;
-        let [x, y, z] = [0, 1, 2].map(|axis| Row::from_fn(|lane| centres[lane][axis]));
-        let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
+        let [x, y, z] = [0, 1, 2].map(|axis| f64x8::from_fn(|lane| centres[lane][axis]));
+        let (zero, one) = (f64x8::splat(0.0), f64x8::splat(1.0));
         distances.clear();
         order.clear();
-        order.resize(neighbours, Row::splat(f64::INFINITY));
+        order.resize(neighbours, f64x8::splat(f64::INFINITY));
         for Near { point, .. } in &*near {
-            let [x, y, z] = [Row::splat(point.x) - x, Row::splat(point.y) - y, Row::splat(point.z) - z];
+            let [x, y, z] = [f64x8::splat(point.x) - x, f64x8::splat(point.y) - y, f64x8::splat(point.z) - z];
             let mut distance = x * x + y * y + z * z;
             distances.push(distance);
             if distance.below(order[neighbours - 1]) != 0 {
@@ -305,7 +302,7 @@ impl Room {
         for (distance, near) in distances.iter().zip(&*near) {
             let inside = distance.select_le(last, one, zero);
             within += inside;
-            confident += inside * Row::splat(near.confident);
+            confident += inside * f64x8::splat(near.confident);
         }
         let [mut all, mut high] = [[0.0; LANES]; 2];
         within.write(&mut all);

@@ -11,7 +11,7 @@ use rand::RngExt;
 use trgs::classical::{RayModel, VoxelProjector};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::{Lanes, Real};
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Detector, Scanner};
 use trgs::wavelet::{self, Routing};
@@ -231,7 +231,7 @@ fn bits((arrays, gradients): &(Vec<Array3<f64>>, Vec<Parameters>)) -> Vec<u64> {
 }
 
 fn assert_kernels_agree_bit_by_bit<Fast: Kernels, Plain: Kernels>() {
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         for scanner in [scenes::cone(), scenes::parallel()] {
             for cutoff in [0.0, 1e-3] {
                 let primitives = scenes::primitives(kernel, 21, 83);
@@ -288,7 +288,7 @@ fn distance(a: &[Array3<f64>], b: &[Array3<f64>]) -> f64 {
 /// its register's first column. More must not depend on it.
 #[test]
 fn another_width_changes_the_last_bits_only() {
-    let primitives = scenes::primitives(Kernel::StudentT, 21, 84);
+    let primitives = scenes::primitives(KernelKind::StudentT, 21, 84);
     let check = |what: &str, images: &[Array3<f64>], reference: &[Array3<f64>], tolerance: f64| {
         let found = distance(images, reference);
         eprintln!("{what} in four lanes: {found:.1e}");
@@ -305,7 +305,7 @@ fn another_width_changes_the_last_bits_only() {
 /// pixel starts a register.
 fn narrow<R: Kernels>(tolerance: f64) {
     let (d, angles) = (scenes::cone().detector, [0.7]);
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let primitives = scenes::primitives(kernel, 21, 85);
         let image = |detector: Detector| {
             let scanner = Scanner { detector, ..scenes::cone() };

@@ -12,7 +12,7 @@ use trgs::scene::noise::Noise;
 use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Scanner};
-use trgs::train::{Checkpoint, Checkpoints, Reconstruction, train};
+use trgs::train::{Checkpoint, Checkpoints, TrainedModel, train};
 use trgs::wavelet::{self, Routing, wavelet_loss, wavelet_loss_into};
 use trgs::{Error, evaluation};
 
@@ -38,12 +38,12 @@ fn busy(method: Method) -> Config {
     config
 }
 
-fn run(dataset: &Dataset, config: &Config) -> Reconstruction {
+fn run(dataset: &Dataset, config: &Config) -> TrainedModel {
     config.validate().unwrap();
     train(dataset, config, None, &mut |_, _| ControlFlow::Continue(())).unwrap()
 }
 
-fn bits(result: &Reconstruction) -> Vec<u64> {
+fn bits(result: &TrainedModel) -> Vec<u64> {
     let parameters = &result.primitives.parameters;
     Group::ALL.into_iter().flat_map(|group| parameters.group(group)).map(|x| x.to_bits()).collect()
 }
@@ -222,7 +222,7 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     let target = SsimTarget::new(&ssim, Array2::from_elem((detector.rows, detector.columns), 0.1).view());
     let settings = Config::default().wavelet.settings();
     let routing = Routing { high: Array3::from_elem(grid.shape, 1), neighbours: settings.neighbours };
-    let (of_tv, of_wavelets) = (tv::Spaces::default(), wavelet::Spaces::default());
+    let (of_tv, of_wavelets) = (tv::Workspace::default(), wavelet::Workspace::default());
     let (mut image, mut volume) = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
     let (mut cotangent, mut slopes) =
         (Array2::default((detector.rows, detector.columns)), [(); 2].map(|()| Array3::default((0, 0, 0))));

@@ -39,7 +39,7 @@ const SPAN: usize = 13;
 /// Compares images.
 #[derive(Clone, Debug, Default)]
 pub struct Ssim<R: Real> {
-    spaces: Pool<Space<R>>,
+    scratch: Pool<Scratch<R>>,
     sums: Pool<Vec<Sums>>,
 }
 
@@ -53,7 +53,7 @@ type Neighbours<'a, R> = [&'a [Column<R>]; 3];
 
 /// What a task works in.
 #[derive(Debug, Default)]
-struct Space<R: Real> {
+struct Scratch<R: Real> {
     /// A row to be folded and one that was, padded.
     rows: [Vec<R>; 2],
     /// 1 in the lanes that have a pixel.
@@ -68,7 +68,7 @@ struct Space<R: Real> {
     gradient: Block<R>,
 }
 
-impl<R: Real> Space<R> {
+impl<R: Real> Scratch<R> {
     fn fit(&mut self, fold: Fold) {
         let (zero, length) = ([R::Lanes::default(); BLOCK], fold.length);
         for row in &mut self.rows {
@@ -104,19 +104,19 @@ impl<R: Real> SsimTarget<R> {
         let zeros = |count: usize| vec![Column::<R>::default(); count * n];
         let (mut blocks, mut moments) = (zeros(count + 2), [zeros(count), zeros(count)]);
         if !image.is_empty() {
-            let mut space = ssim.spaces.take();
-            space.fit(fold);
+            let mut scratch = ssim.scratch.take();
+            scratch.fit(fold);
             let rows = image.as_slice().expect("standard layout").chunks(BLOCK * columns);
             for (values, block) in rows.zip(blocks[n..].chunks_exact_mut(n)) {
-                fold.deinterleave(values, &mut space.rows[0], block);
+                fold.deinterleave(values, &mut scratch.rows[0], block);
             }
         }
         let [of_b, variances] = moments.each_mut().map(|moments| threads::chunks(moments, n));
         threads::for_each_zip((of_b, variances), |i, (of_b, variances)| {
-            let mut space = ssim.spaces.take();
-            space.fit(fold);
+            let mut scratch = ssim.scratch.take();
+            scratch.fit(fold);
             let near = [i, i + 1, i + 2].map(|i| &blocks[i * n..][..n]);
-            let [down, down_square, _] = &mut space.down;
+            let [down, down_square, _] = &mut scratch.down;
             for j in 0..n {
                 let b = around(near, j);
                 down[RADIUS + j] = window.down(&b);
@@ -149,7 +149,7 @@ impl<R: Real> Ssim<R> {
     ///
     /// # Panics
     /// When the shapes differ.
-    pub fn value_and_gradient(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
+    pub fn value_and_grad(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
         let mut gradient = Array2::default(image.raw_dim());
         let [value, _] = self.compare(image, target, [1.0, 0.0], Some(&mut gradient));
         (value, gradient)
@@ -185,7 +185,7 @@ impl<R: Real> Ssim<R> {
         let mut sums = self.sums.take();
         sums.resize(rows.div_ceil(SPAN * BLOCK), [0.0; 2]);
         let of_tasks = threads::chunks(&mut sums, 1);
-        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.spaces.take(), gradient);
+        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.scratch.take(), gradient);
         match gradient {
             Some(gradient) => {
                 let gradients = threads::chunks(gradient, SPAN * BLOCK * columns);
@@ -220,16 +220,16 @@ impl<R: Real> Comparison<'_, R> {
     }
 
     /// The sums of some blocks, and the gradient in them: each one's when the derivatives of the next one are there.
-    fn task(&self, task: usize, space: &mut Space<R>, mut gradient: Option<&mut [R]>) -> Sums {
-        space.fit(self.fold);
+    fn task(&self, task: usize, scratch: &mut Scratch<R>, mut gradient: Option<&mut [R]>) -> Sums {
+        scratch.fit(self.fold);
         let first = 2 + task * SPAN;
         let blocks = first..(first + SPAN).min(2 + self.rows.div_ceil(BLOCK));
         let mut sums = [0.0; 2];
-        self.load_block(first - 2, space);
-        self.load_block(first - 1, space);
+        self.load_block(first - 2, scratch);
+        self.load_block(first - 1, scratch);
         for block in first - 1..=blocks.end {
-            self.load_block(block + 1, space);
-            let of_block = self.differentiate(block, space);
+            self.load_block(block + 1, scratch);
+            let of_block = self.differentiate(block, scratch);
             if blocks.contains(&block) {
                 sums = [sums[0] + of_block[0], sums[1] + of_block[1]];
             }
@@ -237,23 +237,23 @@ impl<R: Real> Comparison<'_, R> {
                 && let Some(gradient) = &mut gradient
             {
                 let rows = gradient.chunks_mut(BLOCK * self.columns).nth(block - 1 - first);
-                self.pull_back(block - 1, space, rows.expect("a chunk for each block"));
+                self.vjp(block - 1, scratch, rows.expect("a chunk for each block"));
             }
         }
         sums
     }
 
     /// Folds a block of `a`.
-    fn load_block(&self, block: usize, space: &mut Space<R>) {
+    fn load_block(&self, block: usize, scratch: &mut Scratch<R>) {
         let rows = self.rows_of(block);
         let values = &self.image[rows.start * self.columns..rows.end * self.columns];
-        self.fold.deinterleave(values, &mut space.rows[0], &mut space.image[block % KEPT]);
+        self.fold.deinterleave(values, &mut scratch.rows[0], &mut scratch.image[block % KEPT]);
     }
 
     /// The sums of a block, and the derivatives of S in it, blurred along the rows; 0 outside of the image.
-    fn differentiate(&self, block: usize, space: &mut Space<R>) -> Sums {
+    fn differentiate(&self, block: usize, scratch: &mut Scratch<R>) -> Sums {
         let (n, rows, window) = (self.fold.length, self.rows_of(block).len(), self.window);
-        let Space { pixels, image, down, slopes, lines, .. } = space;
+        let Scratch { pixels, image, down, slopes, lines, .. } = scratch;
         let lines = &mut lines[block % KEPT];
         if rows == 0 {
             lines.iter_mut().for_each(|line| line.fill(Column::<R>::default()));
@@ -322,9 +322,9 @@ impl<R: Real> Comparison<'_, R> {
     }
 
     /// The gradient in a block, from the derivatives of S in it and its neighbours.
-    fn pull_back(&self, block: usize, space: &mut Space<R>, gradient: &mut [R]) {
+    fn vjp(&self, block: usize, scratch: &mut Scratch<R>, gradient: &mut [R]) {
         let n = self.fold.length;
-        let Space { rows: [_, row], image, lines, gradient: folded, .. } = space;
+        let Scratch { rows: [_, row], image, lines, gradient: folded, .. } = scratch;
         let kept = [block - 1, block, block + 1].map(|block| &lines[block % KEPT]);
         let lines: [_; KINDS] = from_fn(|kind| kept.map(|lines| &lines[kind][..n]));
         let (a, b) = (&image[block % KEPT][..n], &self.target.blocks[(block - 1) * n..][..n]);

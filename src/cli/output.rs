@@ -11,14 +11,14 @@ use trgs::{Error, Result};
 const LONGEST_LIST: usize = 6;
 
 /// A result in both forms.
-pub(super) struct Answer {
+pub(super) struct Output {
     json: Value,
     text: String,
     /// Whether a check, if the command is one, said yes.
     approves: bool,
 }
 
-impl Answer {
+impl Output {
     /// A result whose table has a line for each of its values.
     pub(super) fn list(result: &impl Serialize) -> Self {
         let json = to_json(result);
