@@ -89,7 +89,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     let confidence = coverage.confidence(&physical, &scanner, &angles);
     let targets: Vec<f64> =
         confidence.iter().map(|&c| nu_target(c, &config.confidence.settings(), activation.nu)).collect();
-    let flat = field.finish(&gradient.borrow());
+    let flat = field.parameter_gradient(&gradient.borrow());
     let adam = RefCell::new(Group::ALL.map(|group| Adam::new(m * group.width(), [0.9, 0.999], 1e-15)));
     let (sghmc, moved) = (RefCell::new(Sghmc::new(m)), RefCell::new(raw.clone()));
 
@@ -119,15 +119,15 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     part("image loss", 1, &|| {
         black_box(image_loss_into(&ssim, 0.25, image.view(), &target, &mut of_image.borrow_mut()));
     });
-    part("projection, back", 1, &|| view.pull_back(cotangent.view(), &mut gradient.borrow_mut()));
+    part("projection, back", 1, &|| view.vjp(cotangent.view(), &mut gradient.borrow_mut()));
     part("total variation", 1, &|| {
         let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
         there.voxels_into(&mut volume);
         black_box(tv_into(volume.view(), &workspace.0, &mut slopes));
-        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
+        there.vjp(slopes.view(), &mut gradient.borrow_mut());
     });
     part("gradient to raw", 1, &|| {
-        let mut gradient = field.finish(&gradient.borrow());
+        let mut gradient = field.parameter_gradient(&gradient.borrow());
         activation.vjp(&physical, &mut gradient);
         black_box(gradient);
     });
@@ -151,7 +151,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
         there.voxels_into(&mut volume);
         black_box(wavelet_loss_into(volume.view(), routing, &settings, &workspace.1, &mut slopes));
-        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
+        there.vjp(slopes.view(), &mut gradient.borrow_mut());
     });
     part("confidence of all", config.confidence.every, &|| {
         black_box(coverage.confidence(&physical, &scanner, &angles));
@@ -178,9 +178,9 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     });
     group.finish();
     shares.print(name);
-    for (what, pairs) in [("pixels", view.pairs()), ("voxels", field.on(&block).pairs())] {
-        let each = pairs.useful as f64 / m as f64;
-        println!("  {each:.0} {what} of the supports for each primitive, {:.0} % of the lanes", 100.0 * pairs.share());
+    for (what, pairs) in [("pixels", view.utilisation()), ("voxels", field.on(&block).utilisation())] {
+        let each = pairs.active as f64 / m as f64;
+        println!("  {each:.0} {what} of the supports for each primitive, {:.0} % of the lanes", 100.0 * pairs.ratio());
     }
 }
 

@@ -177,7 +177,7 @@ fn all(c: &mut Criterion) {
     let field = Field::<f32>::new(&physical, 1e-3);
     let grid = scanner.grid.block([16; 3], [SIDE; 3]);
     let (gradient, volume) = (RefCell::new(field.zero_gradient()), RefCell::new(Array3::default(block.dim())));
-    let pairs = field.on(&grid).pairs();
+    let pairs = field.on(&grid).utilisation();
     let (registers, columns) = (pairs.evaluated as f64 / f32s, pairs.columns as f64);
     pass(
         "voxels of a 32³ block of 64³, 5,000 primitives",
@@ -187,7 +187,7 @@ fn all(c: &mut Criterion) {
         },
     );
     pass("and back", Work { operations: 44.0 * registers + 38.0 * columns, ..Work::default() }, &|| {
-        field.on(&grid).pull_back(block.view(), &mut gradient.borrow_mut());
+        field.on(&grid).vjp(block.view(), &mut gradient.borrow_mut());
     });
 
     // 14 operations in f64, three divisions and a root among them; value and two moments there and back, a gradient.

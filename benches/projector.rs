@@ -132,9 +132,7 @@ fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &
             group
                 .bench_function("set-up", |b| b.iter(|| pool.run(|| black_box(field.view(&scanner, 0.4, projection)))));
             group.bench_function("forward", |b| b.iter(|| pool.run(|| black_box(view.image()))));
-            group.bench_function("backward", |b| {
-                b.iter(|| pool.run(|| view.pull_back(cotangent.view(), &mut gradient)))
-            });
+            group.bench_function("backward", |b| b.iter(|| pool.run(|| view.vjp(cotangent.view(), &mut gradient))));
             group.finish();
         }
     }

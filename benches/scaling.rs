@@ -80,8 +80,8 @@ fn all(c: &mut Criterion) {
         let view = field.view(scanner, 0.4, Projection::Exact);
         let image = view.image();
         let mut gradient = field.zero_gradient();
-        view.pull_back(image.view(), &mut gradient);
-        black_box(field.finish(&gradient));
+        view.vjp(image.view(), &mut gradient);
+        black_box(field.parameter_gradient(&gradient));
     };
     let mut growths = Vec::new();
 
@@ -108,8 +108,8 @@ fn all(c: &mut Criterion) {
             let field = Field::<f32>::new(&physical, CUTOFF);
             let mut gradient = field.zero_gradient();
             let there = field.on(&here.grid);
-            there.pull_back(there.voxels().view(), &mut gradient);
-            black_box(field.finish(&gradient));
+            there.vjp(there.voxels().view(), &mut gradient);
+            black_box(field.parameter_gradient(&gradient));
         });
         points.push(((factor * factor * factor) as f64, time, Some(memory(here, VIEWS, PRIMITIVES, workers))));
     }

@@ -112,8 +112,8 @@ impl Render {
         let (projection, cutoff) = (self.projection, self.kernel.cutoff);
         check_size("projections", &[angles.len(), scanner.detector.rows, scanner.detector.columns])?;
         let images = forward::<R>(primitives, scanner, angles, projection, cutoff);
-        let pull_back = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
-        self.kernel.write(out, &images, pull_back)?;
+        let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
+        self.kernel.write(out, &images, vjp_of)?;
         Ok(Written {
             out,
             shape: images.shape().to_vec(),
@@ -133,17 +133,17 @@ impl Render {
 }
 
 impl KernelArgs {
-    /// Writes the output and, where asked for, what `pull_back` makes of the cotangent: both or neither computed.
+    /// Writes the output and, where asked for, what `vjp_of` makes of the cotangent: both or neither computed.
     pub(super) fn write<R: Kernels + Element>(
         &self,
         out: &Path,
         output: &Array3<R>,
-        pull_back: impl FnOnce(&Array3<R>) -> Parameters,
+        vjp_of: impl FnOnce(&Array3<R>) -> Parameters,
     ) -> Result<()> {
         let gradient = match &self.vjp {
             None => None,
             Some(path) => {
-                let gradient = pull_back(&read_cotangent(path, output.shape())?);
+                let gradient = vjp_of(&read_cotangent(path, output.shape())?);
                 gradient.check_finite("gradient of the model", 0)?;
                 Some(gradient)
             }

@@ -104,8 +104,8 @@ impl Voxelize {
         let cutoff = self.kernel.cutoff;
         check_size("volume", &grid.shape)?;
         let volume = voxelize::<R>(primitives, grid, cutoff);
-        let pull_back = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
-        self.kernel.write(out, &volume, pull_back)?;
+        let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
+        self.kernel.write(out, &volume, vjp_of)?;
         Ok(Written {
             out,
             shape: volume.shape().to_vec(),

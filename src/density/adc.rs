@@ -25,7 +25,7 @@ pub struct Settings {
 }
 
 /// One step of `[ADC]`. `view_gradient[i]` is the mean length of the gradient to the centre's shadow over the views that saw
-/// primitive `i` (see [`FieldGradient::shadows`](crate::projector::FieldGradient::shadows)), `normals(i)` are six
+/// primitive `i` (see [`FieldGradient::mean2d_gradients`](crate::projector::FieldGradient::mean2d_gradients)), `normals(i)` are six
 /// standard normal numbers for the places of its two parts.
 ///
 /// A clone shares the density with its origin, `ρ/2` each, at the same place. A split primitive gives way to two parts

@@ -75,16 +75,16 @@ pub(super) fn controlled(q: &Question) -> Result<Outputs> {
     Ok(generation(&primitives.parameters, &next))
 }
 
-/// Gradient to the places of all shadows, `[M, 2]`.
-pub(super) fn shadows<R: Kernels>(q: &Question) -> Result<Array2<f64>> {
+/// Gradient to all projected means, `[M, 2]`.
+pub(super) fn mean2d_gradients<R: Kernels>(q: &Question) -> Result<Array2<f64>> {
     let (primitives, scanner, projection) = (q.primitives()?, q.scanner()?, q.projection()?);
     let cotangent = q.array::<Ix3>("cotangent")?.mapv(R::from_f64);
     let field = Field::<R>::new(&primitives, 0.0);
     let mut gradient = field.zero_gradient();
     for (cotangent, angle) in cotangent.outer_iter().zip(q.angles()?) {
-        field.view(&scanner, angle, projection).pull_back(cotangent, &mut gradient);
+        field.view(&scanner, angle, projection).vjp(cotangent, &mut gradient);
     }
-    Ok(Array2::from(gradient.shadows().collect::<Vec<_>>()))
+    Ok(Array2::from(gradient.mean2d_gradients().collect::<Vec<_>>()))
 }
 
 fn generation(old: &Parameters, next: &[NextPrimitive]) -> Outputs {

@@ -1,11 +1,10 @@
-//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no shared setup. Every fast path is
+//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no lanes setup. Every fast path is
 //! compared with this page. It works in the camera frame with Σ⁻¹ itself and walks every pixel for every primitive.
 //!
 //! A primitive whose centre lies behind the source, or nearer to it than 1/100 of `dso`, contributes nothing.
 //! Quaternions are squared as they are, so their lengths must lie well between 1e-150 and 1e150.
 
-use super::Projection;
-use super::footprint::NEAR;
+use super::projection::{MIN_DEPTH, Projection};
 use crate::numeric::elementary::{exp, log1p};
 use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
 use crate::scene::{Beam, Grid, Scanner, View};
@@ -86,7 +85,7 @@ impl Plain {
         let (u, v) = scanner.detector.position(row as f64, column as f64);
         let (alpha, beta, kappa, d0) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
-                if m.z <= NEAR * dso {
+                if m.z <= MIN_DEPTH * dso {
                     return None;
                 }
                 (u / dsd * m.z - m.x, v / dsd * m.z - m.y, 1.0 / m.z, m / m.z)
@@ -112,7 +111,7 @@ impl Plain {
         }
     }
 
-    fn finish(&self, gradient: &PlainGradient, i: usize, out: &mut Parameters) {
+    fn parameter_gradient(&self, gradient: &PlainGradient, i: usize, out: &mut Parameters) {
         out.mean[i] = gradient.mean.to_array();
         out.density[i] = gradient.density;
         out.nu[i] = gradient.nu;
@@ -221,7 +220,7 @@ pub fn vjp(
                 Projection::Affine => affine_mean(&p, &ray, &view, d_delta, d_a, d_value * value),
             };
         }
-        p.finish(&sum, i, &mut out);
+        p.parameter_gradient(&sum, i, &mut out);
     }
     out
 }
@@ -281,7 +280,7 @@ pub fn voxelize_vjp(primitives: &Primitives, grid: &Grid, cutoff: f64, cotangent
             sum.precision += outer(e, e) * d_delta;
             sum.mean += pe * (-2.0 * d_delta);
         }
-        p.finish(&sum, i, &mut out);
+        p.parameter_gradient(&sum, i, &mut out);
     }
     out
 }

@@ -272,13 +272,13 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             },
         );
         if self.config.density_control.method == DensityControl::Adc {
-            self.state.gradient_stats.add(of_view.shadows(), seen.seen());
+            self.state.gradient_stats.add(of_view.mean2d_gradients(), seen.seen());
         }
         let wavelet = wavelet?;
         losses.tv = tv.as_ref().map_or(0.0, |(value, _)| *value);
         (losses.wavelet, losses.blocks) = wavelet.as_ref().map_or((0.0, 0), |(value, _)| (*value, 1));
         self.add_blocks(&mut of_view, [tv, wavelet].map(|block| block.map(|(_, gradient)| gradient)));
-        field.finish_into(&of_view, gradient);
+        field.parameter_gradient_into(&of_view, gradient);
         if let Some((value, d_nu)) = pull {
             losses.nu = value;
             gradient.nu.iter_mut().zip(d_nu.iter()).for_each(|(gradient, d)| *gradient += d);
@@ -300,7 +300,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let (target, weight) = (&self.images[view], self.config.loss.d_ssim);
         let [total, l1, d_ssim] = image_loss_into(&self.ssim, weight, image.view(), target, &mut cotangent);
         let mut gradient = field.pooled_gradient();
-        seen.pull_back(cotangent.view(), &mut gradient);
+        seen.vjp(cotangent.view(), &mut gradient);
         (Losses { total, l1, d_ssim, ..Losses::default() }, seen, gradient)
     }
 
@@ -322,7 +322,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let value = tv::tv_into(voxels.view(), &workspace.tv, &mut cotangent);
         cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
         let mut gradient = field.pooled_gradient();
-        there.pull_back(cotangent.view(), &mut gradient);
+        there.vjp(cotangent.view(), &mut gradient);
         Some((value, gradient))
     }
 
@@ -349,7 +349,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         there.voxels_into(&mut voxels);
         let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &workspace.wavelets, &mut cotangent);
         let mut gradient = field.pooled_gradient();
-        there.pull_back(cotangent.view(), &mut gradient);
+        there.vjp(cotangent.view(), &mut gradient);
         Ok(Some((value, gradient)))
     }
 
@@ -360,7 +360,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             of_blocks.for_each(|block| gradient.add(&block));
         } else if let Some(mut held) = of_blocks.next() {
             of_blocks.for_each(|block| held.add(&block));
-            held.hold_centres();
+            held.freeze_means();
             gradient.add(&held);
         }
     }

@@ -53,9 +53,9 @@ impl GradientStats {
     }
 
     /// Adds one view: the gradient to each shadow, and whether the view saw it.
-    pub(super) fn add(&mut self, shadows: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
+    pub(super) fn add(&mut self, mean2d_gradients: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
         let totals = self.sum.iter_mut().zip(&mut self.views);
-        for ((sum, views), ([u, v], _)) in totals.zip(shadows.zip(seen)).filter(|(_, (_, seen))| *seen) {
+        for ((sum, views), ([u, v], _)) in totals.zip(mean2d_gradients.zip(seen)).filter(|(_, (_, seen))| *seen) {
             *sum += (u * u + v * v).sqrt();
             *views += 1;
         }

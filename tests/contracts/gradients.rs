@@ -94,8 +94,8 @@ fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
             let cotangent = scenes::cotangent(6, (rows, columns));
             let field = Field::<f64>::new(&primitives, 0.0);
             let mut gradient = field.zero_gradient();
-            field.view(&scanner, 0.7, Projection::Affine).pull_back(cotangent.view(), &mut gradient);
-            let [u, v] = gradient.shadows().next().unwrap();
+            field.view(&scanner, 0.7, Projection::Affine).vjp(cotangent.view(), &mut gradient);
+            let [u, v] = gradient.mean2d_gradients().next().unwrap();
             let moved = |u: f64, v: f64| {
                 let Detector { offset_u, offset_v, .. } = scanner.detector;
                 let detector =
@@ -117,6 +117,6 @@ fn the_gradient_to_a_shadow_comes_from_views_alone() {
     let (primitives, scanner) = (scenes::primitives(KernelKind::StudentT, 3, 17), scenes::cone());
     let field = Field::<f64>::new(&primitives, 0.0);
     let mut gradient = field.zero_gradient();
-    field.on(&scanner.grid).pull_back(scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
-    assert!(gradient.shadows().all(|shadow| shadow == [0.0, 0.0]));
+    field.on(&scanner.grid).vjp(scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
+    assert!(gradient.mean2d_gradients().all(|shadow| shadow == [0.0, 0.0]));
 }

@@ -76,8 +76,8 @@ fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
     (config.iterations, config.model.points, config.density_control.cap) = (300, 5000, 5000);
     let field = Field::<f32>::new(&run(&dataset, &config).primitives, config.cutoff);
     for angle in [0.0, 0.4, 2.0] {
-        let pairs = field.view(&scanner, angle, config.projection).pairs();
-        assert!(pairs.useful > 500_000 && pairs.share() > 0.7, "{angle}: {} of {pairs:?}", pairs.share());
+        let pairs = field.view(&scanner, angle, config.projection).utilisation();
+        assert!(pairs.active > 500_000 && pairs.ratio() > 0.7, "{angle}: {} of {pairs:?}", pairs.ratio());
     }
 }
 

@@ -36,8 +36,8 @@ fn value_and_gradient(
     let field = Field::<f64>::new(primitives, 0.0);
     let loss = wavelet_loss(field.voxels(grid).view(), routing, settings);
     let mut gradient = field.zero_gradient();
-    field.on(grid).pull_back(loss.gradient.view(), &mut gradient);
-    (loss.value, field.finish(&gradient))
+    field.on(grid).vjp(loss.gradient.view(), &mut gradient);
+    (loss.value, field.parameter_gradient(&gradient))
 }
 
 #[test]

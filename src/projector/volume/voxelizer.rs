@@ -1,31 +1,35 @@
-//! The field at voxel centres, and the adjoint. A slice of the grid along x is a plane of pixels (rows = y, columns = z)
-//! for the same kernels as the projections, with the exponent (ν+3)/2 of `[Eq. 2]`. A register is in two slices, and all
-//! of a primitive's slices go through the kernels together: most are a few registers.
+//! The field at voxel centres, and the gradient.
+//!
+//! A slice of the grid along x is a plane of pixels (rows = y, columns = z) for the same kernels as the projections, with
+//! the exponent (ν+3)/2 of `[Eq. 2]`. A register covers two slices, and all of a primitive's slices are one call of the
+//! kernel: most consist of a few registers.
 
-use super::canvas::Window;
-use super::kernel::Sums;
-use super::kernels::Kernels;
-use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
-use super::solid::{Placed, Solid};
-use super::{Field, FieldGradient, Projection};
-use crate::numeric::threads::{self, PoolGuard};
+use super::ellipsoid::{Ellipsoid, EllipsoidInRegion};
+use super::kernels::VolumeKernels;
+use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::vectors::{DVec3x8, LANES, f64x8, lane_refs, splat};
 use crate::numeric::{Lanes, Real};
+use crate::projector::kernel::buffers::{BrickedVolume, GridRegion};
+use crate::projector::kernel::{Scratch, Sums};
+use crate::projector::kernels::Kernels;
+use crate::projector::whitened::{
+    FieldGradient, GradientLanes, PrimitiveGradient, Symmetric, Whitened, WhitenedPrimitive, whitening,
+};
 use crate::scene::Grid;
 use ndarray::{Array3, ArrayView3};
 use std::array::from_fn;
 
-/// Primitives that one task prepares, and among which one gathers gradients.
-const GATHER: usize = 64;
-/// Slices that one task adds up: as many pairs as a solid finds the ends of at a time.
+/// Primitives of one task.
+const CHUNK: usize = 64;
+/// Slices of one task: as many pairs as an ellipsoid computes the column ends of at a time.
 const SLAB: usize = 8;
 
-/// The gradients of primitives from the sums over all their slices, in the axes of [`Solid`].
-fn pull_back(sums: &[Sums; LANES], shapes: [&Shape; LANES]) -> [ShapeGradient; LANES] {
-    let density = f64x8::from_fn(|i| shapes[i].density);
+/// The gradients of eight primitives from the sums over all their slices, in the axes of [`Ellipsoid`].
+fn primitive_gradients(sums: &[Sums; LANES], primitives: [&WhitenedPrimitive; LANES]) -> [PrimitiveGradient; LANES] {
+    let density = f64x8::from_fn(|i| primitives[i].density);
     let [y, z, yy, yz, zz] = from_fn(|j| f64x8::from_fn(|i| sums[i].distance[1 + j]));
     let [x, xx, xy, xz] = from_fn(|j| f64x8::from_fn(|i| sums[i].x[j]));
-    let [mx, my, mz] = whitening(shapes).columns;
+    let [mx, my, mz] = whitening(primitives).columns;
     let q_x = my.cross(mz).unit();
     let q_y = my.unit();
     let q_z = q_x.cross(q_y);
@@ -37,62 +41,69 @@ fn pull_back(sums: &[Sums; LANES], shapes: [&Shape; LANES]) -> [ShapeGradient; L
         + Symmetric::new(q_y, q_y, yy)
         + Symmetric::new(q_y, q_z, splat(2.0) * yz)
         + Symmetric::new(q_z, q_z, zz);
-    let factor = density / f64x8::from_fn(|i| shapes[i].unit).sqrt();
+    let factor = density / f64x8::from_fn(|i| primitives[i].unit).sqrt();
     let first = q_x * (x * factor) + q_y * (y * factor) + q_z * (z * factor);
     let mean = DVec3x8::new(mx.dot(first), my.dot(first), mz.dot(first)) * splat(-2.0);
-    let nu = f64x8::from_fn(|i| shapes[i].nu);
+    let nu = f64x8::from_fn(|i| primitives[i].nu);
     let log = f64x8::from_fn(|i| sums[i].log);
     let d_nu = splat(-0.5 * std::f64::consts::LN_2) * log * density - (xx + yy + zz) / nu;
     let zero = splat(0.0);
-    Gradients {
+    GradientLanes {
         mean,
         precision,
         density: f64x8::from_fn(|i| sums[i].value),
         nu: nu.select_le(splat(f64::MAX), d_nu, zero),
-        shadow: [zero; 2],
+        mean2d: [zero; 2],
     }
     .to_array()
 }
 
-/// Those of [`GATHER`] primitives that reach a voxel, with their indices in the model, in order.
-pub(super) type Chunk = Vec<(usize, Solid)>;
+/// The ellipsoids among [`CHUNK`] primitives that reach a voxel, with their indices in the model, in order.
+pub(crate) type Chunk = Vec<(usize, Ellipsoid)>;
 
-/// A [`Field`] on a grid: the primitives that reach any of its voxels.
-pub struct GridField<'a, R: Real> {
-    field: &'a Field<R>,
-    pub(super) grid: Grid,
-    pub(super) solids: PoolGuard<'a, Vec<Chunk>>,
+/// Buffers of grids, reused from grid to grid so that a steady state allocates nothing.
+#[derive(Default)]
+pub(crate) struct Workspace<R: Real> {
+    ellipsoids: Pool<Vec<Chunk>>,
+    volumes: Pool<BrickedVolume<R>>,
+    scratch: Pool<Scratch<R::Lanes>>,
 }
 
-impl<R: Kernels> Field<R> {
-    /// The field on a grid.
-    pub fn on(&self, grid: &Grid) -> GridField<'_, R> {
-        let mut solids = self.spaces.solids.take();
-        // Room for all of them: what comes with another grid needs no more.
-        solids.resize_with(self.shapes.len().div_ceil(GATHER), || Vec::with_capacity(GATHER));
-        threads::for_each_chunk(&mut solids, 1, |chunk, solids| {
-            let [solids] = solids else { unreachable!("a chunk of one") };
-            solids.clear();
-            let (mut near, mut count) = ([0; GATHER], 0);
-            for (i, shape) in (chunk * GATHER..).zip(&self.shapes[chunk * GATHER..]).take(GATHER) {
+/// A [`Field`](crate::projector::Field) on a grid: the primitives that reach any of its voxels.
+pub struct GridField<'a, R: Real> {
+    whitened: Whitened<'a>,
+    workspace: &'a Workspace<R>,
+    pub(crate) grid: Grid,
+    pub(crate) ellipsoids: PoolGuard<'a, Vec<Chunk>>,
+}
+
+impl<'a, R: Kernels> GridField<'a, R> {
+    pub(crate) fn new(whitened: Whitened<'a>, workspace: &'a Workspace<R>, grid: &Grid) -> Self {
+        let primitives = whitened.primitives;
+        let mut ellipsoids = workspace.ellipsoids.take();
+        // Full capacity, so that another grid needs no more.
+        ellipsoids.resize_with(primitives.len().div_ceil(CHUNK), || Vec::with_capacity(CHUNK));
+        threads::for_each_chunk(&mut ellipsoids, 1, |chunk, ellipsoids| {
+            let [ellipsoids] = ellipsoids else { unreachable!("a chunk of one") };
+            ellipsoids.clear();
+            let (mut near, mut count) = ([0; CHUNK], 0);
+            for (i, primitive) in (chunk * CHUNK..).zip(&primitives[chunk * CHUNK..]).take(CHUNK) {
                 near[count] = i;
-                count += usize::from(Solid::is_near(shape, grid));
+                count += usize::from(Ellipsoid::is_near(primitive, grid));
             }
-            for some in near[..count].chunks(LANES) {
-                let eight = Solid::eight(lane_refs(some, |&i| &self.shapes[i]), grid);
-                solids.extend(some.iter().copied().zip(eight).filter(|(_, solid)| !solid.slices().is_empty()));
+            for group in near[..count].chunks(LANES) {
+                let eight = Ellipsoid::on_grid(lane_refs(group, |&i| &primitives[i]), grid);
+                let reaching = group.iter().copied().zip(eight).filter(|(_, ellipsoid)| !ellipsoid.slices().is_empty());
+                ellipsoids.extend(reaching);
             }
         });
-        GridField { field: self, grid: *grid, solids }
+        Self { whitened, workspace, grid: *grid, ellipsoids }
     }
 
-    /// Values at the voxel centres of a grid, `[x, y, z]`.
-    pub fn voxels(&self, grid: &Grid) -> Array3<R> {
-        self.on(grid).voxels()
+    fn kernels(&self) -> VolumeKernels<R> {
+        R::volume_kernels(self.whitened.kernel)
     }
-}
 
-impl<R: Kernels> GridField<'_, R> {
     /// Values at the voxel centres, `[x, y, z]`.
     pub fn voxels(&self) -> Array3<R> {
         let mut volume = Array3::default((0, 0, 0));
@@ -100,27 +111,27 @@ impl<R: Kernels> GridField<'_, R> {
         volume
     }
 
-    /// [`Self::voxels`] in the place of others.
+    /// [`Self::voxels`] into an existing array.
     pub fn voxels_into(&self, volume: &mut Array3<R>) {
-        let Self { field, grid, solids } = self;
+        let Self { workspace, grid, ellipsoids, .. } = self;
         let [nx, ny, nz] = grid.shape;
         if volume.dim() != (nx, ny, nz) {
             *volume = Array3::default((nx, ny, nz));
         }
         let volume = volume.as_slice_mut().expect("volumes are in standard layout");
-        let kernel = R::kernels(field.kernel, Projection::Affine).solid.forward;
-        threads::for_each_chunk_in(volume, SLAB * ny * nz, &field.spaces.scratch, |slab, voxels, scratch| {
+        let kernel = self.kernels().forward;
+        threads::for_each_chunk_in(volume, SLAB * ny * nz, &workspace.scratch, |slab, voxels, scratch| {
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
-            let window = Window { slices: slices.clone(), rows: ny, columns: 0..nz };
-            let mut blocks = field.spaces.blocks.take();
-            blocks.renew(window.clone());
-            for (_, solid) in solids.iter().flatten() {
-                if solid.slices().start < slices.end && slices.start < solid.slices().end {
-                    kernel(&Placed { solid, window: &window }, &mut blocks, scratch);
+            let region = GridRegion { slices: slices.clone(), rows: ny, columns: 0..nz };
+            let mut buffer = workspace.volumes.take();
+            buffer.reset(region.clone());
+            for (_, ellipsoid) in ellipsoids.iter().flatten() {
+                if ellipsoid.slices().start < slices.end && slices.start < ellipsoid.slices().end {
+                    kernel(&EllipsoidInRegion { ellipsoid, region: &region }, &mut buffer, scratch);
                 }
             }
             for (row, voxels) in voxels.chunks_exact_mut(nz).enumerate() {
-                blocks.read(slices.start + row / ny, row % ny, voxels);
+                buffer.read(slices.start + row / ny, row % ny, voxels);
             }
         });
     }
@@ -128,29 +139,30 @@ impl<R: Kernels> GridField<'_, R> {
     /// Adds the gradient of `Σ cotangent·volume`; `cotangent` is `[x, y, z]`.
     ///
     /// # Panics
-    /// If the cotangent does not have the grid's shape, or the gradient belongs to another field, or for volumes of 2^32 voxels.
-    pub fn pull_back(&self, cotangent: ArrayView3<'_, R>, gradient: &mut FieldGradient) {
-        let Self { field, grid, solids } = self;
+    /// If the cotangent does not have the grid's shape, if the gradient belongs to another field, or for volumes of 2^32
+    /// voxels.
+    pub fn vjp(&self, cotangent: ArrayView3<'_, R>, gradient: &mut FieldGradient) {
+        let Self { whitened, workspace, grid, ellipsoids } = self;
         let [nx, ny, nz] = grid.shape;
         assert_eq!(cotangent.shape(), grid.shape, "shape of the cotangent");
-        assert_eq!(gradient.shapes.len(), field.shapes.len(), "primitives of the gradient");
+        assert_eq!(gradient.by_primitive.len(), whitened.primitives.len(), "primitives of the gradient");
         let cotangent = cotangent.as_standard_layout();
         let values = cotangent.as_slice().expect("standard layout");
-        let window = Window { slices: 0..nx, rows: ny, columns: 0..nz };
-        let mut blocks = field.spaces.blocks.take();
-        blocks.renew(window.clone());
-        blocks.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
-        let kernel = R::kernels(field.kernel, Projection::Affine).solid.backward;
-        let scratch = &field.spaces.scratch;
-        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
-            for some in solids[chunk].chunks(LANES) {
+        let region = GridRegion { slices: 0..nx, rows: ny, columns: 0..nz };
+        let mut buffer = workspace.volumes.take();
+        buffer.reset(region.clone());
+        buffer.fill(|x, y| &values[(x * ny + y) * nz..][..nz]);
+        let kernel = self.kernels().vjp;
+        let (gradients, scratch) = (&mut gradient.by_primitive, &workspace.scratch);
+        threads::for_each_chunk_in(gradients, CHUNK, scratch, |chunk, gradients, scratch| {
+            for group in ellipsoids[chunk].chunks(LANES) {
                 let mut sums = [Sums::default(); LANES];
-                for (sums, (_, solid)) in sums.iter_mut().zip(some) {
-                    *sums = kernel(&Placed { solid, window: &window }, &blocks, scratch);
+                for (sums, (_, ellipsoid)) in sums.iter_mut().zip(group) {
+                    *sums = kernel(&EllipsoidInRegion { ellipsoid, region: &region }, &buffer, scratch);
                 }
-                let shapes = lane_refs(some, |(i, _)| &field.shapes[*i]);
-                for ((i, _), gradient) in some.iter().zip(pull_back(&sums, shapes)) {
-                    gradients[i - chunk * GATHER].add(&gradient);
+                let primitives = lane_refs(group, |(i, _)| &whitened.primitives[*i]);
+                for ((i, _), gradient) in group.iter().zip(primitive_gradients(&sums, primitives)) {
+                    gradients[i - chunk * CHUNK].add(&gradient);
                 }
             }
         });
@@ -162,6 +174,7 @@ mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::{Parameters, Primitives};
+    use crate::projector::{Field, Projection};
     use crate::scene::{Beam, Detector, Scanner};
     use glam::DVec3;
     use ndarray::Array2;
@@ -195,8 +208,8 @@ mod tests {
             view.image_into(&mut into.0);
             there.voxels_into(&mut into.1);
             let mut gradient = field.pooled_gradient();
-            view.pull_back(into.0.view(), &mut gradient);
-            there.pull_back(into.1.view(), &mut gradient);
+            view.vjp(into.0.view(), &mut gradient);
+            there.vjp(into.1.view(), &mut gradient);
             gradient.clone()
         };
         // More of everything first, then less.
@@ -221,15 +234,15 @@ mod tests {
         let field = Field::<f32>::new(&some(3000, 7), 1e-2);
         let grid = Grid::cube(24).block([5, 8, 11], [6, 7, 5]);
         let there = field.on(&grid);
-        let mut kept = there.solids.iter().flatten().map(|(i, _)| *i).peekable();
+        let mut kept = there.ellipsoids.iter().flatten().map(|(i, _)| *i).peekable();
         let (mut left_out, mut reaching) = (0, 0);
-        for (i, shape) in field.shapes.iter().enumerate() {
+        for (i, primitive) in field.whitened().primitives.iter().enumerate() {
             let delta = |x: usize, y: usize, z: usize| {
                 let place = grid.min + (DVec3::new(x as f64, y as f64, z as f64) + 0.5) * grid.spacing;
-                (shape.whitening * (place - shape.mean)).length_squared() / shape.unit
+                (primitive.whitening * (place - primitive.mean)).length_squared() / primitive.unit
             };
             let voxels = (0..6 * 7 * 5).map(|j| delta(j / 35, j / 5 % 7, j % 5));
-            let reaches = voxels.fold(f64::INFINITY, f64::min) <= shape.limit;
+            let reaches = voxels.fold(f64::INFINITY, f64::min) <= primitive.max_x;
             reaching += usize::from(reaches);
             if kept.next_if_eq(&i).is_none() {
                 left_out += 1;

@@ -1,72 +1,54 @@
-//! A primitive in one view: its quadratic form on the detector, the box it reaches, and the way back.
+//! The projection of a primitive in one view: its quadratic form on the detector, and the box of its support.
 //!
 //! With the whitened directions `p0 = M·d0`, `pᵤ = M·u`, `pᵥ = M·v` of the ray through the centre and of the detector's
 //! axes, the form of `[Eq. 4]` is the squared part of `α·pᵤ + β·pᵥ` perpendicular to p0. Its coefficients are taken from
-//! cross products, and its determinant from `det M`, so that needles lose no digits to a difference of squares. The
-//! gradient comes back in the same whitened coordinates, for the same reason.
+//! cross products, and its determinant from `det M`, so that needles lose no digits to a difference of squares.
+//! `footprint_vjp` mirrors this file.
 
-use super::Projection;
-use super::extents::Extents;
-use super::kernel::Sums;
-use super::patch::Patch;
-use super::plane::{Plane, Planes};
-use super::shape::{Gradients, Shape, ShapeGradient, Symmetric, whitening};
+use super::placement::PlacedFootprint;
 use crate::numeric::Lanes;
 use crate::numeric::vectors::{DVec3x8, LANES, f64x8, splat};
+use crate::projector::kernel::conic::{Conic, ConicX8};
+use crate::projector::kernel::extents::Extents;
+use crate::projector::projection::{MIN_DEPTH, Projection};
+use crate::projector::whitened::{WhitenedPrimitive, whitening};
 use crate::scene::{Beam, Scanner, View};
 use std::array::from_fn;
 use std::ops::Range;
 
-/// Primitives whose centre is nearer to the source than this fraction of `dso`, or behind it, are left out.
-pub(super) const NEAR: f64 = 0.01;
-
-/// A primitive on the detector of one view. The default is one that is left out.
+/// A primitive on the detector of one view. The default is a primitive that is left out.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Footprint {
+pub(crate) struct Footprint {
     /// False for a primitive near or behind the source: it is left out of the view whatever the cutoff.
-    pub(super) seen: bool,
-    pub(super) plane: Plane,
+    pub(crate) seen: bool,
+    pub(crate) conic: Conic,
     /// Rows of the support, empty if the primitive is not seen.
-    pub(super) rows: Range<usize>,
+    pub(crate) rows: Range<usize>,
     /// Columns of the support.
-    pub(super) columns: Range<usize>,
-    geometry: Geometry<f64>,
+    pub(crate) columns: Range<usize>,
+    pub(super) geometry: Geometry<f64>,
 }
 
-/// What the way back needs, of one primitive or of eight.
+/// Intermediate values of the projection that its gradient needs, of one primitive or of eight.
 #[derive(Clone, Copy, Debug, Default)]
-struct Geometry<N> {
+pub(super) struct Geometry<N> {
     /// `(â, b̂)`: the centre's ray is d0 = (â, b̂, 1) in the camera's axes.
-    slope: [N; 2],
+    pub(super) slope: [N; 2],
     /// 1/depth of the centre; 0 for a parallel beam.
-    kappa: N,
+    pub(super) kappa: N,
     /// d0, whitened; `A0 = |p0|²`.
-    p0: [N; 3],
+    pub(super) p0: [N; 3],
     /// `uᵀΣ⁻¹d0`, `vᵀΣ⁻¹d0`.
-    g: [N; 2],
-    /// The plane's coordinates per length: y = b·β + ab·α, z = a·α.
-    b: N,
-    ab: N,
-    a: N,
-    /// Half the detector along (u, v) as lengths in the plane through the centre.
-    half: [N; 2],
+    pub(super) g: [N; 2],
+    /// The conic's coordinates per length: y = b·β + ab·α, z = a·α.
+    pub(super) b: N,
+    pub(super) ab: N,
+    pub(super) a: N,
+    /// Half the detector along (u, v), as lengths in the plane through the centre.
+    pub(super) half: [N; 2],
 }
 
 impl Geometry<f64x8> {
-    fn of(footprints: [&Footprint; LANES]) -> Self {
-        let of = footprints.map(|footprint| &footprint.geometry);
-        Self {
-            slope: from_fn(|axis| f64x8::from_fn(|i| of[i].slope[axis])),
-            kappa: f64x8::from_fn(|i| of[i].kappa),
-            p0: from_fn(|axis| f64x8::from_fn(|i| of[i].p0[axis])),
-            g: from_fn(|axis| f64x8::from_fn(|i| of[i].g[axis])),
-            b: f64x8::from_fn(|i| of[i].b),
-            ab: f64x8::from_fn(|i| of[i].ab),
-            a: f64x8::from_fn(|i| of[i].a),
-            half: from_fn(|axis| f64x8::from_fn(|i| of[i].half[axis])),
-        }
-    }
-
     fn to_array(self) -> [Geometry<f64>; LANES] {
         let (slope, p0, g) =
             (self.slope.map(f64x8::to_array), self.p0.map(f64x8::to_array), self.g.map(f64x8::to_array));
@@ -84,51 +66,34 @@ impl Geometry<f64x8> {
         })
     }
 
-    fn p0(&self) -> DVec3x8 {
-        let [x, y, z] = self.p0;
-        DVec3x8::new(x, y, z)
-    }
-
-    /// Orthonormal whitened axes of y and z, perpendicular to p0.
-    fn axes(&self, whitened_v: DVec3x8) -> (DVec3x8, DVec3x8) {
-        let p0 = self.p0();
-        let q_y = p0.cross(whitened_v).cross(p0).unit();
-        (q_y, q_y.cross(p0.unit()))
-    }
-
     /// `gᵀ(α, β)` in terms of y and z.
-    fn g_yz(&self) -> [f64x8; 2] {
+    pub(super) fn g_yz(&self) -> [f64x8; 2] {
         let [u, v] = self.g;
         [v / self.b, (u - v * self.ab / self.b) / self.a]
     }
-
-    /// From a vector in the (y, z) axes to its product with the detector's axes, `(pᵤ·, pᵥ·)`.
-    fn on_detector(&self, [y, z]: [f64x8; 2]) -> [f64x8; 2] {
-        [self.ab * y + self.a * z, self.b * y]
-    }
 }
 
-/// What footprints are made from, of eight primitives.
-struct Prepared {
-    /// Where not 0: it is neither near nor behind the source.
+/// The projections of eight primitives, before their supports are clipped.
+struct Projected {
+    /// Mask of the primitives that are neither near nor behind the source.
     seen: f64x8,
-    planes: Planes,
+    conics: ConicX8,
     geometry: Geometry<f64x8>,
     support: Support,
 }
 
-impl Prepared {
+impl Projected {
     #[inline(always)]
-    fn new(shapes: [&Shape; LANES], scanner: &Scanner, view: &View, projection: Projection) -> Self {
+    fn new(primitives: [&WhitenedPrimitive; LANES], scanner: &Scanner, view: &View, projection: Projection) -> Self {
         let detector = &scanner.detector;
         let (vu, vv, vw) = (DVec3x8::splat(view.u), DVec3x8::splat(view.v), DVec3x8::splat(view.w));
-        let offset = DVec3x8::from_fn(|i| shapes[i].mean) - DVec3x8::splat(view.source);
+        let offset = DVec3x8::from_fn(|i| primitives[i].mean) - DVec3x8::splat(view.source);
         let m = [vu.dot(offset), vv.dot(offset), vw.dot(offset)];
         let (seen, kappa, slope, [step_u, step_v], [u, v]) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
                 let kappa = splat(1.0) / m[2];
                 (
-                    m[2].simd_gt(splat(NEAR * dso)),
+                    m[2].simd_gt(splat(MIN_DEPTH * dso)),
                     kappa,
                     [m[0] * kappa, m[1] * kappa],
                     [splat(detector.pitch_u) * m[2] / splat(dsd), splat(detector.pitch_v) * m[2] / splat(dsd)],
@@ -146,7 +111,7 @@ impl Prepared {
         let row_centre = at(v, detector.offset_v, detector.pitch_v, detector.rows);
         let column_centre = at(u, detector.offset_u, detector.pitch_u, detector.columns);
         let d0 = vw + vu * slope[0] + vv * slope[1];
-        let whitening = whitening(shapes);
+        let whitening = whitening(primitives);
         let (p0, pu, pv) = (whitening * d0, whitening * vu, whitening * vv);
         let a0 = p0.length_squared();
         let g = [pu.dot(p0), pv.dot(p0)];
@@ -155,58 +120,54 @@ impl Prepared {
         let b = c[2].sqrt();
         let half = [step_u * splat(detector.columns as f64), step_v * splat(detector.rows as f64)]
             .map(|side| side / splat(2.0));
-        let determinant = f64x8::from_fn(|i| shapes[i].determinant());
+        let determinant = f64x8::from_fn(|i| primitives[i].determinant());
         let a = determinant / (a0.sqrt() * b);
         let geometry = Geometry { slope, kappa, p0: [p0.x, p0.y, p0.z], g, b, ab: c[1] / b, a, half };
-        let unit = f64x8::from_fn(|i| shapes[i].unit);
+        let unit = f64x8::from_fn(|i| primitives[i].unit);
         let unit_root = unit.sqrt();
-        let line = f64x8::from_fn(|i| shapes[i].density * shapes[i].line.0);
-        let mut planes = Planes {
+        let line = f64x8::from_fn(|i| primitives[i].density * primitives[i].line.0);
+        let mut conics = Conic {
             row_centre,
             column_centre,
             slant: -geometry.ab * step_u / (b * step_v),
             b: b * step_v / unit_root,
             a: a * step_u / unit_root,
-            shift: splat(0.0),
-            floor: splat(0.0),
-            h_y: splat(0.0),
-            h_z: splat(0.0),
-            k: splat(0.0),
-            q: f64x8::from_fn(|i| (shapes[i].nu + 2.0) / 2.0),
+            q: f64x8::from_fn(|i| (primitives[i].nu + 2.0) / 2.0),
             weight: line / a0.sqrt(),
-            limit: f64x8::from_fn(|i| shapes[i].limit),
+            max_x: f64x8::from_fn(|i| primitives[i].max_x),
+            ..Conic::default()
         };
         let (mut s, mut k) = ([splat(0.0); 2], splat(0.0));
         match projection {
             Projection::Exact => {
                 (s, k) = (g.map(|g| g * (kappa / a0)), kappa * kappa / a0);
                 let [h_y, h_z] = geometry.g_yz().map(|g| g * (kappa / a0 * unit_root));
-                (planes.h_y, planes.h_z, planes.k) = (h_y, h_z, k * unit);
+                (conics.h_y, conics.h_z, conics.k) = (h_y, h_z, k * unit);
             }
-            Projection::Affine => planes.weight *= d0.length(),
+            Projection::Affine => conics.weight *= d0.length(),
         }
         // The determinant of c is taken from its factors, which have all their digits.
         let det_c = a * a * b * b;
         let support = Support { centre: [row_centre, column_centre], steps: [step_v, step_u], c, det_c, s, k };
-        Self { seen, planes, geometry, support }
+        Self { seen, conics, geometry, support }
     }
 }
 
 impl Footprint {
-    /// Up to eight primitives as the view sees them.
-    pub(super) fn eight(
+    /// Projects up to eight primitives.
+    pub(crate) fn project(
         footprints: &mut [Self],
-        shapes: [&Shape; LANES],
+        primitives: [&WhitenedPrimitive; LANES],
         scanner: &Scanner,
         view: &View,
         projection: Projection,
     ) {
-        let Prepared { seen, planes, geometry, support } = Prepared::new(shapes, scanner, view, projection);
+        let Projected { seen, conics, geometry, support } = Projected::new(primitives, scanner, view, projection);
         let counts = [scanner.detector.rows, scanner.detector.columns];
-        let unit = f64x8::from_fn(|i| shapes[i].unit);
-        let (ellipse, extents) = support.extents(planes.limit * unit);
+        let unit = f64x8::from_fn(|i| primitives[i].unit);
+        let (ellipse, extents) = support.extents(conics.max_x * unit);
         let [rows, columns] = from_fn(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
-        let planes = planes.to_array(&planes.bounds(rows, columns));
+        let conics = conics.bounded(rows, columns).to_array();
         let (rows, columns, geometry) = (rows.ranges(), columns.ranges(), geometry.to_array());
         let seen = seen.to_bitmask();
         for (i, footprint) in footprints.iter_mut().enumerate() {
@@ -214,7 +175,7 @@ impl Footprint {
                 0 => Self::default(),
                 _ => Self {
                     seen: true,
-                    plane: planes[i],
+                    conic: conics[i],
                     rows: rows[i].clone(),
                     columns: columns[i].clone(),
                     geometry: geometry[i],
@@ -224,18 +185,18 @@ impl Footprint {
     }
 
     /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has them.
-    pub(super) fn support_boxes(
-        shapes: [&Shape; LANES],
+    pub(crate) fn support_boxes(
+        primitives: [&WhitenedPrimitive; LANES],
         scanner: &Scanner,
         view: &View,
         projection: Projection,
     ) -> [[f64; 4]; LANES] {
-        let Prepared { seen, support, .. } = Prepared::new(shapes, scanner, view, projection);
-        let (ellipse, extents) = support.extents(f64x8::from_fn(|i| shapes[i].reach * shapes[i].unit));
+        let Projected { seen, support, .. } = Projected::new(primitives, scanner, view, projection);
+        let (ellipse, extents) = support.extents(f64x8::from_fn(|i| primitives[i].cutoff_x * primitives[i].unit));
         let ends = extents.map(|extent| [(extent.low, -1.0), (extent.high, 1.0)]);
         let ends = ends.as_flattened().iter().map(|&(end, sign)| {
-            let (all_of_it, none) = (splat(sign * f64::INFINITY), splat(-sign * f64::INFINITY));
-            seen.select(ellipse.select(end, all_of_it), none).to_array()
+            let (unbounded, empty) = (splat(sign * f64::INFINITY), splat(-sign * f64::INFINITY));
+            seen.select(ellipse.select(end, unbounded), empty).to_array()
         });
         let mut boxes = [[0.0; 4]; LANES];
         for (side, ends) in ends.enumerate() {
@@ -244,112 +205,29 @@ impl Footprint {
         boxes
     }
 
-    /// Whether any pixel can see it.
-    pub(super) fn is_empty(&self) -> bool {
+    /// Whether the support holds no pixel.
+    pub(crate) fn is_empty(&self) -> bool {
         self.rows.is_empty() || self.columns.is_empty()
     }
 
-    /// The rows within a band that the kernel walks.
-    pub(super) fn rows_in(&self, band: Range<usize>) -> Range<usize> {
+    /// The rows of the support within a band.
+    pub(crate) fn rows_in(&self, band: Range<usize>) -> Range<usize> {
         self.rows.start.max(band.start)..self.rows.end.min(band.end)
     }
 
-    /// Something of each line of memory that [`Self::patch`] reads.
-    pub(super) fn touch(&self) -> u64 {
-        let Self { plane, rows, columns, .. } = self;
-        plane.row_centre.to_bits() ^ plane.bend.to_bits() ^ rows.start as u64 ^ columns.start as u64
+    /// Reads a word of each cache line that [`Self::placed`] reads.
+    pub(crate) fn touch(&self) -> u64 {
+        let Self { conic, rows, columns, .. } = self;
+        conic.row_centre.to_bits() ^ conic.max_abs_e.to_bits() ^ rows.start as u64 ^ columns.start as u64
     }
 
-    /// Its part of a canvas in `rows`, the first of which is row `top` there.
-    pub(super) fn patch(&self, rows: Range<usize>, top: usize, stride: usize) -> Patch {
-        Patch::new(&self.plane, rows, self.columns.clone(), top, stride)
-    }
-
-    /// From sums over pixels to the gradients of mean, precision matrix, density and ν. Mirrors [`Self::eight`].
-    pub(super) fn pull_back(
-        footprints: [&Self; LANES],
-        shapes: [&Shape; LANES],
-        view: &View,
-        projection: Projection,
-        sums: &[Sums; LANES],
-    ) -> [ShapeGradient; LANES] {
-        let geometry = Geometry::of(footprints);
-        let Geometry { slope, kappa, g, .. } = geometry;
-        let p0 = geometry.p0();
-        let a0 = p0.length_squared();
-        let weight = f64x8::from_fn(|i| footprints[i].plane.weight);
-        let unit = f64x8::from_fn(|i| shapes[i].unit);
-        let unit_root = unit.sqrt();
-        // Sums with the weight in and lengths for units: Σ G (y, z), Σ G (yy, yz, zz); the same of h; of k.
-        let [y, z, yy, yz, zz] = from_fn(|j| f64x8::from_fn(|i| sums[i].distance[1 + j]) * weight);
-        let first = [y / unit_root, z / unit_root];
-        let [h, hy, hz] = from_fn(|j| splat(2.0) * f64x8::from_fn(|i| sums[i].h[j]) * weight);
-        let d_h = [hy * unit_root, hz * unit_root];
-        let k_sum = f64x8::from_fn(|i| sums[i].k) * weight;
-        let d_k = k_sum * unit;
-        let g_yz = geometry.g_yz();
-
-        // The weight: ρ · line · a0^-½ (· |d0| if affine).
-        let d_weight = f64x8::from_fn(|i| sums[i].value);
-        let d0_squared = splat(1.0) + (slope[0] * slope[0] + slope[1] * slope[1]);
-        let line = f64x8::from_fn(|i| shapes[i].line.0);
-        let per_density = match projection {
-            Projection::Affine => line / a0.sqrt() * d0_squared.sqrt(),
-            Projection::Exact => line / a0.sqrt(),
-        };
-
-        // ν at constant δ: the exponent's half, the 1/ν's half (Σ a·x, read off the moments), and the line integral.
-        let nu = f64x8::from_fn(|i| shapes[i].nu);
-        let d_x = (k_sum * f64x8::from_fn(|i| footprints[i].plane.k) - yy - zz) / nu;
-        let log = f64x8::from_fn(|i| sums[i].log);
-        let d_line = f64x8::from_fn(|i| shapes[i].line.1) / line;
-        let d_nu = splat(-0.5 * std::f64::consts::LN_2) * log * weight + d_x + d_line * weight * d_weight;
-        let d_nu = nu.select_le(splat(f64::MAX), d_nu, splat(0.0));
-
-        // Σ⁻¹ at fixed centre: δ = |e|² for the nearest point e = y·q_y + z·q_z, A0 = |p0|², and h's slope on p0.
-        let whitening = whitening(shapes);
-        let (q_y, q_z) = geometry.axes(whitening * DVec3x8::splat(view.v));
-        let d_a0 = -(splat(0.5) * weight * d_weight + kappa * kappa * d_k / a0) / a0;
-        let precision = Symmetric::new(q_y, q_y, yy)
-            + Symmetric::new(q_y, q_z, splat(2.0) * yz)
-            + Symmetric::new(q_z, q_z, zz)
-            + Symmetric::new(q_y * d_h[0] + q_z * d_h[1], p0, kappa / a0)
-            + Symmetric::new(p0, p0, d_a0);
-
-        // The centre's place in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
-        let [mut d_offset_u, mut d_offset_v] = geometry.on_detector(first).map(|d| d * splat(2.0));
-        if projection == Projection::Exact {
-            (d_offset_u, d_offset_v) = (d_offset_u + g[0] * (kappa / a0) * h, d_offset_v + g[1] * (kappa / a0) * h);
-        }
-        // The ray through the centre, d0 = m/m_z: from δ and h's slope, from A0, from |d0|. In a parallel beam κ is 0.
-        let g_h = g_yz[0] * d_h[0] + g_yz[1] * d_h[1];
-        let along = [yy * g_yz[0] + yz * g_yz[1], yz * g_yz[0] + zz * g_yz[1]];
-        let mut d_slope = geometry.on_detector(from_fn(|j| along[j] * (splat(-2.0) / a0) + d_h[j] * (kappa / a0)));
-        let by_g = splat(2.0) * d_a0 - kappa * g_h / (a0 * a0);
-        let by_slope = weight * d_weight / d0_squared;
-        let mut d_z =
-            slope[0] * d_offset_u + slope[1] * d_offset_v + kappa * (splat(2.0) * (yy + zz) + kappa / a0 * g_h);
-        d_slope = from_fn(|j| d_slope[j] + g[j] * by_g);
-        match projection {
-            Projection::Affine => d_slope = from_fn(|j| d_slope[j] + slope[j] * by_slope),
-            Projection::Exact => d_z -= kappa * kappa * (g_h + splat(2.0) * kappa * d_k) / a0,
-        }
-        let d_u = kappa * d_slope[0] - d_offset_u;
-        let d_v = kappa * d_slope[1] - d_offset_v;
-        let d_z = d_z - kappa * (slope[0] * d_slope[0] + slope[1] * d_slope[1]);
-        let mean = DVec3x8::splat(view.u) * d_u + DVec3x8::splat(view.v) * d_v + DVec3x8::splat(view.w) * d_z;
-        Gradients {
-            mean,
-            precision,
-            density: per_density * d_weight,
-            nu: d_nu,
-            shadow: [-d_offset_u * geometry.half[0], -d_offset_v * geometry.half[1]],
-        }
-        .to_array()
+    /// The footprint in `rows` of an image buffer, in which the first of them is row `top`.
+    pub(crate) fn placed(&self, rows: Range<usize>, top: usize, stride: usize) -> PlacedFootprint {
+        PlacedFootprint::new(&self.conic, rows, self.columns.clone(), top, stride)
     }
 }
 
-/// The quadratic forms of eight primitives on the detector, in lengths (α, β) from their centre's shadow.
+/// The quadratic forms of eight primitives on the detector, in lengths (α, β) from their projected means.
 struct Support {
     /// Row and column of the centre.
     centre: [f64x8; 2],
@@ -364,8 +242,10 @@ struct Support {
 }
 
 impl Support {
-    /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`. The first is 0
-    /// where that is no ellipse: the support holds the source or passes beside it, or there is no cutoff.
+    /// Rows and columns of the support `[X2]`: the exact bounding box of the conic `δ ≤ cut·(h² + kδ)`.
+    ///
+    /// The first value is the mask of ellipses. The conic is no ellipse where the support holds the source or passes next to
+    /// it, or without a cutoff.
     fn extents(&self, cut: f64x8) -> (f64x8, [Extents; 2]) {
         let Self { centre: [row, column], steps: [step_v, step_u], c, det_c, s, k } = *self;
         let zero = splat(0.0);
@@ -388,8 +268,10 @@ impl Support {
 
 #[cfg(test)]
 mod tests {
+    use super::super::footprint_vjp::vjp;
     use super::*;
     use crate::primitives::{Parameters, Primitives, student_t};
+    use crate::projector::kernel::Sums;
     use crate::scene::{Detector, Grid};
 
     fn scanner() -> Scanner {
@@ -407,18 +289,24 @@ mod tests {
         }
     }
 
-    fn eight(shapes: [&Shape; LANES], scanner: &Scanner, view: &View, projection: Projection) -> [Footprint; LANES] {
+    fn project(
+        primitives: [&WhitenedPrimitive; LANES],
+        scanner: &Scanner,
+        view: &View,
+        projection: Projection,
+    ) -> [Footprint; LANES] {
         let mut footprints: [Footprint; LANES] = Default::default();
-        Footprint::eight(&mut footprints, shapes, scanner, view, projection);
+        Footprint::project(&mut footprints, primitives, scanner, view, projection);
         footprints
     }
 
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
-        let [footprint, ..] = eight([&shape(mean, scale, 1e-2); LANES], &scanner(), &scanner().view(0.8), projection);
+        let [footprint, ..] =
+            project([&whitened(mean, scale, 1e-2); LANES], &scanner(), &scanner().view(0.8), projection);
         footprint
     }
 
-    fn shape(mean: [f64; 3], scale: [f64; 3], cutoff: f64) -> Shape {
+    fn whitened(mean: [f64; 3], scale: [f64; 3], cutoff: f64) -> WhitenedPrimitive {
         let primitives = Primitives::new(Parameters {
             mean: vec![mean],
             scale: vec![scale],
@@ -426,11 +314,12 @@ mod tests {
             density: vec![1.0],
             nu: vec![7.0],
         });
-        Shape::new::<f64>(&primitives.unwrap(), 0, student_t::bits(cutoff))
+        WhitenedPrimitive::new::<f64>(&primitives.unwrap(), 0, student_t::bits(cutoff))
     }
 
     fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {
-        Footprint::support_boxes([&shape(mean, scale, cutoff); LANES], &scanner(), &scanner().view(0.8), projection)[0]
+        Footprint::support_boxes([&whitened(mean, scale, cutoff); LANES], &scanner(), &scanner().view(0.8), projection)
+            [0]
     }
 
     /// Rows and columns that hold a pixel of the support, found by asking every pixel.
@@ -438,7 +327,7 @@ mod tests {
         let detector = scanner().detector;
         let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
         for row in 0..detector.rows {
-            for column in (0..detector.columns).filter(|&column| footprint.plane.reaches(row, column)) {
+            for column in (0..detector.columns).filter(|&column| footprint.conic.contains(row, column)) {
                 low = [low[0].min(row), low[1].min(column)];
                 high = [high[0].max(row + 1), high[1].max(column + 1)];
             }
@@ -485,7 +374,7 @@ mod tests {
             [v0, v1, u0, u1]
         };
         let [finer, ..] =
-            Footprint::support_boxes([&shape(mean, scale, 1e-2); LANES], &fine, &fine.view(0.8), Projection::Exact);
+            Footprint::support_boxes([&whitened(mean, scale, 1e-2); LANES], &fine, &fine.view(0.8), Projection::Exact);
         assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
         for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
             assert!((a - b).abs() < 1e-13, "{a} against {b}");
@@ -513,13 +402,13 @@ mod tests {
         // One near the edge, one behind the source, one that holds it, one that misses the detector, and four amid it.
         let means = [[1.2, 1.2, 0.0], [5.0, 5.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 3.0]];
         let means = means.into_iter().chain((0..4).map(|i| [0.3 - 0.2 * f64::from(i), 0.1 * f64::from(i), 0.2]));
-        let shapes: Vec<_> = means
+        let primitives: Vec<_> = means
             .enumerate()
             .map(|(i, mean)| {
-                shape(mean, if i == 2 { [2.5, 2.0, 3.0] } else { [0.04 * (i + 1) as f64, 0.05, 0.06] }, 1e-2)
+                whitened(mean, if i == 2 { [2.5, 2.0, 3.0] } else { [0.04 * (i + 1) as f64, 0.05, 0.06] }, 1e-2)
             })
             .collect();
-        let shapes: [&Shape; LANES] = std::array::from_fn(|i| &shapes[i]);
+        let primitives: [&WhitenedPrimitive; LANES] = std::array::from_fn(|i| &primitives[i]);
         let sums: [Sums; LANES] = std::array::from_fn(|i| Sums {
             distance: std::array::from_fn(|j| (i + j) as f64 / 7.0),
             h: [0.3 * i as f64, -0.2, 0.1],
@@ -529,17 +418,16 @@ mod tests {
             ..Sums::default()
         });
         for projection in [Projection::Exact, Projection::Affine] {
-            let together = eight(shapes, &scanner, &view, projection);
-            let boxes = Footprint::support_boxes(shapes, &scanner, &view, projection);
-            let parts = Footprint::pull_back(together.each_ref(), shapes, &view, projection, &sums);
+            let together = project(primitives, &scanner, &view, projection);
+            let boxes = Footprint::support_boxes(primitives, &scanner, &view, projection);
+            let parts = vjp(together.each_ref(), primitives, &view, projection, &sums);
             assert_eq!(together.each_ref().map(|f| f.seen), [true, false, true, true, true, true, true, true]);
-            for (i, shape) in shapes.into_iter().enumerate() {
-                let [alone, ..] = eight([shape; LANES], &scanner, &view, projection);
+            for (i, primitive) in primitives.into_iter().enumerate() {
+                let [alone, ..] = project([primitive; LANES], &scanner, &view, projection);
                 assert_eq!(format!("{alone:?}"), format!("{:?}", together[i]), "{i} {projection:?}");
-                assert_eq!(Footprint::support_boxes([shape; LANES], &scanner, &view, projection)[0], boxes[i]);
+                assert_eq!(Footprint::support_boxes([primitive; LANES], &scanner, &view, projection)[0], boxes[i]);
                 if alone.seen {
-                    let part =
-                        Footprint::pull_back([&alone; LANES], [shape; LANES], &view, projection, &[sums[i]; LANES]);
+                    let part = vjp([&alone; LANES], [primitive; LANES], &view, projection, &[sums[i]; LANES]);
                     assert_eq!(part[0], parts[i], "{i} {projection:?}");
                 }
             }
