@@ -9,6 +9,7 @@
 //!          now and then: who is needed is copied, who is not goes; c again  ←  SGHMC, Adam  ←──┘
 //! ```
 
+mod losses;
 mod optimiser;
 mod record;
 mod start;
@@ -20,21 +21,19 @@ pub use start::initial_primitives;
 pub use state::{Checkpoint, Checkpoints};
 
 use crate::classical::density_unit::{density_unit, in_unit};
-use crate::confidence::{Coverage, nu_loss_into, nu_target, spearman};
+use crate::confidence::{Coverage, nu_target, spearman};
 use crate::config::{Config, DensityControl, Precision};
 use crate::density::{self, NextPrimitive, adc, ar};
 use crate::error::{Error, Result};
-use crate::loss::{Ssim, SsimTarget, image_loss_into, tv};
+use crate::loss::{Ssim, SsimTarget};
 use crate::numeric::rng::{self, Purpose};
-use crate::numeric::threads::{self, Pool, PoolGuard};
-use crate::numeric::{Real, real, reduce};
+use crate::numeric::{real, reduce};
 use crate::primitives::activation::Interval;
-use crate::primitives::{Activation, Parameters, Primitives};
-use crate::projector::{Field, FieldGradient, Kernels, ViewField};
+use crate::primitives::{Activation, Primitives};
+use crate::projector::{Field, Kernels};
 use crate::scene::dataset::Dataset;
 use crate::scene::{Grid, Volume};
-use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
-use ndarray::{Array2, Array3};
+use losses::{DataTerm, IterationState, LossInputs};
 use optimiser::Step;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -43,7 +42,7 @@ use state::{State, digest};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
-use views::{ViewOrder, random_block};
+use views::ViewOrder;
 
 /// Called after every iteration, with a record where one is due. `Break` stops the run.
 pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a;
@@ -109,45 +108,15 @@ struct Trainer<'a, R: Kernels> {
     config: &'a Config,
     activation: Activation,
     coverage: Coverage,
-    /// Where the pull on ν leads, for each primitive.
+    /// ν_target of each primitive `[Eq. 9]`.
     targets: Vec<f64>,
     order: ViewOrder,
     ssim: Ssim<R>,
     images: Vec<SsimTarget<R>>,
     state: State,
-    /// Where the state is kept, and the digest of the data that it belongs to.
+    current: IterationState<R>,
+    /// The checkpoint's file, and the digest of the data that it belongs to.
     checkpoint: Option<(PathBuf, String)>,
-}
-
-/// What the losses of an iteration work in.
-#[derive(Default)]
-struct Workspace<R: Real> {
-    images: Pool<Array2<R>>,
-    volumes: Pool<Array3<R>>,
-    tv: tv::Workspace<R>,
-    routers: Pool<Router>,
-    routings: Pool<Routing>,
-    wavelets: wavelet::Workspace<R>,
-    nu_gradients: Pool<Vec<f64>>,
-}
-
-/// What an iteration makes anew from the raw parameters, in the memory of the one before.
-struct IterationState<R: Kernels> {
-    physical: Primitives,
-    field: Field<R>,
-    workspace: Workspace<R>,
-    /// To the physical parameters, then to the raw ones.
-    gradient: Parameters,
-    direction: Vec<[f64; 3]>,
-}
-
-impl<R: Kernels> IterationState<R> {
-    fn new(raw: &Parameters, activation: &Activation, cutoff: f64) -> Self {
-        let physical = activation.forward(raw);
-        let field = Field::new(&physical, cutoff);
-        let (workspace, gradient) = (Workspace::default(), Parameters::default());
-        Self { physical, field, workspace, gradient, direction: Vec::new() }
-    }
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
@@ -186,6 +155,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             ssim,
             images,
             state,
+            current: IterationState::new(&activation, config.cutoff),
             checkpoint,
         };
         if resumed {
@@ -199,10 +169,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn run(mut self, observe: &mut Observe<'_>) -> Result<TrainedModel> {
         let (began, before) = (Instant::now(), self.state.seconds);
         let iterations = self.config.iterations;
-        let mut derived = IterationState::new(&self.state.raw, &self.activation, self.config.cutoff);
         while self.state.iteration < iterations {
             let iteration = self.state.iteration + 1;
-            let losses = self.step(iteration, &mut derived)?;
+            let losses = self.step(iteration)?;
             self.state.iteration = iteration;
             self.state.sums.add(&losses);
             self.state.summed += 1;
@@ -226,7 +195,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 return Err(Error::Interrupted { step: iteration, remedy: remedy.into() });
             }
         }
-        drop(derived);
+        drop(self.current);
         let mut primitives = self.activation.forward(&self.state.raw);
         primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let field = Field::<R>::new(&primitives, self.config.cutoff);
@@ -236,11 +205,10 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
-    fn step(&mut self, iteration: usize, derived: &mut IterationState<R>) -> Result<Losses> {
-        self.activation.forward_into(&self.state.raw, &mut derived.physical);
-        derived.field.renew(&derived.physical);
-        let losses = self.losses(iteration, derived)?;
-        let IterationState { physical, gradient, direction, .. } = derived;
+    fn step(&mut self, iteration: usize) -> Result<Losses> {
+        self.current.update(&self.state.raw, &self.activation);
+        let losses = self.losses(iteration)?;
+        let IterationState { physical, gradient, direction, .. } = &mut self.current;
         self.activation.vjp(physical, gradient);
         gradient.check_finite("gradient of the raw parameters", iteration)?;
         let State { raw, ids, optimiser, .. } = &mut self.state;
@@ -252,132 +220,32 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(losses)
     }
 
-    /// All losses that count in an iteration, and their gradient to the physical parameters.
-    fn losses(&mut self, iteration: usize, derived: &mut IterationState<R>) -> Result<Losses> {
-        let IterationState { physical, field, workspace, gradient, .. } = derived;
+    /// All losses that are due; writes their gradient to the physical parameters.
+    fn losses(&mut self, iteration: usize) -> Result<Losses> {
         let view = self.order.view(iteration - 1);
-        // Side by side: while one waits for its last piece of work, the others have some.
-        let (((mut losses, seen, mut of_view), tv), (wavelet, pull)) = threads::join(
-            || {
-                threads::join(
-                    || self.data_loss(field, workspace, view),
-                    || self.total_variation(field, workspace, iteration),
-                )
-            },
-            || {
-                threads::join(
-                    || self.wavelets(field, workspace, physical, iteration),
-                    || self.nu_loss(workspace, physical),
-                )
-            },
-        );
-        if self.config.density_control.method == DensityControl::Adc {
-            self.state.gradient_stats.add(of_view.mean2d_gradients(), seen.seen());
-        }
-        let wavelet = wavelet?;
-        losses.tv = tv.as_ref().map_or(0.0, |(value, _)| *value);
-        (losses.wavelet, losses.blocks) = wavelet.as_ref().map_or((0.0, 0), |(value, _)| (*value, 1));
-        self.add_blocks(&mut of_view, [tv, wavelet].map(|block| block.map(|(_, gradient)| gradient)));
-        field.parameter_gradient_into(&of_view, gradient);
-        if let Some((value, d_nu)) = pull {
-            losses.nu = value;
-            gradient.nu.iter_mut().zip(d_nu.iter()).for_each(|(gradient, d)| *gradient += d);
-        }
-        losses.total += self.config.loss.tv * losses.tv + losses.wavelet + losses.nu;
-        Ok(losses)
-    }
-
-    /// L1 and D-SSIM of a view, and their gradient.
-    fn data_loss<'f>(
-        &self,
-        field: &'f Field<R>,
-        workspace: &Workspace<R>,
-        view: usize,
-    ) -> (Losses, ViewField<'f, R>, PoolGuard<'f, FieldGradient>) {
-        let seen = field.view(&self.dataset.scanner, self.dataset.train.angles[view], self.config.projection);
-        let (mut image, mut cotangent) = (workspace.images.take(), workspace.images.take());
-        seen.image_into(&mut image);
-        let (target, weight) = (&self.images[view], self.config.loss.d_ssim);
-        let [total, l1, d_ssim] = image_loss_into(&self.ssim, weight, image.view(), target, &mut cotangent);
-        let mut gradient = field.pooled_gradient();
-        seen.vjp(cotangent.view(), &mut gradient);
-        (Losses { total, l1, d_ssim, ..Losses::default() }, seen, gradient)
-    }
-
-    /// Total variation of a random block of the volume, and its gradient, if it counts.
-    fn total_variation<'f>(
-        &self,
-        field: &'f Field<R>,
-        workspace: &Workspace<R>,
-        iteration: usize,
-    ) -> Option<(f64, PoolGuard<'f, FieldGradient>)> {
-        let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
-        if loss.tv <= 0.0 {
-            return None;
-        }
-        let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, iteration);
-        let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (workspace.volumes.take(), workspace.volumes.take());
-        there.voxels_into(&mut voxels);
-        let value = tv::tv_into(voxels.view(), &workspace.tv, &mut cotangent);
-        cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
-        let mut gradient = field.pooled_gradient();
-        there.vjp(cotangent.view(), &mut gradient);
-        Some((value, gradient))
-    }
-
-    /// The wavelet loss of a random block of the volume `[Eq. 11]`–`[Eq. 15]`, and its gradient, if it is due.
-    fn wavelets<'f>(
-        &self,
-        field: &'f Field<R>,
-        workspace: &Workspace<R>,
-        physical: &Primitives,
-        iteration: usize,
-    ) -> Result<Option<(f64, PoolGuard<'f, FieldGradient>)>> {
-        let (grid, wavelet) = (&self.dataset.scanner.grid, &self.config.wavelet);
-        if !(wavelet.enabled && iteration.is_multiple_of(wavelet.every)) {
-            return Ok(None);
-        }
-        let multiple = 1 << wavelet.levels;
-        let block = random_block(grid, wavelet.block, multiple, self.config.seed, Purpose::Wavelet, iteration);
-        let settings = wavelet.settings();
-        let (mut router, mut routing) = (workspace.routers.take(), workspace.routings.take());
-        let (means, confidence) = (&physical.parameters.mean, &self.state.confidence);
-        router.route_into(&block, means, confidence, &settings, &mut routing)?;
-        let there = field.on(&block);
-        let (mut voxels, mut cotangent) = (workspace.volumes.take(), workspace.volumes.take());
-        there.voxels_into(&mut voxels);
-        let [value, ..] = wavelet_loss_into(voxels.view(), &routing, &settings, &workspace.wavelets, &mut cotangent);
-        let mut gradient = field.pooled_gradient();
-        there.vjp(cotangent.view(), &mut gradient);
-        Ok(Some((value, gradient)))
-    }
-
-    /// Adds the gradients of blocks to that of the view; they may leave the centres alone.
-    fn add_blocks(&self, gradient: &mut FieldGradient, of_blocks: [Option<PoolGuard<'_, FieldGradient>>; 2]) {
-        let mut of_blocks = of_blocks.into_iter().flatten();
-        if self.config.loss.blocks_move {
-            of_blocks.for_each(|block| gradient.add(&block));
-        } else if let Some(mut held) = of_blocks.next() {
-            of_blocks.for_each(|block| held.add(&block));
-            held.freeze_means();
-            gradient.add(&held);
-        }
-    }
-
-    /// The pull of ν towards its target `[Eq. 10]` and its gradient, if it counts.
-    fn nu_loss<'f>(
-        &self,
-        workspace: &'f Workspace<R>,
-        physical: &Primitives,
-    ) -> Option<(f64, PoolGuard<'f, Vec<f64>>)> {
-        let settings = &self.config.confidence;
-        let loss = || {
-            let mut gradient = workspace.nu_gradients.take();
-            let (nu, confidence) = (&physical.parameters.nu, &self.state.confidence);
-            (nu_loss_into(nu, &self.targets, confidence, settings.weight, &mut gradient), gradient)
+        let Self { dataset, config, ssim, images, targets, state, current, .. } = self;
+        let IterationState { physical, field, workspace, gradient, .. } = current;
+        let inputs = LossInputs {
+            iteration,
+            dataset,
+            config,
+            ssim,
+            image: &images[view],
+            angle: dataset.train.angles[view],
+            nu_targets: targets,
+            confidence: &state.confidence,
+            physical,
+            field,
+            workspace,
         };
-        settings.enabled.then(loss)
+        let terms = inputs.all()?;
+        if config.density_control.method == DensityControl::Adc {
+            let DataTerm { view, gradient, .. } = &terms.data;
+            state.gradient_stats.add(gradient.mean2d_gradients(), view.seen());
+        }
+        let losses = terms.values(config);
+        terms.gradient_into(field, config, gradient);
+        Ok(losses)
     }
 
     /// Adds, moves and removes primitives if that is due.

@@ -4,7 +4,7 @@ use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
-use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into, tv};
+use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
@@ -226,7 +226,7 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     let (mut image, mut volume) = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
     let (mut cotangent, mut slopes) =
         (Array2::default((detector.rows, detector.columns)), [(); 2].map(|()| Array3::default((0, 0, 0))));
-    let mut losses = ([0.0; 3], 0.0, [0.0; 3]);
+    let mut losses = (ImageTerms { total: 0.0, l1: 0.0, d_ssim: 0.0 }, 0.0, [0.0; 3]);
     let mut all = || {
         view.image_into(&mut image);
         there.voxels_into(&mut volume);
@@ -242,7 +242,7 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     assert!(blocks[0] > 0 && blocks[1] == 0, "{blocks:?}");
     assert_eq!((&image, &volume), (&view.image(), &there.voxels()));
     let expected = image_loss(&ssim, 0.25, image.view(), &target);
-    assert_eq!((losses.0[0], &cotangent), (expected.total, &expected.cotangent));
+    assert_eq!((losses.0.total, &cotangent), (expected.total, &expected.cotangent));
     let (value, gradient) = tv::tv(volume.view());
     assert_eq!((losses.1, &slopes[0]), (value, &gradient));
     let expected = wavelet_loss(volume.view(), &routing, &settings);
