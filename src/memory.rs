@@ -1,4 +1,4 @@
-//! How much memory a run will need, before it starts: a allocation for each kind of array, by the phase it lives in.
+//! How much memory a run will need, before it starts: an allocation for each kind of array, by the phase it lives in.
 //!
 //! The estimate is an upper end: populations are taken as large as their settings let them become, and what the allocator
 //! keeps between two uses is given room. It knows sizes alone, so a run can be refused before a projection is read.
@@ -28,7 +28,7 @@ const SHOWN: usize = 3;
 /// Arrays of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Allocation {
-    /// What they hold.
+    /// Their contents.
     pub what: &'static str,
     /// Number of elements: pixels, voxels or primitives.
     pub count: usize,
@@ -39,18 +39,18 @@ pub struct Allocation {
 /// Arrays that live at the same time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Phase {
-    /// What the run does then.
+    /// The step of the run.
     pub name: &'static str,
-    /// Its arrays, beside those that last.
+    /// Its arrays, in addition to the lasting ones.
     pub allocations: Vec<Allocation>,
 }
 
-/// What a run needs.
+/// The memory that a run needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Estimate {
-    /// Arrays that live from the beginning to the end.
+    /// Arrays that live from start to end.
     pub lasting: Vec<Allocation>,
-    /// What comes and goes.
+    /// The phases of the run, with their arrays.
     pub phases: Vec<Phase>,
 }
 
@@ -210,7 +210,7 @@ impl Sizes {
             vec![
                 allocation("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
                 allocation("projections in units of density", if in_units { self.pixels } else { 0 }, F32),
-                // Raw values, two phases each, momentum, id, c, its target, pull and views.
+                // Raw values, two moments each, momentum, id, c, its target, pull and views.
                 allocation("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
             ]
         };
@@ -219,7 +219,7 @@ impl Sizes {
             allocations: [lasting(count), allocations.to_vec()].concat(),
         };
         let physical = allocation("physical values", m, NUMBERS * F64);
-        let shapes = allocation("primitives, prepared", m, projector::bytes::FIELD);
+        let prepared = allocation("primitives, prepared", m, projector::bytes::FIELD);
         let mut start = match config.initialisation.from {
             Start::Sart => self.sart(config).allocations,
             _ => self.fdk("first volume", false).allocations,
@@ -229,7 +229,7 @@ impl Sizes {
         // What an iteration works in stays for the next one, whatever is due between them.
         let kept = [
             physical,
-            shapes,
+            prepared,
             allocation(
                 "gradients of the view, of two blocks and of the parameters",
                 m,
@@ -258,7 +258,7 @@ impl Sizes {
                 m,
                 &[
                     physical,
-                    shapes,
+                    prepared,
                     allocation("primitives on the grid", m, projector::bytes::GRID),
                     allocation("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
                 ],
@@ -283,7 +283,7 @@ impl Sizes {
             phases.push(Phase { name: "finish", allocations });
         }
         if config.density_control.method != DensityControl::None {
-            // The next population beside the last one: successors, raw and physical values, phases.
+            // The next population beside the last one: list of primitives, raw and physical values, moments.
             let next = allocation("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
             phases.push(working("density control", &[next]));
         }

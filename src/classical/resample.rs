@@ -87,7 +87,7 @@ fn halves<L: Lanes>([a, b]: [f64; 2]) -> L {
 /// 0, `spacing`, 2·`spacing`, … in each half of the lanes.
 #[inline(always)]
 fn steps<L: Lanes>(spacing: f64) -> L {
-    L::from_fn(|lane| L::Scalar::from_index(lane % (L::WIDTH / 2))) * L::splat(real(spacing))
+    L::from_fn(|lane| L::Scalar::from_index(lane % (L::WIDTH / 2))) * L::splat_f64(spacing)
 }
 
 #[inline(always)]
@@ -177,7 +177,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
 ) {
     let (margin, one, zero) = (margin::<R>() as f64, R::Lanes::splat(R::ONE), R::Lanes::default());
     let per_place = 1.0 / places.pitch;
-    let (steps, pitch) = (steps::<R::Lanes>(per_place), R::Lanes::splat(real(places.pitch)));
+    let (steps, pitch) = (steps::<R::Lanes>(per_place), R::Lanes::splat_f64(places.pitch));
     let table_end = columns[0].len() as f64 - margin;
     for z in heights.clone().step_by(2 * reach.lanes) {
         // The number of the first place above z - 1 is the whole part of this.
@@ -193,7 +193,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
         let mut sums = [zero; N];
         let mut step = skipped;
         while step < end {
-            let distance = above + pitch * R::Lanes::splat(real(step));
+            let distance = above + pitch * R::Lanes::splat_f64(step);
             let weight = one - distance.abs();
             let weight = weight.select_le(zero, zero, weight);
             // Beyond either end of the column all is zero.

@@ -1,11 +1,11 @@
-//! Counting the points of a sphere that lie within tubes round its diameters: the hot loop.
+//! **HOT.** Counts the points of a sphere within tubes around its diameters.
 
 use super::naive;
 use crate::numeric::Lanes;
 use crate::numeric::vectors::f64x8;
 use glam::DVec3;
 
-/// A tube round the chord from `-direction` to `+direction`, in the primitive's local frame.
+/// A tube around the chord from `-direction` to `+direction`, in the primitive's local frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tube {
     /// Unit vector.
@@ -14,7 +14,7 @@ pub(super) struct Tube {
     pub(super) nearest: f64,
 }
 
-/// The x, y and z of the points, a row at a time; the last is filled up with NaN, which no tube holds.
+/// The x, y and z of the points, a register at a time; the last is padded with NaN, which is in no tube.
 pub(super) struct Sphere {
     rows: Vec<[f64x8; 3]>,
 }

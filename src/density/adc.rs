@@ -1,5 +1,7 @@
-//! Adaptive density control: what pulls hard on its place in the projections is cloned if small and split if large;
-//! what is faint or has left the volume is removed.
+//! Adaptive density control by the gradient to the projected means.
+//!
+//! Primitives with a large gradient are cloned if small and split if large. Faint primitives and those outside of the
+//! volume are removed.
 
 use super::NextPrimitive;
 use crate::primitives::{Parameters, rotation};
@@ -8,29 +10,32 @@ use glam::DVec3;
 
 /// Parts of a split primitive.
 const PARTS: usize = 2;
-/// How much smaller the parts are.
+/// Ratio of a primitive's scales to those of its parts.
 const SHRINK: f64 = 1.6;
 
 /// Thresholds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Mean length of the gradient to the shadow, in halves of the detector, from which a primitive is too few.
+    /// Densify where the mean screen-space positional gradient (NDC units) is at least this.
     pub gradient: f64,
-    /// Largest scale that is cloned, scene units; above it is split.
+    /// Primitives up to this scale are cloned, larger ones split; scene units.
     pub split_scale: f64,
     /// Density below which a primitive is removed.
     pub faint: f64,
-    /// Number of primitives from which on none is added.
+    /// Number of primitives from which none is added.
     pub cap: usize,
 }
 
-/// One step of `[ADC]`. `view_gradient[i]` is the mean length of the gradient to the centre's shadow over the views that saw
-/// primitive `i` (see [`FieldGradient::mean2d_gradients`](crate::projector::FieldGradient::mean2d_gradients)), `normals(i)` are six
-/// standard normal numbers for the places of its two parts.
+/// One step of `[ADC]`: the next population.
 ///
-/// A clone shares the density with its origin, `ρ/2` each, at the same place. A split primitive gives way to two parts
-/// of density ρ/2 and scales s/1.6, drawn from the normal distribution with its mean and covariance. Then all below
-/// `faint` and all with a centre outside of the box go. The others stay in order, clones follow, then the parts.
+/// `view_gradient[i]` is the mean length of the gradient to the projected mean over the views that saw primitive `i` (see
+/// [`FieldGradient::mean2d_gradients`](crate::projector::FieldGradient::mean2d_gradients)). `normals(i)` are six standard
+/// normal numbers for the positions of its two parts.
+///
+/// A clone and its origin have the density `ρ/2` each, at the same position. A split primitive is replaced by two parts
+/// of density ρ/2 and scales s/1.6, whose positions are drawn from the normal distribution with its mean and covariance.
+/// Then primitives below `faint` and those centred outside of the box are removed. The others stay in order, followed by
+/// clones, then parts.
 /// Not in the paper: R²-Gaussian's rules. Tests: below, and `tests/contracts/invariance.rs`.
 ///
 /// # Panics
@@ -42,7 +47,7 @@ pub fn adc(
     grid: &Grid,
     normals: impl Fn(usize) -> [f64; 3 * PARTS],
 ) -> Vec<NextPrimitive> {
-    assert_eq!(view_gradient.len(), primitives.len(), "numbers of pulls and primitives");
+    assert_eq!(view_gradient.len(), primitives.len(), "numbers of gradients and primitives");
     let room = primitives.len() < settings.cap;
     let (mut stay, mut clones, mut parts) = (Vec::new(), Vec::new(), Vec::new());
     for (i, &view_gradient) in view_gradient.iter().enumerate() {

@@ -1,5 +1,7 @@
-//! Adding and recycling: primitives that are nearly gone move onto others, and a few are added, all as copies drawn
-//! with a probability in proportion to density.
+//! Adding and recycling.
+//!
+//! Primitives of vanishing density are replaced by copies of others, and a few copies are added. The originals are drawn
+//! with a probability proportional to density.
 
 use super::{NextPrimitive, Relocation};
 use crate::primitives::{KernelKind, Parameters, Primitives};
@@ -13,20 +15,22 @@ pub struct Settings {
     pub recycled: f64,
     /// Fraction by which the population grows in one step.
     pub growth: f64,
-    /// Largest number of primitives that growth leads to.
+    /// Growth stops at this number of primitives.
     pub cap: usize,
     /// How copies share the density of their parent.
     pub relocation: Relocation,
 }
 
-/// One step of `[AR]`. `uniform` gives independent numbers in [0, 1): one for each recycled, then one for each added.
+/// One step of `[AR]`: the next population.
 ///
-/// The dead, the faintest first and at most the fraction `recycled` of all, become copies of living ones; after that
-/// `⌊growth·M⌋` copies of any are added, up to the cap. A primitive that was drawn k times shares with its copies by
-/// `relocation`, N = k+1. Recycled primitives stay in their rows, added ones follow; both are fresh. If nothing lives,
-/// nothing is recycled; if all densities are 0, nothing is added.
+/// `uniform` returns independent numbers in [0, 1): one per recycled primitive, then one per added one.
 ///
-/// With [`Relocation::Exact`] field and projections change by the recycled primitives' own parts alone.
+/// Dead primitives, the faintest first and at most the fraction `recycled` of all, become copies of living ones. Then
+/// `⌊growth·M⌋` copies of any primitive are added, up to the cap. A primitive that was drawn k times shares its density
+/// with its copies by `relocation`, N = k+1. Recycled primitives keep their rows, added ones follow; both are fresh. If
+/// no primitive is alive, none is recycled; if all densities are 0, none is added.
+///
+/// With [`Relocation::Exact`] the field changes only by the contributions of the recycled primitives.
 /// Not in the paper: it names 3D Student Splatting, whose rule this is. Tests: below, and `tests/contracts/invariance.rs`.
 pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<NextPrimitive> {
     let (p, m) = (&primitives.parameters, primitives.len());
@@ -55,7 +59,7 @@ fn faintest(density: &[f64], dead: f64, most: usize) -> Vec<usize> {
     rows
 }
 
-/// `n` rows, drawn with replacement, with a probability in proportion to their weight; none if all weights are 0.
+/// `n` rows, drawn with replacement with a probability proportional to weight; none if all weights are 0.
 fn draw(weights: impl Iterator<Item = f64>, n: usize, uniform: &mut impl FnMut() -> f64) -> Vec<usize> {
     let mut total = 0.0;
     let upto: Vec<f64> = weights
@@ -68,13 +72,13 @@ fn draw(weights: impl Iterator<Item = f64>, n: usize, uniform: &mut impl FnMut()
     (0..n)
         .map(|_| {
             let target = uniform() * total;
-            // Rounding can lead to the very end, behind the last row that has a weight.
+            // Rounding can lead beyond the last row that has a weight.
             upto.partition_point(|&sum| sum <= target).min(upto.partition_point(|&sum| sum < total))
         })
         .collect()
 }
 
-/// Gives every parent its share and returns the copies, one for each entry of `parents`.
+/// Sets the density of every parent and returns the copies, one for each entry of `parents`.
 fn share(
     next: &mut [NextPrimitive],
     parents: &[usize],

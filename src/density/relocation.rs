@@ -1,22 +1,22 @@
-//! What N copies of a primitive at its own place look like, so that together they are what it was.
+//! Densities and scales of N copies of a primitive at its position, such that their sum equals the original.
 
 use crate::primitives::{KernelKind, student_t};
 use serde::{Deserialize, Serialize};
 
-/// Largest number of copies that the formulas of 3D Student Splatting are evaluated for: their sums alternate.
+/// Largest number of copies in the formulas of 3D Student Splatting, whose alternating sums lose digits.
 const MOST: usize = 51;
 /// Largest density that counts as an opacity.
 const OPAQUE: f64 = 1.0 - 1e-6;
 
-/// How the copies share.
+/// The rule by which copies share density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Relocation {
     /// Each has ρ/N and the same shape: X-ray densities add up, so field and projections stay as they are.
     Exact,
-    /// 3D Student Splatting's rule for opacities that hide each other: `1-(1-ρ)^(1/N)`, scales times c.
+    /// 3D Student Splatting's rule for opacities that occlude each other: `1-(1-ρ)^(1/N)`, scales times c.
     Sss,
-    /// The same as its published program has it: scales times c².
+    /// The same as in its published program: scales times c².
     SssProgram,
 }
 
@@ -28,7 +28,7 @@ impl Relocation {
     /// | exact | ρ/n | 1 |
     /// | SSS | `o = 1-(1-ρ)^(1/n)` | `c = ρ·a/D`, `D = Σⱼ C(n,j)(-1)^(j-1) oʲ·B(½, (j(ν+3)-1)/2)`, a the B of j = 1 |
     ///
-    /// Opacities: ρ is taken as at most `1-10⁻⁶` and n as at most 51. Not in the paper: it follows 3D Student
+    /// For opacities, ρ is clamped to `1-10⁻⁶` and n to 51. Not in the paper: it follows 3D Student
     /// Splatting's adding and recycling. Tests: `copies_add_up_to_the_original`,
     /// `the_opacity_rule_keeps_the_integral_of_what_shows_along_a_line`.
     pub fn share(self, kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f64) {
@@ -47,7 +47,7 @@ impl Relocation {
 fn opacity_rule(kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f64) {
     let (o, n) = (density.min(OPAQUE), n.min(MOST));
     let each = -libm::expm1(libm::log1p(-o) / n as f64);
-    // B(½, (j(ν+3)-1)/2) up to a factor that all j share; of the Gaussian its limit.
+    // B(½, (j(ν+3)-1)/2) up to a factor common to all j; for the Gaussian its limit.
     let line = |j: usize| match kernel {
         KernelKind::Gaussian => 1.0 / (j as f64).sqrt(),
         KernelKind::StudentT => {
@@ -55,7 +55,7 @@ fn opacity_rule(kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f6
             student_t::line_integral(nu).0 / nu.sqrt()
         }
     };
-    // C(n,j)·(-1)^(j-1)·oʲ from the one before.
+    // C(n,j)·(-1)^(j-1)·oʲ by recurrence.
     let (mut term, mut total) = (-1.0, 0.0);
     for j in 1..=n {
         term *= -each * (n - j + 1) as f64 / j as f64;

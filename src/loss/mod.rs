@@ -38,7 +38,7 @@ pub struct ImageLoss<R> {
 
 /// Data loss of one projection, `L1 + weight·(1 - SSIM)`.
 ///
-/// Not in the paper: taken from R²-Gaussian, with its weight of 0.25. The weights add up, they do not mix:
+/// Not in the paper: taken from R²-Gaussian, with its weight of 0.25. It is no convex combination:
 /// the weight of L1 is always 1. The third term, [`tv::tv`], is of the volume and not of the image.
 ///
 /// # Panics

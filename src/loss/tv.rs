@@ -4,33 +4,36 @@ use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
-/// Slices along x that one task works on: a constant, so the cut does not depend on the threads.
+/// Slices along x of one task: a constant, so that results do not depend on the number of threads.
 const SLAB: usize = 8;
 
-/// Value and gradient of the anisotropic total variation per difference,
-/// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
+/// Value and gradient of the anisotropic total variation of a block `[x, y, z]`, per difference.
+///
+/// ```text
+/// TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D
+/// ```
 ///
 /// Δ is the difference of neighbours along one axis and D their number over all three axes,
 /// `D = (X-1)YZ + X(Y-1)Z + XY(Z-1)`. A side of 1 has no differences; a block without any has the value 0.
-/// The sub-gradient at equal neighbours is 0. The three distances of a voxel are added up in the block's precision, voxels in
-/// f64. Not in the paper: the third part of R²-Gaussian's data loss.
+/// The sub-gradient at equal neighbours is 0. The three distances of a voxel are summed in the block's precision, voxels in
+/// f64. Not in the paper: the third term of R²-Gaussian's data loss.
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let mut gradient = Array3::default(block.raw_dim());
     (tv_into(block, &Workspace::default(), &mut gradient), gradient)
 }
 
-/// What [`tv_into`] works in: it asks for no memory again while blocks are as large as the last one.
+/// Buffers of [`tv_into`]. Nothing is allocated while blocks have the size of the last one.
 #[derive(Debug, Default)]
 pub struct Workspace<R> {
-    /// Of each voxel of a slice, the distances to those after it.
+    /// For each voxel of a slice, the sum of the distances to its next neighbours.
     distances: Pool<Vec<R>>,
-    /// Of each voxel of a slice 1 where it has one before it along z, else 0; and 0 for one more.
+    /// For each voxel of a slice, 1 if it has a neighbour before it along z, else 0; and one more 0.
     joined: Pool<Vec<R>>,
-    /// Of each slice, the sum of its distances.
+    /// For each slice, the sum of its distances.
     sums: Pool<Vec<f64>>,
 }
 
-/// [`tv`] with the gradient in the place of another array. Not in the paper.
+/// [`tv`] with the gradient written to an existing array. Not in the paper.
 pub fn tv_into<R: Real>(block: ArrayView3<R>, workspace: &Workspace<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
@@ -73,7 +76,7 @@ fn differences(shape: [usize; 3], axis: usize) -> usize {
     voxels - voxels / shape[axis].max(1)
 }
 
-/// A block, and what all of its voxels are pushed by.
+/// A block, and the constants of its gradient.
 struct Whole<'a, R> {
     values: &'a [R],
     shape: [usize; 3],
@@ -82,17 +85,17 @@ struct Whole<'a, R> {
 }
 
 impl<R: Real> Whole<'_, R> {
-    /// The gradient of slice `x`, and for each of its voxels the sum of the distances to those after it.
+    /// The gradient of slice `x`, and for each of its voxels the sum of the distances to its next neighbours.
     fn slice(&self, x: usize, gradient: &mut [R], distances: &mut [R]) {
         let [nx, ny, nz] = self.shape;
         let size = ny * nz;
-        // Within a run all voxels have the same neighbours; the block's first and last voxel lack one in memory.
+        // Within a run all voxels have the same kinds of neighbours; the block's first and last voxel lack one in memory.
         let ends = [usize::from(x == 0), size - usize::from(x + 1 == nx)];
         let mut cuts = [0, ends[0], nz, size - nz, ends[1], size];
         cuts.sort_unstable();
         for (&start, &end) in cuts.iter().zip(&cuts[1..]).filter(|(start, end)| start < end) {
             let (place, n) = (x * size + start, end - start);
-            // A voxel that lacks a neighbour is its own: no distance, no push.
+            // A missing neighbour is replaced by the voxel itself: no distance, no gradient.
             let beside = |offset: usize, before: bool, after: bool| {
                 let first = if before { place - offset } else { place };
                 let last = if after { place + offset } else { place };
@@ -105,14 +108,15 @@ impl<R: Real> Whole<'_, R> {
             ];
             let here = &self.values[place..][..n];
             let joined = [&self.joined[start..][..n], &self.joined[start + 1..][..n]];
-            push(here, around, joined, self.slope, &mut gradient[start..end], &mut distances[start..end]);
+            gradient_of_run(here, around, joined, self.slope, &mut gradient[start..end], &mut distances[start..end]);
         }
     }
 }
 
-/// The gradient of voxels from those before and after them along x, y and z, and the sums of the distances to those after.
-/// Along z it counts where voxels are joined.
-fn push<R: Real>(
+/// The gradient of voxels from their neighbours along x, y and z, and the sums of the distances to the next ones.
+///
+/// Differences along z are multiplied by `joined`.
+fn gradient_of_run<R: Real>(
     here: &[R],
     [x, y, z]: [[&[R]; 2]; 3],
     joined: [&[R]; 2],

@@ -1,15 +1,16 @@
-//! [`elementary`] functions of eight numbers at a time, with the bits that one alone has: the steps are those of the `libm`
-//! crate, which are FreeBSD's, one in each lane instead of one branch after another. For what is asked of every primitive in
-//! every iteration.
+//! [`elementary`] functions of eight numbers at a time, bit-identical to the scalar functions.
+//!
+//! The steps are those of the `libm` crate (FreeBSD's), with selects instead of branches. They serve work that is done for
+//! every primitive in every iteration.
 
 use super::Lanes;
 use super::elementary;
 use super::vectors::{f64x8, splat};
 use wide::u64x8;
 
-/// ln 2 in two parts: the products of the first with the whole numbers of an exponent are exact.
+/// ln 2 in two parts: products of the first with integer exponents are exact.
 const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
-/// From here on an argument is reduced by multiples of ln 2: the next number after ½ ln 2 in the upper half of the bits.
+/// Threshold of the reduction by ln 2: the next number after ½ ln 2 in the upper half of the bits.
 const REDUCED: f64 = f64::from_bits(0x3fd6_2e43 << 32);
 /// `r·(e^r+1)/(e^r-1) = 2 + z·P(z)`, z = r².
 const EXP: [f64; 5] = [
@@ -37,10 +38,10 @@ const LOG: [f64; 7] = [
     1.531_383_769_920_937_3e-1,
     1.479_819_860_511_658_6e-1,
 ];
-/// The upper half of the bits of √½, and of 1, in their place.
+/// The bits of √½ and of 1, upper halves only.
 const ROOT_HALF: u64 = 0x3fe6_a09e << 32;
 const ONE: u64 = 0x3ff0_0000 << 32;
-/// The number whose bits, with a whole number in them, are those of the sum.
+/// Adding an integer to this number puts the integer into its low bits.
 const INTEGER: f64 = (1_u64 << 52) as f64;
 
 /// `c[0] + x·(c[1] + x·(…))`.
@@ -50,14 +51,14 @@ fn polynomial(x: f64x8, coefficients: &[f64]) -> f64x8 {
     rest.iter().rev().fold(splat(*last), |sum, &next| splat(next) + x * sum)
 }
 
-/// 2^k for whole numbers k within the exponents of normal numbers.
+/// 2^k for integers k in the exponent range of normal numbers.
 #[inline(always)]
 fn power_of_two(k: f64x8) -> f64x8 {
     let bits: u64x8 = bytemuck::cast(k + splat(INTEGER + 1023.0));
     bytemuck::cast(bits.unbounded_shl_scalar(52))
 }
 
-/// The whole number k and both parts of what is left of `x - k·ln 2`.
+/// The integer k and the remainder `x - k·ln 2` in two parts.
 #[inline(always)]
 fn reduced(x: f64x8) -> [f64x8; 3] {
     let (size, zero) = (x.abs(), splat(0.0));
@@ -70,7 +71,7 @@ fn reduced(x: f64x8) -> [f64x8; 3] {
 /// `e^x`: [`elementary::exp`].
 #[inline(always)]
 pub fn exp(x: f64x8) -> f64x8 {
-    // Infinite, vanishing and undefined ones are found one by one.
+    // Lanes that are infinite, underflow or NaN are computed one by one.
     if !x.abs().simd_lt(splat(708.0)).all() {
         let x = x.to_array();
         return f64x8::from_fn(|i| elementary::exp(x[i]));
@@ -80,7 +81,7 @@ pub fn exp(x: f64x8) -> f64x8 {
     let z = r * r;
     let c = r - z * polynomial(z, &EXP);
     let mantissa = splat(1.0) + (r * c / (splat(2.0) - c) - low + high);
-    // About 2^-28: the rest would only round it otherwise.
+    // Below about 2^-28 the polynomial would only change the rounding.
     let tiny = splat(f64::from_bits(0x3e30_0001 << 32));
     x.abs().simd_lt(tiny).select(splat(1.0) + x, mantissa * power_of_two(k))
 }
@@ -88,7 +89,7 @@ pub fn exp(x: f64x8) -> f64x8 {
 /// `e^x - 1`, accurate also near 0: [`elementary::expm1`].
 #[inline(always)]
 pub fn expm1(x: f64x8) -> f64x8 {
-    // Beyond, 1 is added in other places.
+    // For larger arguments libm adds 1 in a different order.
     if !x.abs().simd_lt(splat(13.0)).all() {
         let x = x.to_array();
         return f64x8::from_fn(|i| elementary::expm1(x[i]));
@@ -117,7 +118,7 @@ pub fn expm1(x: f64x8) -> f64x8 {
     x.abs().simd_lt(splat(f64::from_bits(0x3c90_0000 << 32))).select(x, value)
 }
 
-/// `ln(2^k·(1+f))` for 1+f from √½ to √2. `add` puts the lower part of k·ln 2 onto the series, and what else is as small.
+/// `ln(2^k·(1+f))` for 1+f from √½ to √2. `add` adds the lower part of k·ln 2, and other small terms, to the series.
 #[inline(always)]
 fn log_of(k: f64x8, f: f64x8, add: impl Fn(f64x8, f64x8) -> f64x8) -> f64x8 {
     let half_square = splat(0.5) * f * f;
@@ -147,7 +148,7 @@ pub fn log(x: f64x8) -> f64x8 {
 #[inline(always)]
 fn log1p_of_fraction(x: f64x8) -> f64x8 {
     let (one, zero) = (splat(1.0), splat(0.0));
-    // Below √2 - 1, by the upper half of its bits, 1+x is as it has to be.
+    // Below √2 - 1, compared by the upper half of the bits, 1+x needs no scaling.
     let small = x.simd_lt(splat(f64::from_bits(0x3fda_827a << 32)));
     let u = one + x;
     let lost = small.select(zero, (x - (u - one)) / u);

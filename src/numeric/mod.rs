@@ -1,4 +1,4 @@
-//! The ground: scalars, SIMD lanes, sums, random numbers and threads. Knows nothing of CT.
+//! Scalars, SIMD lanes, sums, random numbers and threads. It does not depend on any other module.
 
 pub mod elementary;
 pub mod exponentials;

@@ -156,12 +156,12 @@ fn one_of_sixteen(table: [u32; 16], index: u32x16) -> f32x16 {
     } else {
         let [low, high]: [u32x8; 2] = bytemuck::cast(table);
         let lookup = |half: u32x8| {
-            // The fourth bit becomes the sign, by which one or the other is taken.
+            // The fourth bit becomes the sign, which selects one of the tables.
             let above: i32x8 = bytemuck::cast(half.unbounded_shl_scalar(28));
             let from = |table: u32x8| -> i32x8 { bytemuck::cast(table.shuffle_wrapping(half)) };
             above.simd_lt(i32x8::splat(0)).select(from(high), from(low))
         };
-        // Not `map`, which may stay a call.
+        // Not `map`, which the compiler may not inline.
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([lookup(first), lookup(second)])
     }
@@ -171,7 +171,7 @@ fn one_of_sixteen(table: [u32; 16], index: u32x16) -> f32x16 {
 #[inline(always)]
 fn one_of_eight(table: [u32; 8], index: u32x16) -> f32x16 {
     if cfg!(target_feature = "avx512f") {
-        // Twice the eight: one permutation of sixteen.
+        // The table twice: one permutation of sixteen.
         one_of_sixteen(bytemuck::cast([table, table]), index)
     } else {
         let ([first, second], table): ([u32x8; 2], _) = (bytemuck::cast(index), u32x8::new(table));
@@ -207,12 +207,14 @@ pub(super) fn log2_1p_near_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
     from_fn(|i| step[i].fma(series[i], one_of_sixteen(LOGARITHMS, part[i])))
 }
 
-/// `log2(1+x)`. The bits of the rounded 1+x, from those of 31/32 on, say in which part i of which octave k it is; the step is
-/// taken from x itself, so nothing of a small x is lost.
+/// `log2(1+x)`.
+///
+/// The bits of the rounded 1+x, relative to those of 31/32, give the part i of the octave k. The step is taken from x
+/// itself, so that a small x loses no digits.
 #[inline(always)]
 pub(super) fn log2_1p_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
     const LEAST: u32 = (31.0_f32 / 32.0).to_bits();
-    // Eighths or-ed into its bits are added to it.
+    // Adding eighths to this number is the same as or-ing them into its bits.
     const SCALE: f32 = (1 << EIGHTH) as f32;
     const INVERSES: [u32; 8] = stepped(&INVERSE_F32, 1 << EIGHTH);
     const LOGARITHMS: [u32; 8] = stepped(&LOG2_REST_F32, 0);
@@ -239,12 +241,14 @@ pub(super) fn log2_1p_near_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
     log2_of_1_plus(x, [f64x8::splat(0.0); N])
 }
 
-/// `log2(1+x)`. 1+x = 2^k·(1+f) with 1+f from √½ to √2: the exponent k is read off the rounded 1+x, then
-/// f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
+/// `log2(1+x)`.
+///
+/// 1+x = 2^k·(1+f) with 1+f from √½ to √2. The exponent k is that of the rounded 1+x;
+/// f = x·2^-k + (2^-k - 1) is taken from x itself, so that a small x loses no digits.
 #[inline(always)]
 pub(super) fn log2_1p_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
     const LEAST: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
-    // A whole number or-ed into its bits is added to it.
+    // Adding an integer to this number is the same as or-ing it into its bits.
     const INTEGER: f64 = (1_u64 << 52) as f64;
     let one = f64x8::splat(1.0);
     let exponent: [u64x8; N] = x.map(|x| {
@@ -271,10 +275,10 @@ fn log2_of_1_plus<const N: usize>(f: [f64x8; N], whole: [f64x8; N]) -> [f64x8; N
     from_fn(|i| s[i].fma(series[i], whole[i]))
 }
 
-/// `2^t`: eighths go into the exponent and pick from the table, the rest into the polynomial.
+/// `2^t`: eighths go into the exponent and the table's index, the remainder into the polynomial.
 #[inline(always)]
 pub(super) fn exp2_f32<const N: usize>(t: [f32x16; N]) -> [f32x16; N] {
-    // Less the eighths that go into the mantissa when whole ones go into the exponent.
+    // Minus the eighths that the shift into the exponent adds to the mantissa.
     const POWERS: [u32; 8] = stepped(&POWER_F32, (1_u32 << EIGHTH).wrapping_neg());
     const LACKS: [u32; 8] = stepped(&LACK_F32, 0);
     let rounder = f32x16::splat(EIGHTHS);
@@ -289,7 +293,7 @@ pub(super) fn exp2_f32<const N: usize>(t: [f32x16; N]) -> [f32x16; N] {
     })
 }
 
-/// `2^t`: what is whole goes into the exponent, the rest into the polynomial.
+/// `2^t`: the integer part goes into the exponent, the remainder into the polynomial.
 #[inline(always)]
 pub(super) fn exp2_f64<const N: usize>(t: [f64x8; N]) -> [f64x8; N] {
     let rounder = f64x8::splat(WHOLE);

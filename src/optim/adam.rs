@@ -5,10 +5,10 @@ use crate::numeric::threads;
 use crate::numeric::vectors::{LANES, f64x8, splat};
 use serde::{Deserialize, Serialize};
 
-/// Numbers updated together.
+/// Numbers of one task.
 const CHUNK: usize = 512;
 
-/// Moments of one array of parameters.
+/// Adam's moments of one array of parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
     beta: [f64; 2],
@@ -84,14 +84,15 @@ impl Adam {
         });
     }
 
-    /// Takes over a new population of rows of `width` numbers: the moments of an old row, or zeros. The count of steps
-    /// goes on.
+    /// Adapts the moments to a new population: each row of `width` numbers takes those of an old row, or zeros.
+    ///
+    /// The step count continues.
     pub fn remap_rows(&mut self, width: usize, rows: &[Option<usize>]) {
         self.moments = remap_rows(&self.moments, width, rows, [0.0; 2]);
     }
 }
 
-/// Rows of `width` elements taken from `old`, or filled with `empty`.
+/// Rows of `width` elements copied from `old`, or filled with `empty`.
 pub(super) fn remap_rows<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
     let mut new = vec![empty; rows.len() * width];
     for (new, row) in new.chunks_exact_mut(width).zip(rows) {

@@ -1,9 +1,9 @@
 //! Stochastic gradient Hamiltonian Monte Carlo for positions: momentum, friction and noise.
 //!
 //! The paper names the method and follows 3D Student Splatting and Scooping, whose form is the default here: a step
-//! along Adam's direction, in which only primitives that are nearly gone keep momentum and are stirred. A primitive
+//! along Adam's direction, in which only primitives of vanishing density have momentum and noise. A primitive
 //! with a gate of 0 moves exactly as under Adam with the rate squared. The textbook's form (Chen, Fox & Guestrin,
-//! 2014) is beside it: no gate, the plain gradient, and the invariant density is `exp(-U)`.
+//! 2014) is also available: no gate, the plain gradient, and the invariant density is `exp(-U)`.
 
 use super::adam::remap_rows;
 use crate::numeric::elementary::sigmoid;
@@ -11,52 +11,55 @@ use crate::numeric::threads;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Rows updated together.
+/// Rows of one task.
 const CHUNK: usize = 256;
 /// Steepness of the gate, and the fraction of the reference density at which it is half open.
 const GATE: (f64, f64) = (100.0, 0.005);
-/// A gate below this is shut: what it would let through is lost in the rounding of any position.
+/// A gate below this is set to 0: its noise would be lost in the rounding of any position.
 const MIN_GATE: f64 = 1e-12;
-/// An argument whose logistic function is below [`MIN_GATE`]: most primitives' is, so their exponential need not be found.
+/// An argument below which the logistic function is less than [`MIN_GATE`].
+///
+/// Most primitives are below it, which saves their exponentials.
 const FAR: f64 = -28.0;
 
 /// Momentum of M positions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sghmc {
     momentum: Vec<[f64; 3]>,
-    /// Whether the momentum has been put to rest at the end of the burn-in.
+    /// Whether the momentum has been reset at the end of the burn-in.
     burnt_in: bool,
 }
 
 /// The phase of a step, with its friction C. The rate times the friction must not exceed 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Phase {
-    /// Without memory; the noise has the primitive's own shape. C scales the noise alone.
+    /// No momentum; the noise has the primitive's covariance. C scales the noise only.
     BurnIn(f64),
-    /// With memory; the noise is the same in all directions.
+    /// With momentum; the noise is isotropic.
     Sampling(f64),
 }
 
-/// How one position is stirred.
+/// The noise of one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseInput {
-    /// 1: free, 0: Adam; see [`gate`].
+    /// From 0 (as Adam) to 1 (full momentum and noise); see [`gate`].
     pub gate: f64,
     /// Standard normal numbers.
     pub noise: DVec3,
-    /// Covariance of the primitive, scene units squared; only the burn-in asks.
+    /// Covariance of the primitive, scene units squared; used by the burn-in only.
     pub covariance: DMat3,
 }
 
 impl NoiseInput {
-    /// A position that is not stirred.
+    /// No momentum and no noise.
     pub const GATE_CLOSED: Self = Self { gate: 0.0, noise: DVec3::ZERO, covariance: DMat3::ZERO };
 }
 
-/// How far a primitive of a density is opened to noise: `σ(100·((1-ρ̂) - 0.995))` with `ρ̂ = min(ρ/reference, 1)`; a
-/// half at ρ̂ = 0.005, and 0 where the formula is below 1e-12.
+/// The gate of a primitive's momentum and noise: `σ(100·((1-ρ̂) - 0.995))` with `ρ̂ = min(ρ/reference, 1)`.
 ///
-/// Not in the paper: the gate of 3D Student Splatting, with densities in the place of opacities. Tests:
+/// It is ½ at ρ̂ = 0.005, and 0 where the formula is below 1e-12.
+///
+/// Not in the paper: the gate of 3D Student Splatting, with densities instead of opacities. Tests:
 /// `the_gate_opens_for_what_is_nearly_gone`.
 pub fn gate(density: f64, reference: f64) -> f64 {
     let opened = GATE.0 * (GATE.1 - (density / reference).min(1.0));
@@ -70,7 +73,7 @@ impl Sghmc {
         Self { momentum: vec![[0.0; 3]; m], burnt_in: false }
     }
 
-    /// One step of `[SGHMC]` with the rate η, against `direction` ĝ; `noise_for(i)` is asked once for each position.
+    /// One step of `[SGHMC]` with the rate η, against `direction` ĝ; `noise_for(i)` is called once per position.
     ///
     /// | phase | |
     /// |---|---|
@@ -114,7 +117,7 @@ impl Sghmc {
         });
     }
 
-    /// Takes over a new population: an old row's momentum, or rest.
+    /// Adapts to a new population: each row takes an old row's momentum, or 0.
     pub fn remap_rows(&mut self, rows: &[Option<usize>]) {
         self.momentum = remap_rows(&self.momentum, 1, rows, [0.0; 3]);
     }

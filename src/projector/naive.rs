@@ -1,5 +1,5 @@
-//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no lanes setup. Every fast path is
-//! compared with this page. It works in the camera frame with Σ⁻¹ itself and walks every pixel for every primitive.
+//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no shared setup. The fast path is
+//! tested against it. It works in the camera frame with Σ⁻¹ itself and visits every pixel for every primitive.
 //!
 //! A primitive whose centre lies behind the source, or nearer to it than 1/100 of `dso`, contributes nothing.
 //! Quaternions are squared as they are, so their lengths must lie well between 1e-150 and 1e150.

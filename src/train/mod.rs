@@ -1,12 +1,12 @@
-//! Training: the paper's loop. Reads like its pipeline; every number is computed elsewhere.
+//! Training: the paper's loop, in the order of its pipeline. The arithmetic is in other modules.
 //!
 //! ```text
 //! first volume (FDK) → points → raw parameters; rays around them → confidence c → targets of ν
-//! repeat:  raw → physical → field ─┬─ one view: image → L1, D-SSIM ──────────────────┐
-//!                            │     ├─ a random block: voxels → TV ───────────────────┤
-//!                            │     └─ now and then a block: voxels, routes → wavelets ┼→ gradient → raw gradient
-//!                            └─ ν, c → pull on ν ─────────────────────────────────────┘        │
-//!          now and then: who is needed is copied, who is not goes; c again  ←  SGHMC, Adam  ←──┘
+//! repeat:  raw → physical → field ─┬─ one view: image → L1, D-SSIM ────────────────────┐
+//!                            │     ├─ a random block: voxels → TV ─────────────────────┤
+//!                            │     └─ every few steps a block: voxels, routes → wavelets ┼→ gradient → raw gradient
+//!                            └─ ν, c → ν loss ───────────────────────────────────────────┘        │
+//!          every few steps: density control (clone, split, prune); recompute c  ←  SGHMC, Adam  ←──┘
 //! ```
 
 mod losses;
@@ -47,26 +47,28 @@ use views::ViewOrder;
 /// Called after every iteration, with a record where one is due. `Break` stops the run.
 pub type Observe<'a> = dyn FnMut(usize, Option<&Record>) -> ControlFlow<()> + 'a;
 
-/// What a run ends with.
+/// The result of training.
 #[derive(Clone, Debug)]
 pub struct TrainedModel {
     /// Physical parameters, densities in attenuation per scene unit.
     pub primitives: Primitives,
     /// The field at the voxel centres of the dataset's grid.
     pub volume: Volume,
-    /// All reports.
+    /// All records.
     pub log: Vec<Record>,
-    /// Attenuation per scene unit that counted as 1 in the run.
+    /// The unit of density of the run, attenuation per scene unit.
     pub unit: f64,
 }
 
-/// Reconstructs a dataset by fitting primitives to its training views. With `checkpoints` the state is kept in a file
-/// from time to time, at the end and when `observe` stops the run; going on from it leads to the same bits.
+/// Reconstructs a dataset by fitting primitives to its training views.
 ///
-/// The run works on projections divided by a unit of density U: `config.density_unit`, or where that is auto what
-/// [`density_unit`] finds. All densities in the configuration and all losses are in units of U; densities of initial points
-/// are divided by it, those of the result multiplied. So projections times k lead to densities times k: to the bit for a power
-/// of two; otherwise up to the rounding of the pixels, which a run with large learning rates magnifies.
+/// With `checkpoints` the state is written to a file at intervals, at the end, and when `observe` stops the run. A resumed
+/// run has the same bits.
+///
+/// Projections are divided by a unit of density U: `config.density_unit`, or [`density_unit`] where that is auto. All
+/// densities in the configuration and all losses are in units of U. Densities of initial points are divided by U, those of
+/// the result multiplied. Projections times k therefore lead to densities times k: to the bit for a power of two, else up
+/// to the rounding of the pixels, which large learning rates amplify.
 ///
 /// # Errors
 /// For a configuration that does not fit the data or the checkpoint, a value that is not finite, a checkpoint that
@@ -100,9 +102,9 @@ fn scales(grid: &Grid, config: &Config) -> Result<Interval> {
     Ok(Interval { min, max })
 }
 
-/// The state of a run, and what follows from dataset and configuration.
+/// The state of a run, with all that depends on dataset and configuration.
 struct Trainer<'a, R: Kernels> {
-    /// In units of density.
+    /// Projections in units of `unit`.
     dataset: &'a Dataset,
     unit: f64,
     config: &'a Config,
@@ -120,7 +122,7 @@ struct Trainer<'a, R: Kernels> {
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
-    /// Checkpoints go with the digest of the data as they were measured.
+    /// `checkpoints` come with the digest of the measured data.
     fn new(
         dataset: &'a Dataset,
         unit: f64,
@@ -204,7 +206,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(TrainedModel { primitives, volume, log: self.state.log, unit: self.unit })
     }
 
-    /// One iteration: one view, one or two blocks, one step of the optimisers, and what is due.
+    /// One iteration: one view, one or two blocks, one step of the optimisers; density control and confidence if due.
     fn step(&mut self, iteration: usize) -> Result<Losses> {
         self.current.update(&self.state.raw, &self.activation);
         let losses = self.losses(iteration)?;
@@ -248,7 +250,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(losses)
     }
 
-    /// Adds, moves and removes primitives if that is due.
+    /// Adds, moves and removes primitives if due.
     fn control_density(&mut self, iteration: usize) -> Result<()> {
         let control = &self.config.density_control;
         let part = iteration as f64 / self.config.iterations as f64;
@@ -300,7 +302,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(())
     }
 
-    /// c of a new population: the fresh have their own, the others keep theirs until all are computed again.
+    /// c of a new population: computed for fresh primitives, inherited by the others until the next recomputation.
     fn inherit_confidence(&mut self, next: &[NextPrimitive]) {
         if self.state.confidence.is_empty() {
             return;
@@ -315,7 +317,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         self.find_targets();
     }
 
-    /// Computes c `[Eq. 8]` and what follows from it, if anything asks for it.
+    /// Computes c `[Eq. 8]` and the targets of ν, if a loss needs them.
     fn refresh_confidence(&mut self) {
         if self.config.confidence.enabled || self.config.wavelet.enabled {
             let physical = self.activation.forward(&self.state.raw);

@@ -12,7 +12,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-/// What the optimisers remember.
+/// The state of the optimisers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Optimiser {
     /// In the order of [`Group::ALL`].
@@ -21,10 +21,10 @@ pub(super) struct Optimiser {
     sghmc: Sghmc,
 }
 
-/// What a step is told beside the gradient.
+/// The inputs of a step, apart from the gradient.
 pub(super) struct Step<'a> {
     pub(super) config: &'a Config,
-    /// Steps done before.
+    /// Steps completed before this one.
     pub(super) done: usize,
     /// Physical values before the step.
     pub(super) physical: &'a Primitives,
@@ -38,7 +38,7 @@ impl Optimiser {
         Self { adam, sghmc: Sghmc::new(m) }
     }
 
-    /// One step of all; `direction` is memory to work in.
+    /// One step of all parameters; `direction` is scratch.
     pub(super) fn step(
         &mut self,
         raw: &mut Parameters,
@@ -69,7 +69,7 @@ impl Optimiser {
         threads::join(move_positions, step_others);
     }
 
-    /// Takes over a new population: old rows keep what is remembered of them.
+    /// Adapts to a new population: old rows keep their moments and momentum.
     pub(super) fn remap_rows(&mut self, rows: &[Option<usize>]) {
         for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
             adam.remap_rows(group.width(), rows);

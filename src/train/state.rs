@@ -1,4 +1,4 @@
-//! All that a run must remember to go on to the same bits, and the file that holds it.
+//! The state that a run needs to resume with the same bits, and its checkpoint file.
 
 use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
@@ -13,23 +13,24 @@ use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Changes with the meaning of the file.
+/// Version of the file format.
 const FORMAT: u32 = 2;
-/// What to do about a checkpoint of something else.
+/// Remedy for a checkpoint of another run.
 const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 
-/// The state of a run after an iteration. Random numbers and the order of views need no memory: they are functions of
-/// the seed and the iteration.
+/// The state of a run after an iteration.
+///
+/// Random numbers and the order of views are functions of the seed and the iteration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
-    /// Iterations done.
+    /// Iterations completed.
     pub(super) iteration: usize,
     pub(super) raw: Parameters,
-    /// A name for each primitive that no other ever had.
+    /// Unique ids of the primitives; none is reused.
     pub(super) ids: Vec<u64>,
     next_id: u64,
     pub(super) optimiser: Optimiser,
-    /// c of each primitive when it was last computed; empty if nothing asks for it.
+    /// c of each primitive as last computed; empty if no loss needs it.
     pub(super) confidence: Vec<f64>,
     pub(super) gradient_stats: GradientStats,
     pub(super) log: Vec<Record>,
@@ -40,7 +41,7 @@ pub(super) struct State {
     pub(super) seconds: f64,
 }
 
-/// How hard each primitive pulled on its place in the views that saw it, since the last step of density control.
+/// Mean gradient to each projected mean over the views that saw the primitive, since the last density control.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct GradientStats {
     sum: Vec<f64>,
@@ -52,7 +53,7 @@ impl GradientStats {
         Self { sum: vec![0.0; m], views: vec![0; m] }
     }
 
-    /// Adds one view: the gradient to each shadow, and whether the view saw it.
+    /// Adds one view: the gradient to each projected mean, and whether the view saw the primitive.
     pub(super) fn add(&mut self, mean2d_gradients: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
         let totals = self.sum.iter_mut().zip(&mut self.views);
         for ((sum, views), ([u, v], _)) in totals.zip(mean2d_gradients.zip(seen)).filter(|(_, (_, seen))| *seen) {
@@ -61,7 +62,7 @@ impl GradientStats {
         }
     }
 
-    /// The means; 0 for what no view saw.
+    /// The means; 0 for a primitive that no view saw.
     pub(super) fn means(&self) -> Vec<f64> {
         self.sum.iter().zip(&self.views).map(|(sum, &views)| sum / f64::from(views.max(1))).collect()
     }
@@ -85,7 +86,7 @@ impl State {
         }
     }
 
-    /// Replaces the population. What a successor did not change keeps its raw value to the bit.
+    /// Replaces the population. Unchanged values keep their raw values to the bit.
     pub(super) fn replace_population(
         &mut self,
         physical: &Parameters,
@@ -124,7 +125,7 @@ impl State {
     }
 }
 
-/// The state of a run in a file, with what it belongs to.
+/// The state of a run, with its configuration and the digest of its data.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Checkpoint {
     format: u32,
@@ -135,12 +136,12 @@ pub struct Checkpoint {
     pub(super) state: State,
 }
 
-/// Where a run keeps its checkpoint, and the one it goes on from.
+/// The file of a run's checkpoints, and the checkpoint to resume from.
 #[derive(Debug)]
 pub struct Checkpoints {
     /// The file; its folder is created.
     pub file: PathBuf,
-    /// What was read from it.
+    /// The checkpoint to resume from.
     pub from: Option<Checkpoint>,
 }
 
@@ -176,7 +177,7 @@ impl Checkpoint {
             write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
         });
         if written.is_err() {
-            // Empty ones only: the others are somebody's by now.
+            // Only empty folders are removed: others are in use by now.
             missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
         }
         written
@@ -198,8 +199,8 @@ impl Checkpoint {
         })
     }
 
-    /// Refuses another configuration. What is done with the primitives after training may differ: `sampling`, `finish` and
-    /// the table `tv`.
+    /// Rejects another configuration. Settings of the steps after training may differ: `sampling`, `finish` and the table
+    /// `tv`.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the first key that differs.
@@ -211,7 +212,7 @@ impl Checkpoint {
         Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
     }
 
-    /// Refuses another configuration and other data.
+    /// Rejects another configuration and other data.
     pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
         if self.data != data {
@@ -221,7 +222,7 @@ impl Checkpoint {
     }
 }
 
-/// Digest of all that a run takes from its dataset.
+/// Digest of the parts of a dataset that training uses.
 pub(super) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
     let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);

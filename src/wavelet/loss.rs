@@ -1,4 +1,4 @@
-//! The loss and its gradient.
+//! The wavelet loss and its gradient.
 
 use super::Settings;
 use super::detail::{Scratch, Weights, strength};
@@ -11,7 +11,7 @@ use ndarray::{Array3, ArrayView3};
 /// The bands that count in each level: not the low one, not the one that is high along all axes `[Eq. 11]`.
 const MIDDLE: std::ops::RangeInclusive<usize> = 1..=6;
 
-/// What a block has to answer for `[Eq. 15]`.
+/// Value and gradient of the wavelet loss `[Eq. 15]`.
 #[derive(Clone, Debug)]
 pub struct WaveletLoss<R> {
     /// `L = λ_supp·S - λ_enh·E`.
@@ -24,7 +24,9 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
-/// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
+/// Buffers of [`wavelet_loss_into`].
+///
+/// With one level nothing is allocated while blocks have the size of the last one.
 #[derive(Debug, Default)]
 pub struct Workspace<R: Real> {
     weights: Pool<Weights<R>>,
@@ -35,9 +37,9 @@ pub struct Workspace<R: Real> {
 
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
 ///
-/// The routing is constant to the gradient, which is found in the coefficients of each band and goes back through the
-/// transform. Where a band is flat (`|∇| ≪ 1e-6`) the gradient to it fades to 0.
-/// Bands are computed in parallel and added up in order, voxels of a cell in the block's precision, cells in f64.
+/// The gradient treats the routing as constant. It is computed in the coefficients of each band and transformed back.
+/// Where a band is flat (`|∇| ≪ 1e-6`) its gradient tends to 0.
+/// Bands are computed in parallel and summed in order, voxels of a cell in the block's precision, cells in f64.
 ///
 /// Tests: against [`super::naive::wavelet_loss`] to 1e-13 in f64 and 1e-5 in f32, and central differences.
 ///
@@ -51,7 +53,7 @@ pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: 
     WaveletLoss { value, enhancement, suppression, gradient }
 }
 
-/// L, E and S of [`wavelet_loss`] `[Eq. 15]`, with the gradient in the place of another array.
+/// L, E and S of [`wavelet_loss`] `[Eq. 15]`; the gradient is written to an existing array.
 ///
 /// # Panics
 /// As [`wavelet_loss`].
@@ -70,7 +72,7 @@ pub fn wavelet_loss_into<R: Real>(
     of_subbands.fit(shape, settings.levels);
     let (k, most) = (routing.neighbours, routing.high.iter().fold(0, |most, &high| high.max(most)));
     assert!(usize::from(most) <= k, "{most} confident neighbours of {k}");
-    // What a voxel's count is divided by: neighbours, voxels and bands.
+    // Divisor of all counts: neighbours, voxels and bands.
     let share = (k * block.len() * settings.levels * MIDDLE.count()) as f64;
     let mut weights = workspace.weights.take();
     weights.fit(routing, settings, share);
@@ -86,7 +88,7 @@ pub fn wavelet_loss_into<R: Real>(
                 if level == 1 {
                     sums[0] = strength(coefficients, band, &weights, &mut scratch, slopes);
                 } else {
-                    // It makes the same block as coefficients of level 1 that are low along all axes.
+                    // A coarser band is the same block as low coefficients of level 1.
                     let half = shape.map(|side| side / 2);
                     let alone = haar::alone(coefficients, half, level - 1, band);
                     let mut of_alone = vec![R::ZERO; alone.len()];

@@ -111,7 +111,7 @@ fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
     }
 }
 
-/// Volumes say nothing about shadows.
+/// Volumes do not contribute to the gradients of projected means.
 #[test]
 fn the_gradient_to_a_shadow_comes_from_views_alone() {
     let (primitives, scanner) = (scenes::primitives(KernelKind::StudentT, 3, 17), scenes::cone());

@@ -28,42 +28,44 @@ use std::array::from_fn;
 use std::ops::Range;
 use window::{BLOCK, Column, Fold, RADIUS, Window, around, margins};
 
-/// Blurs: of `a`, `a²` and `ab`, and of the derivatives of S by these.
+/// Number of blurs: of `a`, `a²` and `ab`, and of the derivatives of S to them.
 const KINDS: usize = 3;
 /// Blocks kept at a time: one and its neighbours.
 const KEPT: usize = 3;
-/// Blocks that one task computes: a constant, so the cut does not depend on the threads. The derivatives of S in [`RADIUS`]
-/// rows on both sides are computed by the neighbours too: that is less work than to write all of them to memory and wait.
+/// Blocks of one task: a constant, so that results do not depend on the number of threads.
+///
+/// The derivatives of S in [`RADIUS`] rows on both sides are computed by the neighbouring tasks, too: that is less work
+/// than to store all of them and wait.
 const SPAN: usize = 13;
 
-/// Compares images.
+/// Computes SSIM and its gradient, with buffers that are reused.
 #[derive(Clone, Debug, Default)]
 pub struct Ssim<R: Real> {
     scratch: Pool<Scratch<R>>,
     sums: Pool<Vec<Sums>>,
 }
 
-/// Of S and of |a - b|.
+/// Sums of S and of |a - b|.
 type Sums = [f64; 2];
 
-/// Some rows.
+/// The rows of a block, column by column.
 type Block<R> = Vec<Column<R>>;
-/// A block and those above and below.
+/// A block and the blocks above and below.
 type Neighbours<'a, R> = [&'a [Column<R>]; 3];
 
-/// What a task works in.
+/// Scratch arrays of a task.
 #[derive(Debug, Default)]
 struct Scratch<R: Real> {
-    /// A row to be folded and one that was, padded.
+    /// A row before folding and one after unfolding, padded.
     rows: [Vec<R>; 2],
     /// 1 in the lanes that have a pixel.
     pixels: Vec<R::Lanes>,
-    /// Blocks of `a`; block i is in place i modulo [`KEPT`].
+    /// Blocks of `a`; block i has index i modulo [`KEPT`].
     image: [Block<R>; KEPT],
-    /// The blurs of a block down the columns, and the derivatives of S by the whole blurs; both with [`margins`].
+    /// The blurs of a block down the columns, and the derivatives of S to the full blurs; both with [`margins`].
     down: [Block<R>; KINDS],
     slopes: [Block<R>; KINDS],
-    /// Blocks of the derivatives blurred along the rows, in the same places as those of `a`.
+    /// Blocks of the derivatives blurred along the rows, indexed as those of `a`.
     lines: [[Block<R>; KINDS]; KEPT],
     gradient: Block<R>,
 }
@@ -83,12 +85,12 @@ impl<R: Real> Scratch<R> {
     }
 }
 
-/// An image to compare others with, and what SSIM needs to know of it. Computed once for each view.
+/// A reference image with its blur and variance, computed once per view.
 #[derive(Clone, Debug)]
 pub struct SsimTarget<R: Real> {
     /// Rows and columns.
     shape: [usize; 2],
-    /// The blocks of the image, between two of zeros.
+    /// The blocks of the image, between two blocks of zeros.
     blocks: Block<R>,
     /// The blur of the image and its variance, in blocks.
     moments: [Block<R>; 2],
@@ -155,8 +157,9 @@ impl<R: Real> Ssim<R> {
         (value, gradient)
     }
 
-    /// SSIM and the mean absolute difference, and, in the place of another array, the gradient of their sum with these
-    /// weights: both need the same pixels.
+    /// SSIM and the mean absolute difference; writes the gradient of their weighted sum.
+    ///
+    /// Both are computed together, since they read the same pixels.
     pub(super) fn compare(
         &self,
         image: ArrayView2<R>,
@@ -179,7 +182,7 @@ impl<R: Real> Ssim<R> {
         let share = 1.0 / image.len() as f64;
         let [index, step] = [weights[0] * share, weights[1] * share];
         let (fold, window) = (Fold::new::<R>(columns), Window::new());
-        let (index, step) = (Index::new(index), R::Lanes::splat(R::from_f64(step)));
+        let (index, step) = (Index::new(index), R::Lanes::splat_f64(step));
         let image = image.as_slice().expect("standard layout");
         let pass = Comparison { fold, window, index, step, image, rows, columns, target };
         let mut sums = self.sums.take();
@@ -199,7 +202,7 @@ impl<R: Real> Ssim<R> {
     }
 }
 
-/// An image and one that it is compared with. Blocks are counted from two that are outside of the image.
+/// The inputs of one comparison. Block numbers start two blocks before the image.
 struct Comparison<'a, R: Real> {
     fold: Fold,
     window: Window<R::Lanes>,
@@ -219,7 +222,7 @@ impl<R: Real> Comparison<'_, R> {
         at(block)..at(block + 1)
     }
 
-    /// The sums of some blocks, and the gradient in them: each one's when the derivatives of the next one are there.
+    /// The sums of the task's blocks, and their gradient: a block's follows when the next block has its derivatives.
     fn task(&self, task: usize, scratch: &mut Scratch<R>, mut gradient: Option<&mut [R]>) -> Sums {
         scratch.fit(self.fold);
         let first = 2 + task * SPAN;
@@ -250,7 +253,7 @@ impl<R: Real> Comparison<'_, R> {
         self.fold.deinterleave(values, &mut scratch.rows[0], &mut scratch.image[block % KEPT]);
     }
 
-    /// The sums of a block, and the derivatives of S in it, blurred along the rows; 0 outside of the image.
+    /// The sums of a block; writes the derivatives of S, blurred along the rows, 0 outside of the image.
     fn differentiate(&self, block: usize, scratch: &mut Scratch<R>) -> Sums {
         let (n, rows, window) = (self.fold.length, self.rows_of(block).len(), self.window);
         let Scratch { pixels, image, down, slopes, lines, .. } = scratch;
@@ -276,8 +279,9 @@ impl<R: Real> Comparison<'_, R> {
         sums
     }
 
-    /// Blurs `a`, `a²` and `ab` down the columns of a block, from it and its neighbours. One after another, or the compiler
-    /// has more in hand than there are registers.
+    /// Blurs `a`, `a²` and `ab` down the columns of a block, from it and its neighbours.
+    ///
+    /// One blur after another: together they would need more registers than there are.
     fn blur_down(&self, a: Neighbours<R>, b: Neighbours<R>, down: &mut [Block<R>; KINDS]) {
         let (n, window) = (self.fold.length, self.window);
         let [of_a, of_aa, of_ab] = down.each_mut().map(|line| line[RADIUS..][..n].iter_mut().enumerate());
@@ -294,8 +298,9 @@ impl<R: Real> Comparison<'_, R> {
         }
     }
 
-    /// In a block, turns the blurs of `a`, `a²` and `ab` into the derivatives of S by them. The sums are of the rows that
-    /// are in the image, added in lanes first.
+    /// Replaces the blurs of `a`, `a²` and `ab` in a block by the derivatives of S to them.
+    ///
+    /// The sums are over the rows within the image, lane by lane first.
     fn slopes(
         &self,
         rows: usize,

@@ -1,18 +1,18 @@
-//! The blur: how rows lie in registers for it, and its window.
+//! The blur: the layout of rows in registers, and the window.
 //!
 //! A row is cut into as many pieces as a register has lanes, and register i holds pixel i of every piece (the
-//! dimension-lifted layout of Henretty et al. 2011). So the pixels beside those of a register are in the registers beside
-//! it, and a blur along a row reads whole registers, as one down the columns does: nothing is loaded askew.
+//! dimension-lifted layout of Henretty et al. 2011). The neighbours of a register's pixels are in the neighbouring
+//! registers, so that a blur along a row needs no unaligned loads, as one down the columns.
 
 use crate::numeric::elementary::exp;
 use crate::numeric::rearrange::{INTERLEAVED, Rearrange};
-use crate::numeric::{Lanes, Real, real};
+use crate::numeric::{Lanes, Real};
 use std::array::from_fn;
 
-/// The window reaches this many pixels to each side.
+/// Pixels of the window on each side of the centre.
 pub(super) const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
-/// Rows blurred together: as many as the window reaches, so it reaches the whole block before and the one after.
+/// Rows of a block: the radius, so that the window covers exactly the block before and the block after.
 pub(super) const BLOCK: usize = RADIUS;
 /// The rows of three blocks.
 const REACHED: usize = 3 * BLOCK;
@@ -26,7 +26,7 @@ pub(super) type Column<R> = [<R as Real>::Lanes; BLOCK];
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fold {
     columns: usize,
-    /// Pixels of a piece: no fewer than are interleaved together, so the window reaches no further than the next piece.
+    /// Pixels of a piece: at least as many as are interleaved together, so that the window ends within the next piece.
     pub(super) length: usize,
 }
 
@@ -35,12 +35,12 @@ impl Fold {
         Self { columns, length: columns.div_ceil(R::Lanes::WIDTH).max(INTERLEAVED) }
     }
 
-    /// Values of a row whose pieces are all whole.
+    /// Values of a row padded to whole pieces.
     pub(super) fn padded<R: Real>(self) -> usize {
         R::Lanes::WIDTH * self.length
     }
 
-    /// Values of a row with all pieces whole: themselves or, if some are missing, copied to a row with zeros behind.
+    /// Values of a row with whole pieces: the values themselves, or a copy padded with zeros in `row`.
     fn whole<'a, R: Real>(self, values: &'a [R], row: &'a mut [R]) -> &'a [R] {
         if values.len() == row.len() {
             return values;
@@ -49,13 +49,14 @@ impl Fold {
         row
     }
 
-    /// Where columns that are interleaved together begin; the last ones overlap others.
+    /// First columns of the groups that are interleaved together; the last group overlaps the one before.
     fn starts(self) -> impl Iterator<Item = usize> {
         (0..self.length).step_by(INTERLEAVED).map(move |start| start.min(self.length - INTERLEAVED))
     }
 
-    /// Folds some rows, one after another in `values`, into the first ones of a block; the others are 0. `row` is padded
-    /// with zeros.
+    /// Folds rows, contiguous in `values`, into the first rows of a block; the others become 0.
+    ///
+    /// `row` is scratch, padded with zeros.
     pub(super) fn deinterleave<R: Real>(self, values: &[R], row: &mut [R], block: &mut [Column<R>]) {
         let rows = values.len() / self.columns;
         if rows < BLOCK {
@@ -70,7 +71,7 @@ impl Fold {
         }
     }
 
-    /// Writes the first rows of a block to `values`, as many as there are. `row` is padded.
+    /// Writes the first rows of a block to `values`, as many as fit. `row` is scratch.
     pub(super) fn interleave<R: Real>(self, block: &[Column<R>], row: &mut [R], values: &mut [R]) {
         for (r, values) in values.chunks_exact_mut(self.columns).enumerate() {
             let whole = values.len() == row.len();
@@ -85,7 +86,7 @@ impl Fold {
         }
     }
 
-    /// 1 in the lanes of each register that have a pixel, else 0.
+    /// For each register, 1 in the lanes that hold a pixel, else 0.
     pub(super) fn pixels<R: Real>(self) -> impl Iterator<Item = R::Lanes> {
         (0..self.length).map(move |i| {
             R::Lanes::from_fn(|lane| if lane * self.length + i < self.columns { R::ONE } else { R::ZERO })
@@ -93,8 +94,9 @@ impl Fold {
     }
 }
 
-/// A Gaussian, which is symmetric and the same for rows and columns: the weights at distance 1, 2, … from the centre, whose
-/// own one is 1. So a blur is not a mean but a sum, and the centre costs nothing.
+/// The weights of a Gaussian at distance 1, 2, … from the centre, whose weight is 1.
+///
+/// The blur is a sum and not a mean, so that the centre needs no multiplication.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Window<T>([T; RADIUS]);
 
@@ -111,7 +113,7 @@ pub(super) fn total() -> f64 {
 
 impl<L: Lanes> Window<L> {
     pub(super) fn new() -> Self {
-        Self(from_fn(|i| L::splat(real(gauss(1 + i)))))
+        Self(from_fn(|i| L::splat_f64(gauss(1 + i))))
     }
 
     /// `Σ_t w_t x(t)` over the eleven taps, from the centre outwards.
@@ -123,7 +125,7 @@ impl<L: Lanes> Window<L> {
     }
 
     /// Down a column: from the rows of a block and its neighbours to those of the block.
-    // Not `from_fn`, which stays a call where a register of lanes is two.
+    // Not `from_fn`, which is not inlined where a register of lanes is two of the processor's.
     #[inline(always)]
     pub(super) fn down(&self, x: impl Fn(usize) -> L) -> [L; BLOCK] {
         let x: [L; REACHED] =
@@ -132,8 +134,7 @@ impl<L: Lanes> Window<L> {
         [y(0), y(1), y(2), y(3), y(4)]
     }
 
-    /// Along the rows of a block: from a line with margins. Two columns at a time, for which most of what is loaded is the
-    /// same.
+    /// Along the rows of a block: from a line with margins. Two columns at a time share most loads.
     pub(super) fn along(&self, line: &[[L; BLOCK]], out: &mut [[L; BLOCK]]) {
         let last = out.len() - 2;
         for j in (0..out.len()).step_by(2) {
@@ -155,8 +156,7 @@ pub(super) fn around<'a, L: Copy>(blocks: [&'a [[L; BLOCK]]; 3], j: usize) -> im
     move |t| columns[t / BLOCK][t % BLOCK]
 }
 
-/// Columns before and after a line that has room for the window's reach on both sides: those of the pieces before and
-/// after, 0 outside of the image.
+/// Fills the margins of a line with the columns of the pieces before and after, 0 outside of the image.
 pub(super) fn margins<L: Lanes>(line: &mut [[L; BLOCK]]) {
     let length = line.len() - 2 * RADIUS;
     for i in 0..RADIUS {

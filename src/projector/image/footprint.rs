@@ -322,7 +322,7 @@ mod tests {
             [0]
     }
 
-    /// Rows and columns that hold a pixel of the support, found by asking every pixel.
+    /// Rows and columns that hold a pixel of the support, by testing every pixel.
     fn reached(footprint: &Footprint) -> (Range<usize>, Range<usize>) {
         let detector = scanner().detector;
         let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
@@ -388,7 +388,7 @@ mod tests {
             assert_eq!(support_box([0.1; 3], [0.1; 3], 0.0, projection), [all, all].concat()[..]);
             assert_eq!(support_box([5.0, 5.0, 0.0], [0.05; 3], 1e-2, projection), [none, none].concat()[..]);
             assert_eq!(support_box([5.0, 5.0, 0.0], [0.05; 3], 0.0, projection), [none, none].concat()[..]);
-            // Beyond the horizon of f64, within it, and where the walked pixels come from.
+            // Cutoffs beyond the horizon of f64, within it, and as in training.
             let tails =
                 [1e-308, 1e-200, 1e-2].map(|cutoff| support_box([0.1; 3], [0.01; 3], cutoff, Projection::Affine));
             assert!(tails.windows(2).all(|pair| pair[0][0] < pair[1][0] && pair[0][3] > pair[1][3]), "{tails:?}");

@@ -96,7 +96,7 @@ pub(crate) fn vjp(
         + Symmetric::new(q_y * d_h[0] + q_z * d_h[1], p0, kappa / a0)
         + Symmetric::new(p0, p0, d_a0);
 
-    // The centre's place in the conic: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
+    // The centre's position in the plane: α = a·m_z - m_x and β = b·m_z - m_y at a fixed pixel.
     let [mut d_offset_u, mut d_offset_v] = geometry.on_detector(first).map(|d| d * splat(2.0));
     if projection == Projection::Exact {
         (d_offset_u, d_offset_v) = (d_offset_u + g[0] * (kappa / a0) * h, d_offset_v + g[1] * (kappa / a0) * h);

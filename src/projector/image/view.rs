@@ -83,10 +83,10 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// pixel indices (0 is the centre of the first row or column), not clipped to the detector.
     ///
     /// It bounds the pixels that the field's cutoff ε lets the primitive reach, where its projection has not fallen to
-    /// ε of its peak. `(-∞, ∞, -∞, ∞)` where that set is not an ellipse: it holds the source or passes beside it, or ε
-    /// is 0 and it is the whole conic. `(∞, -∞, ∞, -∞)` for a primitive that is left out near or behind the source.
-    /// That a kernel in `R` adds nothing below `2^-R::HORIZON` is a max_x of its numbers and no cutoff: it shrinks the
-    /// pixels that are walked, not these boxes.
+    /// ε of its peak. `(-∞, ∞, -∞, ∞)` where that set is not an ellipse: it holds the source or passes next to it, or ε
+    /// is 0 and it is the whole plane. `(∞, -∞, ∞, -∞)` for a primitive that is left out near or behind the source.
+    /// That a kernel in `R` adds nothing below `2^-R::HORIZON` is a limit of its number range and no cutoff: it shrinks the
+    /// pixels that are evaluated, not these boxes.
     ///
     /// Tests: `support_boxes_bound_the_pixels_of_each_primitive`, `boxes_know_the_cutoff_alone`.
     pub fn support_boxes(&self) -> Vec<[f64; 4]> {

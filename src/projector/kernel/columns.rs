@@ -326,7 +326,7 @@ impl<L: Lanes, O: Iterator, W: FnMut(O::Item, LaneCoords<L>)> DistanceLoop<'_, L
         let rows = &batch.row[registers.clone()];
         for ((&owner, &row), output) in batch.owner[registers].iter().zip(rows).zip(outputs) {
             let of = &batch.columns[owner as usize % COLUMNS];
-            let y = (of.ridge[0] - L::splat(real(row.into()))).fma(lanes.minus_b, of.ridge[1]);
+            let y = (of.ridge[0] - L::splat_f64(row.into())).fma(lanes.minus_b, of.ridge[1]);
             let (delta, root) = root(of, y, y.fma(y, of.floor));
             let x = if matches!(lanes.root, Root::None) { delta } else { delta * (root * root) };
             write(output, LaneCoords { y, x, root });
