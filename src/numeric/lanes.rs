@@ -1,4 +1,4 @@
-//! Scalars and SIMD lanes: one kernel text for f32 and f64, for every instruction set.
+//! SIMD lanes: one kernel text for f32 and f64, for every instruction set.
 //!
 //! The virtual width is a constant of the algorithm, 16 lanes of f32 and 8 of f64; a build without wide
 //! registers emulates it lane by lane, so sums have the same tree everywhere. `a * b + c` is rounded twice on every
@@ -9,65 +9,11 @@ use super::polynomials::{
     root_quarter_f64, root_sixteenth_f32,
 };
 use super::rearrange::{Rearrange, columns_of_f32, one_of_eight, one_of_sixteen};
-use super::reduce::{eight_of_16, sum_of_8};
-use std::fmt::{Debug, Display};
-use std::iter::Sum;
-use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+use super::reduce::{fold_16_to_8, sum_of_8};
+use super::{Real, real};
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 use wide::{f32x16, f64x8, u32x8, u32x16, u64x8};
-
-/// A floating-point scalar that the pixel kernels can run in.
-pub trait Real:
-    Copy
-    + Debug
-    + Default
-    + Display
-    + PartialOrd
-    + Send
-    + Sync
-    + 'static
-    + Add<Output = Self>
-    + AddAssign
-    + Sub<Output = Self>
-    + SubAssign
-    + Mul<Output = Self>
-    + MulAssign
-    + Div<Output = Self>
-    + Neg<Output = Self>
-    + Sum
-{
-    /// Its SIMD lanes.
-    type Lanes: Lanes<Scalar = Self>;
-    /// 0
-    const ZERO: Self;
-    /// 1
-    const ONE: Self;
-    /// Largest n for which the kernels produce 2^-n; smaller values are zero.
-    const HORIZON: f64;
-    /// Distances, in units of a primitive's scale, are clamped to this; their squares stay finite.
-    const FAR: f64;
-
-    /// Rounds to nearest.
-    fn from_f64(value: f64) -> Self;
-    /// Exact.
-    fn to_f64(self) -> f64;
-    /// A small count, exact below 2^24.
-    fn from_index(index: usize) -> Self;
-    /// Correctly rounded square root.
-    fn sqrt(self) -> Self;
-    /// Absolute value.
-    fn abs(self) -> Self;
-    /// Not NaN or infinite.
-    fn is_finite(self) -> bool;
-    /// Columns of eight rows of eight values, in f64.
-    fn columns(rows: [&[Self]; 8]) -> [f64x8; 8] {
-        std::array::from_fn(|i| f64x8::new(rows.map(|row| row[i].to_f64())))
-    }
-}
-
-/// Rounds to nearest. As [`Real::from_f64`], where that name would be ambiguous.
-pub fn real<R: Real>(value: f64) -> R {
-    R::from_f64(value)
-}
 
 /// Lanes of the widest register.
 pub const WIDEST: usize = 16;
@@ -198,11 +144,11 @@ pub trait Lanes:
         Self::exp2_each([self])[0]
     }
     /// Sums of lanes that are eight apart, in f64.
-    fn eight(self) -> [f64; 8];
+    fn fold_to_8(self) -> [f64; 8];
     /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
     #[inline(always)]
     fn sum(self) -> f64 {
-        sum_of_8(f64x8::new(self.eight()))
+        sum_of_8(f64x8::new(self.fold_to_8()))
     }
 }
 
@@ -214,7 +160,7 @@ macro_rules! precision {
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
         rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, exp2 $exp2:ident,
         lookup |$tables:ident, $index:ident| $from_table:expr, wide $from_wide_table:expr,
-        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_quarter:ident, sixteenth $root_sixteenth:ident, eight $eight:expr
+        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_quarter:ident, sixteenth $root_sixteenth:ident, fold $fold:expr
         $(, columns $columns:ident)?
     ) => {
         impl Real for $scalar {
@@ -396,8 +342,8 @@ macro_rules! precision {
                 $exp2(t)
             }
             #[inline(always)]
-            fn eight(self) -> [f64; 8] {
-                $eight(self).to_array()
+            fn fold_to_8(self) -> [f64; 8] {
+                $fold(self).to_array()
             }
         }
     };
@@ -413,7 +359,7 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_quarter_f32, sixteenth root_sixteenth_f32, eight eight_of_16,
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_quarter_f32, sixteenth root_sixteenth_f32, fold fold_16_to_8,
     columns columns_of_f32
 );
 precision!(
@@ -428,7 +374,7 @@ precision!(
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
     },
-    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_quarter_f64, sixteenth root_quarter_f64, eight |lanes| lanes
+    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_quarter_f64, sixteenth root_quarter_f64, fold |lanes| lanes
 );
 
 #[cfg(test)]

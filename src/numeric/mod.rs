@@ -4,10 +4,12 @@ pub mod elementary;
 pub mod exponentials;
 pub mod lanes;
 mod polynomials;
+mod real;
 pub mod rearrange;
 pub mod reduce;
 pub mod rng;
 pub mod threads;
 pub mod vectors;
 
-pub use lanes::{Lanes, ROOT_RANGES, Real, WIDEST, real};
+pub use lanes::{Lanes, ROOT_RANGES, WIDEST};
+pub use real::{Real, real};

@@ -5,7 +5,7 @@
 //! In f32, logarithms and powers combine a table of 8 or 16 entries with a short polynomial. Permutations use another
 //! execution port than multiply-adds, of which a polynomial alone would need 50 % more.
 
-use super::lanes::{Lanes, Real};
+use super::{Lanes, Real};
 use std::array::from_fn;
 use wide::{f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 

@@ -18,14 +18,14 @@ pub trait Rearrange<R>: Sized {
 }
 
 #[inline(always)]
-fn eight(values: &[f32]) -> f32x8 {
+fn load_8(values: &[f32]) -> f32x8 {
     f32x8::new(values[..8].try_into().expect("a slice of this length"))
 }
 
 /// `table[index]` for indices below 8.
 #[inline(always)]
 pub(super) fn one_of_eight(table: &[f32], index: u32x8) -> u32x8 {
-    bytemuck::cast::<_, u32x8>(eight(table)).shuffle(index)
+    bytemuck::cast::<_, u32x8>(load_8(table)).shuffle(index)
 }
 
 /// `table[index]` for indices below 16.
@@ -47,7 +47,7 @@ pub(super) fn wider([a, b, c, d, e, f, g, h]: [f32; 8]) -> f64x8 {
 /// [`Real::columns`](super::Real::columns), in registers.
 #[inline(always)]
 pub(super) fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
-    let row = |i: usize| eight(rows[i]);
+    let row = |i: usize| load_8(rows[i]);
     let [a, b, c, d, e, f, g, h] =
         f32x8::transpose([row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]).map(f32x8::to_array);
     [wider(a), wider(b), wider(c), wider(d), wider(e), wider(f), wider(g), wider(h)]
@@ -58,7 +58,7 @@ impl Rearrange<f32> for f32x16 {
     #[inline(always)]
     fn deinterleave<const N: usize>(values: &[f32], stride: usize, columns: &mut [[Self; N]; INTERLEAVED], row: usize) {
         for half in [0, 8] {
-            let lane = |i: usize| eight(&values[(half + i) * stride..]);
+            let lane = |i: usize| load_8(&values[(half + i) * stride..]);
             let columns_of_half =
                 f32x8::transpose([lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7)]);
             for i in 0..INTERLEAVED {
@@ -69,7 +69,7 @@ impl Rearrange<f32> for f32x16 {
     #[inline(always)]
     fn interleave<const N: usize>(columns: &[[Self; N]; INTERLEAVED], row: usize, values: &mut [f32], stride: usize) {
         for half in [0, 8] {
-            let column = |i: usize| eight(&columns[i][row].as_array()[half..]);
+            let column = |i: usize| load_8(&columns[i][row].as_array()[half..]);
             let lanes = [column(0), column(1), column(2), column(3), column(4), column(5), column(6), column(7)];
             let lanes = f32x8::transpose(lanes);
             for i in 0..8 {

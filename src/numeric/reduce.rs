@@ -25,7 +25,7 @@ pub(super) fn sum_of_8(lanes: f64x8) -> f64 {
 
 /// Sums of the two halves of sixteen lanes, in f64.
 #[inline(always)]
-pub(super) fn eight_of_16(lanes: f32x16) -> f64x8 {
+pub(super) fn fold_16_to_8(lanes: f32x16) -> f64x8 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
     wider(halves[0]) + wider(halves[1])
 }

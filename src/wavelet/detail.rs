@@ -315,8 +315,8 @@ fn accumulate<R: Real>(
             others = (neighbours - high).fma(strength, others);
             shares[voxel] = push[1].fma(high, least) / strength;
         }
-        sums[0] += f64x8::new(confident.eight());
-        sums[1] += f64x8::new(others.eight());
+        sums[0] += f64x8::new(confident.fold_to_8());
+        sums[1] += f64x8::new(others.fold_to_8());
         let [a, b, c, d, e, f, g, h] = shares;
         let (ab, cd, ef, gh) = (a + b, c + d, e + f, g + h);
         let (ae, bf, cg, dh) = (a + e, b + f, c + g, d + h);

@@ -83,7 +83,7 @@ pub(super) fn forward_into<R: Real>(block: ArrayView3<R>, levels: usize, subband
         let all = level.as_slice_mut().expect("coefficients are contiguous");
         let size = all.len() / BANDS;
         let [nx, ny, nz] = shape;
-        let [a, b, c, d, e, f, g, h] = eight(all.chunks_exact_mut(size)).map(|band| {
+        let [a, b, c, d, e, f, g, h] = to_bands(all.chunks_exact_mut(size)).map(|band| {
             let of_slab = SLAB * ny * nz / BANDS;
             threads::chunks(band, of_slab)
         });
@@ -229,8 +229,8 @@ fn join<R: Real>(bands: &[[R; CHUNK]; BANDS]) -> [[R; 2 * CHUNK]; 4] {
     voxels
 }
 
-fn eight<T>(mut some: impl Iterator<Item = T>) -> [T; BANDS] {
-    std::array::from_fn(|_| some.next().expect("eight bands"))
+fn to_bands<T>(mut values: impl Iterator<Item = T>) -> [T; BANDS] {
+    std::array::from_fn(|_| values.next().expect("eight bands"))
 }
 
 /// One band alone at full size: `shape` voxels in the order `[x, y, z]` from the band's coefficients of a level.

@@ -375,7 +375,7 @@ macro_rules! plain {
                 t.map(|t| Self(t.0.map($number::exp2)))
             }
             /// One half plus the other, while there are more than eight.
-            fn eight(self) -> [f64; 8] {
+            fn fold_to_8(self) -> [f64; 8] {
                 let lane = |i: usize| self.0.get(i).map_or(0.0, |lane| lane.to_f64());
                 std::array::from_fn(|i| (i + 8..W).step_by(8).fold(lane(i), |sum, other| sum + lane(other)))
             }

@@ -118,7 +118,7 @@ impl<L: Lanes> Window<L> {
 
     /// `Σ_t w_t x(t)` over the eleven taps, from the centre outwards.
     #[inline(always)]
-    fn weigh(&self, x: impl Fn(usize) -> L) -> L {
+    fn weighted_sum(&self, x: impl Fn(usize) -> L) -> L {
         let Self(weights) = self;
         let outer = (1..).zip(weights);
         outer.fold(x(RADIUS), |sum, (d, &weight)| (x(RADIUS - d) + x(RADIUS + d)).fma(weight, sum))
@@ -130,7 +130,7 @@ impl<L: Lanes> Window<L> {
     pub(super) fn down(&self, x: impl Fn(usize) -> L) -> [L; BLOCK] {
         let x: [L; REACHED] =
             [x(0), x(1), x(2), x(3), x(4), x(5), x(6), x(7), x(8), x(9), x(10), x(11), x(12), x(13), x(14)];
-        let y = |row: usize| self.weigh(|t| x[row + t]);
+        let y = |row: usize| self.weighted_sum(|t| x[row + t]);
         [y(0), y(1), y(2), y(3), y(4)]
     }
 
@@ -142,8 +142,8 @@ impl<L: Lanes> Window<L> {
             let columns: &[_; TAPS + 1] = line[j..].first_chunk().expect("margins");
             let [first, second] = out[j..].first_chunk_mut().expect("two columns");
             for row in 0..BLOCK {
-                first[row] = self.weigh(|t| columns[t][row]);
-                second[row] = self.weigh(|t| columns[1 + t][row]);
+                first[row] = self.weighted_sum(|t| columns[t][row]);
+                second[row] = self.weighted_sum(|t| columns[1 + t][row]);
             }
         }
     }
