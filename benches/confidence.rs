@@ -6,7 +6,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use trgs::confidence::{Coverage, Settings};
 use trgs::numeric::elementary::{cos, sin};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::primitives::{Parameters, Primitives};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
@@ -30,7 +30,7 @@ fn confidence(criterion: &mut Criterion) {
     let detector = Detector { rows: 128, columns: 128, pitch_v: 0.03, pitch_u: 0.03, offset_u: 0.0, offset_v: 0.0 };
     let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(64) };
     let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
-    let (settings, pool) = (Settings::default(), Pool::new(1).unwrap());
+    let (settings, pool) = (Settings::default(), WorkerPool::new(1).unwrap());
     let coverage = Coverage::new(settings);
     let mut group = criterion.benchmark_group("confidence");
     for m in [5_000, 50_000] {

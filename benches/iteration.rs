@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 use trained::{TRAINED, Trained};
 use trgs::confidence::{Coverage, nu_loss, nu_target};
 use trgs::config::Config;
-use trgs::density::{ar, succeed};
+use trgs::density::{ar, next_parameters};
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into};
-use trgs::numeric::threads::Pool;
-use trgs::optim::sghmc::{Phase, Stir};
+use trgs::numeric::threads::WorkerPool;
+use trgs::optim::sghmc::{NoiseInput, Phase};
 use trgs::optim::{Adam, Sghmc};
 use trgs::primitives::activation::Interval;
-use trgs::primitives::{Activation, Group, Kernel, Primitives};
+use trgs::primitives::{Activation, Group, KernelKind, Primitives};
 use trgs::projector::Field;
 use trgs::scene::Scanner;
 use trgs::wavelet::{self, Router, Routing, wavelet_loss_into};
@@ -65,7 +65,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     let (m, grid) = (physical.len(), scanner.grid);
     let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
     let activation = Activation {
-        kernel: Kernel::StudentT,
+        kernel: KernelKind::StudentT,
         scale: Interval { min: 0.001, max: 1.0 },
         nu: Interval { min: 2.0, max: 100.0 },
     };
@@ -82,14 +82,14 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     // As in a run, buffers of the last iteration are reused.
     let (prediction, of_image) = (RefCell::new(image.clone()), RefCell::new(cotangent.clone()));
     let (volume, slopes) = (RefCell::default(), RefCell::default());
-    let spaces = (tv::Spaces::default(), wavelet::Spaces::default());
+    let workspace = (tv::Workspace::default(), wavelet::Workspace::default());
     let block = grid.block([grid.shape[0] / 4; 3], [32; 3]);
     let gradient = RefCell::new(field.zero_gradient());
     let coverage = Coverage::new(config.confidence.settings());
     let confidence = coverage.confidence(&physical, &scanner, &angles);
     let targets: Vec<f64> =
         confidence.iter().map(|&c| nu_target(c, &config.confidence.settings(), activation.nu)).collect();
-    let flat = field.finish(&gradient.borrow());
+    let flat = field.parameter_gradient(&gradient.borrow());
     let adam = RefCell::new(Group::ALL.map(|group| Adam::new(m * group.width(), [0.9, 0.999], 1e-15)));
     let (sghmc, moved) = (RefCell::new(Sghmc::new(m)), RefCell::new(raw.clone()));
 
@@ -119,15 +119,15 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     part("image loss", 1, &|| {
         black_box(image_loss_into(&ssim, 0.25, image.view(), &target, &mut of_image.borrow_mut()));
     });
-    part("projection, back", 1, &|| view.pull_back(cotangent.view(), &mut gradient.borrow_mut()));
+    part("projection, back", 1, &|| view.vjp(cotangent.view(), &mut gradient.borrow_mut()));
     part("total variation", 1, &|| {
         let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
         there.voxels_into(&mut volume);
-        black_box(tv_into(volume.view(), &spaces.0, &mut slopes));
-        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
+        black_box(tv_into(volume.view(), &workspace.0, &mut slopes));
+        there.vjp(slopes.view(), &mut gradient.borrow_mut());
     });
     part("gradient to raw", 1, &|| {
-        let mut gradient = field.finish(&gradient.borrow());
+        let mut gradient = field.parameter_gradient(&gradient.borrow());
         activation.vjp(&physical, &mut gradient);
         black_box(gradient);
     });
@@ -138,7 +138,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         }
         let mut direction = vec![[0.0; 3]; flat.len()];
         adam[0].direction(flat.group(Group::Mean), direction.as_flattened_mut());
-        sghmc.borrow_mut().step(&mut moved.mean, &direction, 0.014, Phase::Sampling(50.0), |_| Stir::SHUT);
+        sghmc.borrow_mut().step(&mut moved.mean, &direction, 0.014, Phase::Sampling(50.0), |_| NoiseInput::GATE_CLOSED);
     });
     part("pull on ν", 1, &|| {
         black_box(nu_loss(&physical.parameters.nu, &targets, &confidence, 1e-3));
@@ -150,8 +150,8 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         router.route_into(&block, &physical.parameters.mean, &confidence, &settings, routing).expect("finite means");
         let (there, mut volume, mut slopes) = (field.on(&block), volume.borrow_mut(), slopes.borrow_mut());
         there.voxels_into(&mut volume);
-        black_box(wavelet_loss_into(volume.view(), routing, &settings, &spaces.1, &mut slopes));
-        there.pull_back(slopes.view(), &mut gradient.borrow_mut());
+        black_box(wavelet_loss_into(volume.view(), routing, &settings, &workspace.1, &mut slopes));
+        there.vjp(slopes.view(), &mut gradient.borrow_mut());
     });
     part("confidence of all", config.confidence.every, &|| {
         black_box(coverage.confidence(&physical, &scanner, &angles));
@@ -166,27 +166,27 @@ fn bench(c: &mut Criterion, trained: &Trained) {
             relocation: control.relocation,
         };
         let mut k = 0_u64;
-        let successors = ar::ar(&physical, &settings, || {
+        let next = ar::ar(&physical, &settings, || {
             k += 1;
             (k * 7919 % 10007) as f64 / 10007.0
         });
-        let parameters = succeed(&physical.parameters, &successors);
+        let parameters = next_parameters(&physical.parameters, &next);
         black_box(activation.inverse(&parameters));
-        let fresh: Vec<usize> = (0..successors.len()).filter(|&row| successors[row].fresh).collect();
+        let fresh: Vec<usize> = (0..next.len()).filter(|&row| next[row].fresh).collect();
         let next = Primitives::new(parameters).expect("valid primitives");
         black_box(coverage.confidence_of(&fresh, &next, &scanner, &angles));
     });
     group.finish();
     shares.print(name);
-    for (what, pairs) in [("pixels", view.pairs()), ("voxels", field.on(&block).pairs())] {
-        let each = pairs.useful as f64 / m as f64;
-        println!("  {each:.0} {what} of the supports for each primitive, {:.0} % of the lanes", 100.0 * pairs.share());
+    for (what, pairs) in [("pixels", view.utilisation()), ("voxels", field.on(&block).utilisation())] {
+        let each = pairs.active as f64 / m as f64;
+        println!("  {each:.0} {what} of the supports for each primitive, {:.0} % of the lanes", 100.0 * pairs.ratio());
     }
 }
 
 /// Runs inside the worker pool, as a run does: work submitted from outside would wait for a worker.
 fn main() {
-    Pool::new(0).expect("threads").run(|| {
+    WorkerPool::new(0).expect("threads").run(|| {
         let mut criterion = Criterion::default().configure_from_args();
         TRAINED.iter().for_each(|trained| bench(&mut criterion, trained));
         criterion.final_summary();

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss_into};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
 use trgs::projector::Field;
@@ -165,9 +165,9 @@ fn all(c: &mut Criterion) {
     // sum 5, accumulated in f64 10.
     let block = Array3::from_shape_fn([SIDE; 3], |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 13.0);
     let work = Work { operations: 59.0 * voxels / f32s, ..Work::default() };
-    let (spaces, of_block) = (tv::Spaces::default(), RefCell::new(Array3::default(block.dim())));
+    let (workspace, of_block) = (tv::Workspace::default(), RefCell::new(Array3::default(block.dim())));
     pass("total variation with gradient, 32³", work, &|| {
-        black_box(tv_into(block.view(), &spaces, &mut of_block.borrow_mut()));
+        black_box(tv_into(block.view(), &workspace, &mut of_block.borrow_mut()));
     });
 
     // Forward 36 operations per register of lanes, backward 44, as in the kernels (README.md); 19 and 38 per column of
@@ -177,7 +177,7 @@ fn all(c: &mut Criterion) {
     let field = Field::<f32>::new(&physical, 1e-3);
     let grid = scanner.grid.block([16; 3], [SIDE; 3]);
     let (gradient, volume) = (RefCell::new(field.zero_gradient()), RefCell::new(Array3::default(block.dim())));
-    let pairs = field.on(&grid).pairs();
+    let pairs = field.on(&grid).utilisation();
     let (registers, columns) = (pairs.evaluated as f64 / f32s, pairs.columns as f64);
     pass(
         "voxels of a 32³ block of 64³, 5,000 primitives",
@@ -187,7 +187,7 @@ fn all(c: &mut Criterion) {
         },
     );
     pass("and back", Work { operations: 44.0 * registers + 38.0 * columns, ..Work::default() }, &|| {
-        field.on(&grid).pull_back(block.view(), &mut gradient.borrow_mut());
+        field.on(&grid).vjp(block.view(), &mut gradient.borrow_mut());
     });
 
     // 14 operations in f64, three divisions and a root among them; value and two moments there and back, a gradient.
@@ -226,10 +226,10 @@ fn all(c: &mut Criterion) {
     let operations = ((6.0 * 110.0 + 64.0) / 8.0 + 1.0) * registers;
     let of_bands = [6.0 * registers, 0.0];
     let work = Work { operations, divisions: of_bands, roots: of_bands, ..Work::default() };
-    let spaces = wavelet::Spaces::default();
+    let workspace = wavelet::Workspace::default();
     pass("wavelet loss with gradient, 32³", work, &|| {
         let settings = wavelet::Settings::default();
-        black_box(wavelet_loss_into(block.view(), &routing, &settings, &spaces, &mut of_block.borrow_mut()));
+        black_box(wavelet_loss_into(block.view(), &routing, &settings, &workspace, &mut of_block.borrow_mut()));
     });
     group.finish();
 
@@ -242,7 +242,7 @@ fn all(c: &mut Criterion) {
 
 /// Runs on one thread: `iteration` and `scaling` measure the gain from more threads.
 fn main() {
-    Pool::new(1).expect("a thread").run(|| {
+    WorkerPool::new(1).expect("a thread").run(|| {
         let mut criterion = Criterion::default().configure_from_args();
         all(&mut criterion);
         criterion.final_summary();

@@ -12,8 +12,8 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use trgs::numeric::threads::Pool;
-use trgs::primitives::{Kernel, Parameters, Primitives};
+use trgs::numeric::threads::WorkerPool;
+use trgs::primitives::{KernelKind, Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
@@ -98,29 +98,29 @@ impl Scene {
         }
     }
 
-    fn primitives(&self, kernel: Kernel) -> Primitives {
+    fn primitives(&self, kernel: KernelKind) -> Primitives {
         let side = self.side;
         let m = side * side * side;
         let at = |k: usize| ((k as f64 + 0.5) / side as f64 * 2.0 - 1.0) * self.half;
         let scale = match kernel {
-            Kernel::StudentT => self.scale,
-            Kernel::Gaussian => 1.24 * self.scale,
+            KernelKind::StudentT => self.scale,
+            KernelKind::Gaussian => 1.24 * self.scale,
         };
         Primitives::new(Parameters {
             mean: (0..m).map(|i| [at(i / (side * side)), at(i / side % side), at(i % side)]).collect(),
             scale: (0..m).map(|i| [scale, scale * 1.1, scale * (0.9 + 0.02 * (i % 7) as f64)]).collect(),
             quaternion: (0..m).map(|i| [1.0, 0.1 * (i % 5) as f64, -0.2, 0.07 * (i % 3) as f64]).collect(),
             density: vec![0.5; m],
-            nu: vec![if kernel == Kernel::Gaussian { f64::INFINITY } else { 10.0 }; m],
+            nu: vec![if kernel == KernelKind::Gaussian { f64::INFINITY } else { 10.0 }; m],
         })
         .expect("a valid lattice")
     }
 }
 
 fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &str) {
-    let pool = Pool::new(1).expect("one thread");
+    let pool = WorkerPool::new(1).expect("one thread");
     let scanner = scene.scanner();
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let field = Field::<R>::new(&scene.primitives(kernel), CUTOFF);
         for projection in [Projection::Affine, Projection::Exact] {
             let view = field.view(&scanner, 0.4, projection);
@@ -134,9 +134,7 @@ fn bench<R: Kernels>(c: &mut Criterion<TimePerPair>, scene: &Scene, precision: &
             group
                 .bench_function("set-up", |b| b.iter(|| pool.run(|| black_box(field.view(&scanner, 0.4, projection)))));
             group.bench_function("forward", |b| b.iter(|| pool.run(|| black_box(view.image()))));
-            group.bench_function("backward", |b| {
-                b.iter(|| pool.run(|| view.pull_back(cotangent.view(), &mut gradient)))
-            });
+            group.bench_function("backward", |b| b.iter(|| pool.run(|| view.vjp(cotangent.view(), &mut gradient))));
             group.finish();
         }
     }

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::config::Config;
 use trgs::memory::Estimate;
-use trgs::numeric::threads::{self, Pool};
+use trgs::numeric::threads::{self, WorkerPool};
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::{Field, Projection};
-use trgs::scene::dataset::Survey;
+use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const CUTOFF: f64 = 1e-3;
@@ -54,8 +54,8 @@ fn memory(scanner: Scanner, views: usize, points: usize, workers: usize) -> f64 
     let mut config = Config::default();
     (config.model.points, config.density_control.cap) = (points, points);
     config.initialisation.from = trgs::config::Start::Random;
-    let survey = Survey { scanner, train: views, test: 0, has_truth: false, points: 0 };
-    Estimate::new(&survey, views, &config, workers).peak() as f64
+    let info = DatasetInfo { scanner, train: views, test: 0, has_truth: false, points: 0 };
+    Estimate::new(&info, views, &config, workers).peak() as f64
 }
 
 fn all(c: &mut Criterion) {
@@ -80,8 +80,8 @@ fn all(c: &mut Criterion) {
         let view = field.view(scanner, 0.4, Projection::Exact);
         let image = view.image();
         let mut gradient = field.zero_gradient();
-        view.pull_back(image.view(), &mut gradient);
-        black_box(field.finish(&gradient));
+        view.vjp(image.view(), &mut gradient);
+        black_box(field.parameter_gradient(&gradient));
     };
     let mut growths = Vec::new();
 
@@ -108,8 +108,8 @@ fn all(c: &mut Criterion) {
             let field = Field::<f32>::new(&physical, CUTOFF);
             let mut gradient = field.zero_gradient();
             let there = field.on(&here.grid);
-            there.pull_back(there.voxels().view(), &mut gradient);
-            black_box(field.finish(&gradient));
+            there.vjp(there.voxels().view(), &mut gradient);
+            black_box(field.parameter_gradient(&gradient));
         });
         points.push(((factor * factor * factor) as f64, time, Some(memory(here, VIEWS, PRIMITIVES, workers))));
     }
@@ -127,7 +127,7 @@ fn all(c: &mut Criterion) {
 
     let (physical, here, mut points) = (primitives(8 * PRIMITIVES), scanner(4 * PIXELS, VOXELS), Vec::new());
     for count in (1..=workers).filter(|n| n.is_power_of_two() || *n == workers) {
-        let pool = Pool::new(count).expect("threads");
+        let pool = WorkerPool::new(count).expect("threads");
         let time = measure("threads, a view and back", count, &|| pool.run(|| project(&physical, &here)));
         points.push((count as f64, time, None));
     }

@@ -9,7 +9,7 @@ use std::hint::black_box;
 use std::time::Duration;
 use trgs::numeric::Real;
 use trgs::numeric::rng::{Purpose, stream};
-use trgs::numeric::threads::Pool;
+use trgs::numeric::threads::WorkerPool;
 use trgs::scene::Grid;
 use trgs::wavelet::{Router, Routing, Settings, route, wavelet_loss};
 
@@ -30,7 +30,7 @@ fn routing(c: &mut Criterion) {
         let mut group = c.benchmark_group(format!("routing, 32³ voxels, {m} primitives"));
         group.sample_size(10).warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
         for threads in [1, 0] {
-            let pool = Pool::new(threads).expect("threads");
+            let pool = WorkerPool::new(threads).expect("threads");
             let name = if threads == 1 { "one thread" } else { "all threads" };
             group.bench_function(name, |b| {
                 b.iter(|| pool.run(|| black_box(route(&grid, &means, &confidence, &Settings::default()).unwrap())));
@@ -51,7 +51,7 @@ fn loss<R: Real>(c: &mut Criterion, precision: &str) {
     let mut group = c.benchmark_group(format!("loss and gradient, 32³ voxels, {precision}"));
     group.sample_size(20).warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(2));
     for threads in [1, 0] {
-        let pool = Pool::new(threads).expect("threads");
+        let pool = WorkerPool::new(threads).expect("threads");
         let name = if threads == 1 { "one thread" } else { "all threads" };
         group.bench_function(name, |b| {
             b.iter(|| pool.run(|| black_box(wavelet_loss(block.view(), &routing, &Settings::default()))));

@@ -9,7 +9,7 @@
 use crate::config::{Config, DensityControl, Finish, Method, Precision, Sampling, Start};
 use crate::error::{Error, Result};
 use crate::projector;
-use crate::scene::dataset::Survey;
+use crate::scene::dataset::DatasetInfo;
 use bytesize::ByteSize;
 use std::fmt;
 
@@ -28,7 +28,7 @@ const SHOWN: usize = 3;
 
 /// Arrays of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Row {
+pub struct Allocation {
     /// Content of the arrays.
     pub what: &'static str,
     /// Number of elements: pixels, voxels or primitives.
@@ -39,43 +39,43 @@ pub struct Row {
 
 /// A phase of a run: arrays that live at the same time.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Moment {
+pub struct Phase {
     /// Name of the phase.
     pub name: &'static str,
     /// Arrays of this phase, in addition to the lasting ones.
-    pub rows: Vec<Row>,
+    pub allocations: Vec<Allocation>,
 }
 
 /// The memory that a run needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Estimate {
     /// Arrays that live from the beginning to the end.
-    pub lasting: Vec<Row>,
+    pub lasting: Vec<Allocation>,
     /// Phases and their temporary arrays.
-    pub moments: Vec<Moment>,
+    pub phases: Vec<Phase>,
 }
 
-impl Row {
+impl Allocation {
     /// Bytes of all rows.
     pub fn total(&self) -> u64 {
         (self.count as u64).saturating_mul(self.bytes as u64)
     }
 }
 
-fn row(what: &'static str, count: usize, bytes: usize) -> Row {
-    Row { what, count, bytes }
+fn allocation(what: &'static str, count: usize, bytes: usize) -> Allocation {
+    Allocation { what, count, bytes }
 }
 
-fn sum(rows: &[Row]) -> u64 {
-    rows.iter().fold(0, |sum, row| sum.saturating_add(row.total()))
+fn sum(allocations: &[Allocation]) -> u64 {
+    allocations.iter().fold(0, |sum, allocation| sum.saturating_add(allocation.total()))
 }
 
 impl Estimate {
     /// Estimates a run of `config` on a scan with `views` of its training views and `threads` workers.
-    pub fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
+    pub fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
         let config = &config.resolved(&scan.scanner, views);
         let sizes = Sizes::new(scan, views, config, threads);
-        let mut moments = match config.method {
+        let mut phases = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
             Method::Fdk => vec![sizes.fdk("reconstruction", scan.scanner.detector.offset_u != 0.0)],
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
@@ -84,36 +84,38 @@ impl Estimate {
             Method::Tv => vec![sizes.tv(config)],
         };
         if scan.train > views {
-            let all = row("all training projections, before the choice of views", scan.train * sizes.detector, F32);
-            moments.push(Moment { name: "reading", rows: vec![all] });
+            let all =
+                allocation("all training projections, before the choice of views", scan.train * sizes.detector, F32);
+            phases.push(Phase { name: "reading", allocations: vec![all] });
         }
-        moments.push(sizes.evaluation(config));
+        phases.push(sizes.evaluation(config));
         Self {
             lasting: vec![
-                row("training projections", sizes.pixels, F32),
-                row("test projections", scan.test * sizes.detector, F32),
-                row("true volume", if scan.has_truth { sizes.voxels } else { 0 }, F32),
-                row("initial points", scan.points, 4 * F64),
+                allocation("training projections", sizes.pixels, F32),
+                allocation("test projections", scan.test * sizes.detector, F32),
+                allocation("true volume", if scan.has_truth { sizes.voxels } else { 0 }, F32),
+                allocation("initial points", scan.points, 4 * F64),
             ],
-            moments,
+            phases,
         }
     }
 
     /// Estimates a file of `bytes` bytes of unknown content: the content, its arrays and the scan.
     pub fn of_file(bytes: u64) -> Self {
-        let rows = vec![row("the file, its arrays and the scan", usize::try_from(bytes).unwrap_or(usize::MAX), 5)];
-        Self { lasting: Vec::new(), moments: vec![Moment { name: "reading", rows }] }
+        let allocations =
+            vec![allocation("the file, its arrays and the scan", usize::try_from(bytes).unwrap_or(usize::MAX), 5)];
+        Self { lasting: Vec::new(), phases: vec![Phase { name: "reading", allocations }] }
     }
 
     /// Bytes in the phase that needs most.
     pub fn peak(&self) -> u64 {
-        let arrays = sum(&self.lasting).saturating_add(sum(&self.worst().rows));
+        let arrays = sum(&self.lasting).saturating_add(sum(&self.worst().allocations));
         PROGRAM.saturating_add(arrays).saturating_add((arrays as f64 * SLACK) as u64)
     }
 
     /// The phase that needs most.
-    pub fn worst(&self) -> &Moment {
-        self.moments.iter().max_by_key(|moment| sum(&moment.rows)).expect("every run is evaluated")
+    pub fn worst(&self) -> &Phase {
+        self.phases.iter().max_by_key(|phase| sum(&phase.allocations)).expect("every run is evaluated")
     }
 
     /// Rejects a run that may need more than `limit` bytes.
@@ -133,10 +135,13 @@ impl Estimate {
 /// The estimate and its largest rows.
 impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut rows: Vec<&Row> = self.lasting.iter().chain(&self.worst().rows).collect();
-        rows.sort_by_key(|row| std::cmp::Reverse(row.total()));
-        let parts: Vec<_> =
-            rows.iter().take(SHOWN).map(|row| format!("{} {}", ByteSize(row.total()), row.what)).collect();
+        let mut allocations: Vec<&Allocation> = self.lasting.iter().chain(&self.worst().allocations).collect();
+        allocations.sort_by_key(|allocation| std::cmp::Reverse(allocation.total()));
+        let parts: Vec<_> = allocations
+            .iter()
+            .take(SHOWN)
+            .map(|allocation| format!("{} {}", ByteSize(allocation.total()), allocation.what))
+            .collect();
         write!(f, "{} ({}; among them {})", ByteSize(self.peak()), self.worst().name, parts.join(", "))
     }
 }
@@ -166,7 +171,7 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn new(scan: &Survey, views: usize, config: &Config, threads: usize) -> Self {
+    fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
         let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
         let points = match config.initialisation.from {
             Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => config.model.points.min(grid.voxels()),
@@ -192,134 +197,142 @@ impl Sizes {
         }
     }
 
-    fn fdk(&self, name: &'static str, displaced: bool) -> Moment {
+    fn fdk(&self, name: &'static str, displaced: bool) -> Phase {
         // A displaced detector at most doubles in width before the projections are filtered.
         let copies = if displaced { 4 } else { 1 };
-        let rows = vec![row("filtered projections", self.pixels, copies * F32), row("volume", self.voxels, F32)];
-        Moment { name, rows }
+        let allocations =
+            vec![allocation("filtered projections", self.pixels, copies * F32), allocation("volume", self.voxels, F32)];
+        Phase { name, allocations }
     }
 
-    fn training(&self, config: &Config) -> Vec<Moment> {
+    fn training(&self, config: &Config) -> Vec<Phase> {
         let (m, real, d) = (self.most, self.real, self.detector);
         let in_units = config.density_unit.fixed() != Some(1.0);
         let lasting = |count: usize| {
             vec![
-                row("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
-                row("projections in units of density", if in_units { self.pixels } else { 0 }, F32),
+                allocation("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
+                allocation("projections in units of density", if in_units { self.pixels } else { 0 }, F32),
                 // Raw values, two moments each, momentum, id, c, its target, pull and views.
-                row("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
+                allocation("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
             ]
         };
-        let with = |name, count: usize, rows: &[Row]| Moment { name, rows: [lasting(count), rows.to_vec()].concat() };
-        let physical = row("physical values", m, NUMBERS * F64);
-        let shapes = row("primitives, prepared", m, projector::bytes::FIELD);
-        let mut start = match config.initialisation.from {
-            Start::Sart => self.sart(config).rows,
-            _ => self.fdk("first volume", false).rows,
+        let with = |name, count: usize, allocations: &[Allocation]| Phase {
+            name,
+            allocations: [lasting(count), allocations.to_vec()].concat(),
         };
-        start.push(row("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
+        let physical = allocation("physical values", m, NUMBERS * F64);
+        let prepared = allocation("primitives, prepared", m, projector::bytes::FIELD);
+        let mut start = match config.initialisation.from {
+            Start::Sart => self.sart(config).allocations,
+            _ => self.fdk("first volume", false).allocations,
+        };
+        start.push(allocation("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
         let block = |side: usize| self.voxels.min(side * side * side);
         // The workspace of an iteration stays for the next one, whatever runs between them.
         let kept = [
             physical,
-            shapes,
-            row(
+            prepared,
+            allocation(
                 "gradients of the view, of two blocks and of the parameters",
                 m,
                 3 * projector::bytes::GRADIENT + 2 * NUMBERS * F64 + 3 * F64,
             ),
-            row("footprints in the view and on both blocks", m, projector::bytes::VIEW + 2 * projector::bytes::GRID),
-            row("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
-            row("image, loss and cotangent", d, 10 * real),
-            row("block of the total variation", block(config.loss.tv_block), 8 * real),
+            allocation(
+                "footprints in the view and on both blocks",
+                m,
+                projector::bytes::VIEW + 2 * projector::bytes::GRID,
+            ),
+            allocation("lists of primitives by bands", m, 4 * (self.rows / 32 + 1)),
+            allocation("image, loss and cotangent", d, 10 * real),
+            allocation("block of the total variation", block(config.loss.tv_block), 8 * real),
             // Voxels, cotangent, two transforms, a weight of each voxel, and copies of at most six of the eight bands.
-            row("block of the wavelets", block(config.wavelet.block), 6 * real + 2),
-            row("tree of neighbours, and where it has them", m, 11 * F64 + 1),
+            allocation("block of the wavelets", block(config.wavelet.block), 6 * real + 2),
+            allocation("tree of neighbours, and where it has them", m, 11 * F64 + 1),
         ];
-        let working = |name, rows: &[Row]| with(name, m, &[&kept, rows].concat());
-        let mut moments = vec![
-            Moment { name: "unit of density", rows: self.sart(config).rows },
+        let working = |name, allocations: &[Allocation]| with(name, m, &[&kept, allocations].concat());
+        let mut phases = vec![
+            Phase { name: "unit of density", allocations: self.sart(config).allocations },
             with("first volume", self.points, &start),
             working("iteration", &[]),
-            working("checkpoint", &[row("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
+            working("checkpoint", &[allocation("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
             with(
                 "last volume",
                 m,
                 &[
                     physical,
-                    shapes,
-                    row("primitives on the grid", m, projector::bytes::GRID),
-                    row("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
+                    prepared,
+                    allocation("primitives on the grid", m, projector::bytes::GRID),
+                    allocation("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
                 ],
             ),
         ];
         if config.sampling != Sampling::Point {
-            let volumes = row("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
-            let projections = row("projections of the primitives and of the interpolant", self.pixels, 2 * F32);
-            moments.push(Moment { name: "sampling", rows: vec![volumes, projections] });
+            let volumes = allocation("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
+            let projections = allocation("projections of the primitives and of the interpolant", self.pixels, 2 * F32);
+            phases.push(Phase { name: "sampling", allocations: vec![volumes, projections] });
         }
         if config.sampling == Sampling::Auto {
             let mut moved = self.clone();
             moved.voxels = self.voxels_beyond;
-            let mut rows = moved.tv(&Config::default()).rows;
-            rows.push(row("volume of the primitives, and its interpolant", self.voxels, 2 * F32));
-            moments.push(Moment { name: "choice of the sampling", rows });
+            let mut allocations = moved.tv(&Config::default()).allocations;
+            allocations.push(allocation("volume of the primitives, and its interpolant", self.voxels, 2 * F32));
+            phases.push(Phase { name: "choice of the sampling", allocations });
         }
         if config.finish != Finish::None {
-            let mut rows = self.tv(config).rows;
-            rows.push(row("volume of the primitives", self.voxels, F32));
-            rows.push(row("corrected projections", self.pixels, F32));
-            moments.push(Moment { name: "finish", rows });
+            let mut allocations = self.tv(config).allocations;
+            allocations.push(allocation("volume of the primitives", self.voxels, F32));
+            allocations.push(allocation("corrected projections", self.pixels, F32));
+            phases.push(Phase { name: "finish", allocations });
         }
         if config.density_control.method != DensityControl::None {
             // The next population coexists with the last one: successors, raw and physical values, moments.
-            let next = row("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
-            moments.push(working("density control", &[next]));
+            let next = allocation("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
+            phases.push(working("density control", &[next]));
         }
-        moments
+        phases
     }
 
-    fn sart(&self, config: &Config) -> Moment {
+    fn sart(&self, config: &Config) -> Phase {
         let subset = config.algebraic.subset.saturating_mul(self.detector).min(self.pixels);
-        let rows = vec![
-            row("projections and lengths of rays", self.pixels, 3 * self.real),
-            row("corrections of a set of views", subset, 3 * self.real),
-            row("volume, and as it is written", self.voxels, self.real + F32),
-            row("sums of slices at work", self.slice, self.at_work(2)),
+        let allocations = vec![
+            allocation("projections and lengths of rays", self.pixels, 3 * self.real),
+            allocation("corrections of a set of views", subset, 3 * self.real),
+            allocation("volume, and as it is written", self.voxels, self.real + F32),
+            allocation("sums of slices at work", self.slice, self.at_work(2)),
         ];
-        Moment { name: "reconstruction", rows }
+        Phase { name: "reconstruction", allocations }
     }
 
-    fn asd_pocs(&self, config: &Config) -> Moment {
-        let mut moment = self.sart(config);
-        moment.rows.extend([
-            row("first guess, steps and direction", self.voxels, 5 * self.real + F32),
-            row("residual", self.pixels, self.real),
+    fn asd_pocs(&self, config: &Config) -> Phase {
+        let mut phase = self.sart(config);
+        phase.allocations.extend([
+            allocation("first guess, steps and direction", self.voxels, 5 * self.real + F32),
+            allocation("residual", self.pixels, self.real),
         ]);
-        moment
+        phase
     }
 
-    fn cgls(&self) -> Moment {
-        let rows = vec![
-            row("projections, residual, image and pairs", self.pixels, 4 * self.real),
-            row("volume, direction and gradient", self.voxels, 3 * self.real + F32),
-            row("sums of slices at work", self.slice, self.at_work(1)),
+    fn cgls(&self) -> Phase {
+        let allocations = vec![
+            allocation("projections, residual, image and pairs", self.pixels, 4 * self.real),
+            allocation("volume, direction and gradient", self.voxels, 3 * self.real + F32),
+            allocation("sums of slices at work", self.slice, self.at_work(1)),
         ];
-        Moment { name: "reconstruction", rows }
+        Phase { name: "reconstruction", allocations }
     }
 
-    fn tv(&self, config: &Config) -> Moment {
-        let rows = vec![
-            row("projections, images of two volumes, residual and pairs", self.pixels, 6 * self.real + 1),
-            row(
+    fn tv(&self, config: &Config) -> Phase {
+        let allocations = vec![
+            allocation("projections, images of two volumes, residual and pairs", self.pixels, 6 * self.real + 1),
+            allocation(
                 "views held out and the others",
                 if config.tv.weight.fixed().is_some() { 0 } else { self.pixels },
                 F32 + self.real,
             ),
-            row("volumes, dual of the total variation, and as it is written", self.voxels, 12 * self.real + F32),
-            row("sums of slices at work", self.slice, self.at_work(1)),
+            allocation("volumes, dual of the total variation, and as it is written", self.voxels, 12 * self.real + F32),
+            allocation("sums of slices at work", self.slice, self.at_work(1)),
         ];
-        Moment { name: "reconstruction", rows }
+        Phase { name: "reconstruction", allocations }
     }
 
     /// Bytes per voxel of a slice for the partial sums of all workers.
@@ -328,16 +341,20 @@ impl Sizes {
         SLICES * numbers * self.real * self.threads.min(self.slices.div_ceil(SLICES))
     }
 
-    fn evaluation(&self, config: &Config) -> Moment {
+    fn evaluation(&self, config: &Config) -> Phase {
         let m = if config.method.fits_primitives() { self.most } else { 0 };
         let largest = self.detector.max(self.slice);
-        let rows = vec![
-            row("volume and a copy in order of its values", self.voxels, 2 * F32),
-            row("test views of the result", self.test * self.detector, F32 + if m > 0 { self.real } else { 0 }),
-            row("images that are compared", largest, 12 * F64 * self.threads),
-            row("primitives in a view", m, NUMBERS * F64 + projector::bytes::FIELD + projector::bytes::VIEW + 16 * 4),
+        let allocations = vec![
+            allocation("volume and a copy in order of its values", self.voxels, 2 * F32),
+            allocation("test views of the result", self.test * self.detector, F32 + if m > 0 { self.real } else { 0 }),
+            allocation("images that are compared", largest, 12 * F64 * self.threads),
+            allocation(
+                "primitives in a view",
+                m,
+                NUMBERS * F64 + projector::bytes::FIELD + projector::bytes::VIEW + 16 * 4,
+            ),
         ];
-        Moment { name: "evaluation", rows }
+        Phase { name: "evaluation", allocations }
     }
 }
 
@@ -362,10 +379,10 @@ mod tests {
     use super::*;
     use crate::scene::{Beam, Detector, Grid, Scanner};
 
-    fn scan() -> Survey {
+    fn scan() -> DatasetInfo {
         let detector = Detector { rows: 64, columns: 80, pitch_v: 0.05, pitch_u: 0.05, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(32) };
-        Survey { scanner, train: 18, test: 5, has_truth: true, points: 0 }
+        DatasetInfo { scanner, train: 18, test: 5, has_truth: true, points: 0 }
     }
 
     #[test]
@@ -381,7 +398,7 @@ mod tests {
             Method::Tv,
         ] {
             let config = Config::of(method);
-            let of = |scan: &Survey, views, config: &Config| Estimate::new(scan, views, config, 2).peak();
+            let of = |scan: &DatasetInfo, views, config: &Config| Estimate::new(scan, views, config, 2).peak();
             let base = of(&scan(), 18, &config);
             let mut finer = scan();
             finer.scanner.grid = Grid::cube(128);

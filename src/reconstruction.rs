@@ -96,12 +96,12 @@ pub fn reconstruct(
 
 /// The volume of trained primitives, sampled and finished as `config` has it.
 fn after_training(
-    found: train::Reconstruction,
+    found: train::TrainedModel,
     dataset: &Dataset,
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let train::Reconstruction { primitives, volume, log, unit } = found;
+    let train::TrainedModel { primitives, volume, log, unit } = found;
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
     let (mut volume, sampled) = sampling::volume(&primitives, volume, dataset, config, &mut watch)?;
     let (mut unfinished, mut choice) = (None, None);

@@ -46,12 +46,12 @@ pub(super) const fn margin<R: Real>() -> usize {
 
 /// The span of a table: its width, and how many lanes of a half use it.
 #[derive(Clone, Copy)]
-struct Reach {
+struct TableSpan {
     is_wide: bool,
     lanes: usize,
 }
 
-impl Reach {
+impl TableSpan {
     /// For lanes that are `spacing` values apart.
     fn new<R: Real>(spacing: f64) -> Self {
         let half = R::Lanes::WIDTH / 2;
@@ -68,7 +68,7 @@ impl Reach {
 
 /// Adds the used lanes of both halves to the values, as far as there are values.
 #[inline(always)]
-fn add<L: Lanes>(lanes: L, reach: Reach, values: &mut [L::Scalar]) {
+fn add<L: Lanes>(lanes: L, reach: TableSpan, values: &mut [L::Scalar]) {
     if 2 * reach.lanes == L::WIDTH && values.len() >= L::WIDTH {
         (L::from_slice(values) + lanes).write(values);
         return;
@@ -89,12 +89,12 @@ fn halves<L: Lanes>([a, b]: [f64; 2]) -> L {
 /// 0, `spacing`, 2·`spacing`, … in each half of the lanes.
 #[inline(always)]
 fn steps<L: Lanes>(spacing: f64) -> L {
-    L::from_fn(|lane| L::Scalar::from_index(lane % (L::WIDTH / 2))) * L::splat(real(spacing))
+    L::from_fn(|lane| L::Scalar::from_index(lane % (L::WIDTH / 2))) * L::splat_f64(spacing)
 }
 
 #[inline(always)]
-fn pick<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) -> L {
-    if WIDE { L::pick_wide(tables, index) } else { L::pick(tables, index) }
+fn lookup<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) -> L {
+    if WIDE { L::lookup_wide(tables, index) } else { L::lookup(tables, index) }
 }
 
 /// `out[k] += (1-t)·line[i] + t·line[i+1]` with `i + t = places.at(k)`, for k in `numbers`.
@@ -104,7 +104,7 @@ fn pick<L: Lanes, const WIDE: bool>(tables: [&[L::Scalar]; 2], index: L::Index) 
 /// Tests: `places_are_interpolated`, `spreading_is_the_transpose`.
 #[inline]
 pub(super) fn interpolate<R: Real>(line: &[R], places: Places, numbers: Range<usize>, out: &mut [R]) {
-    let reach = Reach::new::<R>(places.pitch);
+    let reach = TableSpan::new::<R>(places.pitch);
     if reach.is_wide {
         interpolate_by::<R, true>(line, places, numbers, out, reach);
     } else {
@@ -118,7 +118,7 @@ fn interpolate_by<R: Real, const WIDE: bool>(
     places: Places,
     numbers: Range<usize>,
     out: &mut [R],
-    reach: Reach,
+    reach: TableSpan,
 ) {
     let steps = steps::<R::Lanes>(places.pitch);
     for start in numbers.clone().step_by(2 * reach.lanes) {
@@ -127,8 +127,8 @@ fn interpolate_by<R: Real, const WIDE: bool>(
         let first = [from[0].floor(), from[1].floor()];
         let tables = [&line[first[0] as usize..], &line[first[1] as usize..]];
         let (index, share) = (halves::<R::Lanes>([from[0] - first[0], from[1] - first[1]]) + steps).split();
-        let below = pick::<R::Lanes, WIDE>(tables, index);
-        let above = pick::<R::Lanes, WIDE>([&tables[0][1..], &tables[1][1..]], index);
+        let below = lookup::<R::Lanes, WIDE>(tables, index);
+        let above = lookup::<R::Lanes, WIDE>([&tables[0][1..], &tables[1][1..]], index);
         add(below + (above - below) * share, reach, &mut out[start..numbers.end]);
     }
 }
@@ -147,7 +147,7 @@ pub(super) fn spread<R: Real, const N: usize>(
     heights: Range<usize>,
     give: impl FnMut(Range<usize>, Shares<R::Lanes, N>),
 ) {
-    let reach = Reach::new::<R>(1.0 / places.pitch);
+    let reach = TableSpan::new::<R>(1.0 / places.pitch);
     if reach.is_wide {
         spread_by::<R, N, true>(columns, places, numbers, heights, reach, give);
     } else {
@@ -158,7 +158,7 @@ pub(super) fn spread<R: Real, const N: usize>(
 /// The sums for the heights of one set of lanes.
 pub(super) struct Shares<L, const N: usize> {
     sums: [L; N],
-    reach: Reach,
+    reach: TableSpan,
 }
 
 impl<L: Lanes, const N: usize> Shares<L, N> {
@@ -175,12 +175,12 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
     places: Places,
     numbers: &Range<usize>,
     heights: Range<usize>,
-    reach: Reach,
+    reach: TableSpan,
     mut give: impl FnMut(Range<usize>, Shares<R::Lanes, N>),
 ) {
     let (margin, one, zero) = (margin::<R>() as f64, R::Lanes::splat(R::ONE), R::Lanes::default());
     let per_place = 1.0 / places.pitch;
-    let (steps, pitch) = (steps::<R::Lanes>(per_place), R::Lanes::splat(real(places.pitch)));
+    let (steps, pitch) = (steps::<R::Lanes>(per_place), R::Lanes::splat_f64(places.pitch));
     let table_end = columns[0].len() as f64 - margin;
     for z in heights.clone().step_by(2 * reach.lanes) {
         // The integer part of this is the number of the first position above z - 1.
@@ -196,7 +196,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
         let mut sums = [zero; N];
         let mut step = skipped;
         while step < end {
-            let distance = above + pitch * R::Lanes::splat(real(step));
+            let distance = above + pitch * R::Lanes::splat_f64(step);
             let weight = one - distance.abs();
             let weight = weight.select_le(zero, zero, weight);
             // Beyond either end of the column all values are zero.
@@ -204,7 +204,7 @@ fn spread_by<R: Real, const N: usize, const WIDE: bool>(
             let at = [at(first[0]), at(first[1])];
             for n in 0..N {
                 let tables = [&columns[n][at[0]..], &columns[n][at[1]..]];
-                sums[n] += pick::<R::Lanes, WIDE>(tables, index) * weight;
+                sums[n] += lookup::<R::Lanes, WIDE>(tables, index) * weight;
             }
             step += 1.0;
         }

@@ -1,6 +1,6 @@
 //! `trgs compare`: the difference of two arrays, and the mistake that explains it.
 
-use super::Answer;
+use super::Output;
 use super::arguments::finite;
 use clap::Args;
 use std::path::PathBuf;
@@ -32,12 +32,12 @@ pub(super) struct Compare {
 }
 
 impl Compare {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let axes: Vec<&str> = self.axes.iter().map(String::as_str).collect();
         let arrays = compare(&self.expected, &self.got, &axes, self.precision)?;
         let approves = self.tolerance.is_none_or(|tolerance| arrays.iter().all(|array| array.within(tolerance)));
         let lines: Vec<String> = arrays.iter().flat_map(describe).collect();
-        Ok(Answer::verdict(&arrays, lines.join("\n"), approves))
+        Ok(Output::verdict(&arrays, lines.join("\n"), approves))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::arguments::finite;
 use super::views::ViewArgs;
-use super::{Answer, interrupt};
+use super::{Output, interrupt};
 use clap::{Args, value_parser};
 use ndarray::{ArrayView, aview0, aview1};
 use serde::Serialize;
@@ -67,14 +67,14 @@ struct Found<'a> {
 }
 
 impl Confidence {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let (settings, nu) = (self.settings()?, self.nu()?);
         let primitives = model::read(&self.model)?;
         let (scanner, angles) = self.views.read()?;
         let c = Coverage::new(settings).confidence(&primitives, &scanner, &angles);
         let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
         interrupt::shielded(|| self.write(&c, &targets, &angles))?;
-        Ok(Answer::list(&Found {
+        Ok(Output::list(&Found {
             out: &self.out,
             primitives: primitives.len(),
             views: angles.len(),

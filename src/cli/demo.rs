@@ -3,7 +3,7 @@
 use super::arguments::seed;
 use super::reconstruct::reconstruct;
 use super::run_folder::Outcome;
-use super::{Answer, Global, interrupt};
+use super::{Global, Output, interrupt};
 use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ struct Found<'a> {
 }
 
 impl Demo {
-    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         let source = self.out.join("dataset");
         tracing::info!("scanning a phantom: 18 noisy projections for reconstruction, 50 for evaluation");
         let dataset = self.scan()?;
@@ -71,7 +71,7 @@ impl Demo {
         let rows = (Metrics::NAMES.into_iter().zip(ours.metrics.row()).zip(fdk.metrics.row()))
             .map(|((name, ours), fdk)| [name.into(), ours, fdk]);
         let found = Found { dataset: &source, report: &report, ours: &ours, fdk: &fdk };
-        Ok(Answer::table(&found, ["metric", "TR-GS", "FDK"], rows))
+        Ok(Output::table(&found, ["metric", "TR-GS", "FDK"], rows))
     }
 
     fn scan(&self) -> Result<Dataset> {

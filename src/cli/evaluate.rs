@@ -1,6 +1,6 @@
 //! `trgs evaluate`: the quality of a reconstruction.
 
-use super::Answer;
+use super::Output;
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ pub(super) struct Evaluate {
 }
 
 impl Evaluate {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let dataset = Dataset::read(&self.against)?;
         for note in &dataset.notes {
             tracing::info!("{}: {note}", self.against.display());
@@ -52,7 +52,7 @@ fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
 }
 
 /// The metrics in a table, and in JSON together with the object `context`.
-pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Answer {
+pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Output {
     let cells = Metrics::NAMES.into_iter().zip(evaluation.metrics.row()).zip(evaluation.metrics.columns());
     let rows = cells.map(|((name, value), metric)| {
         let reason = || format!("absent: {}", evaluation.absent[name]);
@@ -69,9 +69,9 @@ pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Answer {
     }
     let header = ["metric", "value", "definition"];
     if rows.len() == Metrics::NAMES.len() {
-        return Answer::table(&context, header, rows);
+        return Output::table(&context, header, rows);
     }
-    let remark = "The largest value of the truth is not near 1, the peak of psnr_3d and ssim_3d; metrics ending in \
-                  _range use the truth's own range.";
-    Answer::judged_table(&context, header, rows, &[remark.into()], true)
+    let remark = "The largest value of the truth is not near 1, the peak of psnr_3d and ssim_3d; those of _range take the truth's \
+                  own range instead.";
+    Output::judged_table(&context, header, rows, &[remark.into()], true)
 }

@@ -1,6 +1,6 @@
 //! `--explain`: the contributions of primitives to one pixel or voxel.
 
-use super::Answer;
+use super::Output;
 use serde::Serialize;
 use std::path::Path;
 use trgs::config::Precision;
@@ -76,7 +76,7 @@ pub(super) fn answer<R: Real>(
     primitives: &Primitives,
     contributions: &[R],
     written: Option<Written<'_>>,
-) -> Answer {
+) -> Output {
     let parameters = &primitives.parameters;
     let line = |c: Contribution| Line {
         primitive: c.primitive,
@@ -95,7 +95,7 @@ pub(super) fn answer<R: Real>(
     }
     let header = ["primitive", "contribution", "share", "sum", "centre", "nu"];
     let result = Explanation { place, value, primitives: primitives.len(), contributions: lines, written };
-    Answer::table(&result, header, rows)
+    Output::table(&result, header, rows)
 }
 
 impl Line {

@@ -1,7 +1,7 @@
 //! `trgs inspect --check-geometry`: detects the conventions of a scan.
 
 use super::messages::ProgressBar;
-use super::{Answer, Global};
+use super::{Global, Output};
 use std::path::Path;
 use trgs::Result;
 use trgs::classical::check_geometry as check;
@@ -9,7 +9,7 @@ use trgs::classical::geometry_check::{Candidate, Step};
 use trgs::scene::Dataset;
 
 /// The ranked conventions of a scan; the check fails if they differ from those stated.
-pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Answer> {
+pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Output> {
     let dataset = Dataset::read(path)?;
     for oddity in &dataset.oddities {
         tracing::warn!("{}: {oddity}", path.display());
@@ -19,7 +19,7 @@ pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Answer> {
     drop(progress);
     let header = ["class", "convention", "held-out residual", "σ worse", "offset u", "offset v", "correlation", "turn"];
     let rows = found.candidates.iter().map(row);
-    Ok(Answer::judged_table(&found, header, rows, &found.verdict, found.agrees))
+    Ok(Output::judged_table(&found, header, rows, &found.verdict, found.agrees))
 }
 
 fn row(candidate: &Candidate) -> [String; 8] {

@@ -1,13 +1,13 @@
 //! `trgs inspect`: a summary of a file or folder, and its unusual properties.
 
 use super::geometry_check::check_geometry;
-use super::{Answer, Global};
+use super::{Global, Output};
 use clap::Args;
 use serde_json::{Value, json};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
-use trgs::primitives::{Group, Kernel, Primitives, model};
+use trgs::primitives::{Group, KernelKind, Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
@@ -33,7 +33,7 @@ pub(super) struct Inspect {
 }
 
 impl Inspect {
-    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         let path = self.path.as_path();
         if self.check_geometry {
             return check_geometry(path, global);
@@ -56,7 +56,7 @@ impl Inspect {
                 ));
             }
         };
-        Ok(Answer::list(&found))
+        Ok(Output::list(&found))
     }
 }
 
@@ -147,10 +147,11 @@ fn of_model(primitives: &Primitives) -> Value {
         count(&format!("have scales that differ by more than a factor of {NEEDLE}"), needles),
     ];
     let values = |group: Group| (group.key().to_owned(), range(p.group(group)));
-    let finite = Group::ALL.into_iter().filter(|group| !(primitives.kernel == Kernel::Gaussian && *group == Group::Nu));
+    let finite =
+        Group::ALL.into_iter().filter(|group| !(primitives.kernel == KernelKind::Gaussian && *group == Group::Nu));
     json!({
         "kind": "model",
-        "kernel": match primitives.kernel { Kernel::StudentT => "student-t", Kernel::Gaussian => "gaussian" },
+        "kernel": match primitives.kernel { KernelKind::StudentT => "student-t", KernelKind::Gaussian => "gaussian" },
         "primitives": p.len(),
         "values": finite.map(values).collect::<Value>(),
         "oddities": oddities.into_iter().flatten().collect::<Vec<_>>(),

@@ -3,7 +3,6 @@
 //! Results go to standard output, as a table or with `--json` as one object. Everything else goes to standard error.
 //! Exit codes: 0 success, 1 a check failed, 2 bad input or usage, 130 interrupted.
 
-mod answer;
 mod arguments;
 mod compare;
 mod confidence;
@@ -16,6 +15,7 @@ mod inspect;
 mod interrupt;
 mod messages;
 mod oracle;
+mod output;
 mod reconstruct;
 mod render;
 mod report;
@@ -25,9 +25,9 @@ mod table;
 mod views;
 mod voxelize;
 
-use answer::Answer;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
+use output::Output;
 use std::process::ExitCode;
 use trgs::numeric::threads;
 use trgs::{Error, Result};
@@ -118,7 +118,7 @@ pub(crate) fn main() -> ExitCode {
 }
 
 impl Command {
-    fn run(&self, global: &Global) -> Result<Answer> {
+    fn run(&self, global: &Global) -> Result<Output> {
         match self {
             Self::Demo(command) => command.run(global),
             Self::Simulate(command) => command.run(),

@@ -1,6 +1,6 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
-use super::{Answer, interrupt};
+use super::{Output, interrupt};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
@@ -108,7 +108,7 @@ struct Check {
 }
 
 impl Oracle {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         match &self.command {
             Command::List(command) => command.run(),
             Command::Export(command) => command.run(),
@@ -125,14 +125,14 @@ impl Selection {
 }
 
 impl List {
-    fn run(&self) -> Result<Answer> {
+    fn run(&self) -> Result<Output> {
         let vectors = self.selection.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
         let rows = cases.iter().map(|case| {
             [case.id.clone(), word(case.level), case.equations.join(", "), case.flags.join(" "), case.title.clone()]
         });
         let result = json!({ "flags": vectors.manifest.flags, "cases": cases });
-        Ok(Answer::table(&result, ["case", "level", "equations", "flags", ""], rows))
+        Ok(Output::table(&result, ["case", "level", "equations", "flags", ""], rows))
     }
 }
 
@@ -145,16 +145,16 @@ struct Written<'a> {
 }
 
 impl Export {
-    fn run(&self) -> Result<Answer> {
+    fn run(&self) -> Result<Output> {
         let vectors = self.selection.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
         let files = interrupt::shielded(|| vectors.export(&self.folder, self.blind, &cases))?;
-        Ok(Answer::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 1 }))
+        Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 1 }))
     }
 }
 
 impl AnswerArgs {
-    fn run(&self) -> Result<Answer> {
+    fn run(&self) -> Result<Output> {
         let vectors = self.selection.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
         let staged = stage_folder(&self.folder)?;
@@ -166,12 +166,12 @@ impl AnswerArgs {
             files += case.outputs.len();
         }
         interrupt::shielded(|| staged.commit())?;
-        Ok(Answer::list(&Written { folder: &self.folder, cases: cases.len(), files }))
+        Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files }))
     }
 }
 
 impl Check {
-    fn run(&self) -> Result<Answer> {
+    fn run(&self) -> Result<Output> {
         let vectors = self.selection.vectors()?;
         let waivers = match &self.waivers {
             Some(path) => waivers::read(path, &vectors.manifest.cases)?,
@@ -188,7 +188,7 @@ impl Check {
         if let Some(path) = &self.report {
             interrupt::shielded(|| report::write(&report, path))?;
         }
-        Ok(Answer::verdict(&report, report::markdown(&report), report.passed()))
+        Ok(Output::verdict(&report, report::markdown(&report), report.passed()))
     }
 }
 

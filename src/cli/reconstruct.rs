@@ -4,7 +4,7 @@ use super::arguments::{positive, seed};
 use super::evaluate::answer;
 use super::messages::ProgressBar;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
-use super::{Answer, Global, check_size, interrupt};
+use super::{Global, Output, check_size, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
 use serde_json::json;
@@ -17,7 +17,7 @@ use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
 use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
-use trgs::scene::dataset::Survey;
+use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
 
@@ -91,7 +91,7 @@ pub(super) struct Reconstruct {
 }
 
 impl Reconstruct {
-    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         let checkpoint = self.checkpoint()?;
         let config = self.config(checkpoint.as_ref())?;
         self.check_memory(&self.estimate(&config)?)?;
@@ -106,7 +106,7 @@ impl Reconstruct {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
         // Checked again with sizes that are known only after reading.
-        self.check_memory(&Estimate::new(&Survey::of(&dataset), dataset.train.len(), &config, threads::count()))?;
+        self.check_memory(&Estimate::new(&DatasetInfo::of(&dataset), dataset.train.len(), &config, threads::count()))?;
         let asked = config;
         let config = asked.resolved(&dataset.scanner, dataset.train.len());
         if asked.wavelet.enabled && asked.method.fits_primitives() && !config.wavelet.enabled {
@@ -124,7 +124,7 @@ impl Reconstruct {
 
     /// The memory that the run needs, as far as it is known before the scan is read.
     fn estimate(&self, config: &Config) -> Result<Estimate> {
-        let Some(scan) = Survey::read(&self.dataset)? else {
+        let Some(scan) = DatasetInfo::read(&self.dataset)? else {
             let file = std::fs::metadata(&self.dataset).map_err(|source| Error::read(&self.dataset, source))?;
             return Ok(Estimate::of_file(file.len()));
         };
@@ -197,7 +197,7 @@ pub(super) fn reconstruct(
 ) -> Result<Outcome> {
     check_size("volume", &dataset.scanner.grid.shape)?;
     interrupt::shielded(|| {
-        let estimate = Estimate::new(&Survey::of(dataset), dataset.train.len(), config, threads::count());
+        let estimate = Estimate::new(&DatasetInfo::of(dataset), dataset.train.len(), config, threads::count());
         let folder = RunFolder::begin(out, source, config, estimate.peak())?;
         tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
         if let Some(installed) = installed_memory().filter(|&installed| installed < estimate.peak()) {

@@ -3,7 +3,7 @@
 use super::arguments::{cutoff, list};
 use super::explain::{self, Written};
 use super::views::ViewArgs;
-use super::{Answer, check_size, interrupt};
+use super::{Output, check_size, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -73,14 +73,14 @@ struct Pixel {
 }
 
 impl Render {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         match self.kernel.precision {
             Precision::F32 => self.render::<f32>(),
             Precision::F64 => self.render::<f64>(),
         }
     }
 
-    fn render<R: Kernels + Element>(&self) -> Result<Answer> {
+    fn render<R: Kernels + Element>(&self) -> Result<Output> {
         let primitives = model::read(&self.model)?;
         let (scanner, angles) = self.views.read()?;
         let shape = [angles.len(), scanner.detector.rows, scanner.detector.columns];
@@ -98,7 +98,7 @@ impl Render {
                 let pixel = Pixel { view, angle: angles[view], row, column };
                 Ok(explain::answer(pixel, &primitives, &contributions, written))
             }
-            (None, written) => Ok(Answer::list(&written)),
+            (None, written) => Ok(Output::list(&written)),
         }
     }
 
@@ -112,8 +112,8 @@ impl Render {
         let (projection, cutoff) = (self.projection, self.kernel.cutoff);
         check_size("projections", &[angles.len(), scanner.detector.rows, scanner.detector.columns])?;
         let images = forward::<R>(primitives, scanner, angles, projection, cutoff);
-        let pull_back = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
-        self.kernel.write(out, &images, pull_back)?;
+        let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
+        self.kernel.write(out, &images, vjp_of)?;
         Ok(Written {
             out,
             shape: images.shape().to_vec(),
@@ -133,19 +133,19 @@ impl Render {
 }
 
 impl KernelArgs {
-    /// Writes the output and, if requested, the gradient that `pull_back` computes from the cotangent.
+    /// Writes the output and, if requested, the gradient that `vjp_of` computes from the cotangent.
     ///
     /// Both are computed before either is written.
     pub(super) fn write<R: Kernels + Element>(
         &self,
         out: &Path,
         output: &Array3<R>,
-        pull_back: impl FnOnce(&Array3<R>) -> Parameters,
+        vjp_of: impl FnOnce(&Array3<R>) -> Parameters,
     ) -> Result<()> {
         let gradient = match &self.vjp {
             None => None,
             Some(path) => {
-                let gradient = pull_back(&read_cotangent(path, output.shape())?);
+                let gradient = vjp_of(&read_cotangent(path, output.shape())?);
                 gradient.check_finite("gradient of the model", 0)?;
                 Some(gradient)
             }

@@ -1,7 +1,7 @@
 //! `trgs report`: rewrites the pages of a folder of tables from the finished cells.
 
 use super::table::{What, answer, requests};
-use super::{Answer, interrupt};
+use super::{Output, interrupt};
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -19,10 +19,10 @@ pub(super) struct Report {
 }
 
 impl Report {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let page = self.folder.join("report.html");
         if page.exists() {
-            return Ok(Answer::list(&json!({ "report": page })));
+            return Ok(Output::list(&json!({ "report": page })));
         }
         let requests = requests(&self.folder)?;
         let of = |(name, what): (&String, &What)| {

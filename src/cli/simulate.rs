@@ -1,7 +1,7 @@
 //! `trgs simulate`: a simulated scan of a phantom or a volume.
 
 use super::arguments::{finite, pair, seed};
-use super::{Answer, check_size, interrupt};
+use super::{Output, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use glam::DVec3;
 use serde::Serialize;
@@ -105,10 +105,10 @@ fn phantom_help() -> String {
 }
 
 impl Simulate {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let dataset = self.scan()?;
         interrupt::shielded(|| dataset.write(&self.out))?;
-        Ok(Answer::list(&Simulated {
+        Ok(Output::list(&Simulated {
             dataset: &self.out,
             volume: dataset.scanner.grid.shape,
             detector: self.detector.map(usize::from),

@@ -1,7 +1,7 @@
 //! `trgs table`: runs the paper's tables and compares them with the paper's figures.
 
 use super::messages::{ProgressBar, go_on};
-use super::{Answer, Global, interrupt};
+use super::{Global, Output, interrupt};
 use clap::{Args, value_parser};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -159,7 +159,7 @@ pub(super) struct Written {
 }
 
 impl Table {
-    pub(super) fn run(&self, global: &Global) -> Result<Answer> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         if self.name == "list" {
             return Ok(list());
         }
@@ -182,7 +182,7 @@ impl Table {
         interrupt::shielded(|| run(&cells, &store, global))?;
         if !self.cell.is_empty() {
             let found = cells.iter().filter_map(|cell| store.find(&cell.id).transpose()).collect::<Result<Vec<_>>>()?;
-            return Ok(Answer::list(&json!({ "out": out, "cells": found })));
+            return Ok(Output::list(&json!({ "out": out, "cells": found })));
         }
         remember(&tables, &self.what, out)?;
         let written = tables.iter().map(|table| self.what.write(table, &cases, out)).collect::<Result<Vec<_>>>()?;
@@ -202,12 +202,12 @@ impl Table {
 }
 
 /// The result of the command: pages and files of tables.
-pub(super) fn answer(out: &Path, written: &[Written]) -> Answer {
+pub(super) fn answer(out: &Path, written: &[Written]) -> Output {
     let rows = written.iter().map(|w| {
         let of = |[kept, all]: [usize; 2]| format!("{kept} of {all}");
         [w.table.into(), w.cells.to_string(), of(w.pairs), of(w.signs), w.page.display().to_string()]
     });
-    Answer::table(
+    Output::table(
         &json!({ "out": out, "tables": written }),
         ["table", "cells", "order as in the paper", "signs", "page"],
         rows,
@@ -228,7 +228,7 @@ fn run(cells: &[Cell], store: &Store, global: &Global) -> Result<()> {
     experiments::run(cells, store, threads::count(), &observe)
 }
 
-fn list() -> Answer {
+fn list() -> Output {
     let tables = experiments::Table::all();
     let of = |table: &experiments::Table| {
         json!({ "name": table.name, "number": table.number, "title": table.title, "metrics": table.metrics,
@@ -245,14 +245,14 @@ fn list() -> Answer {
         ]
     });
     let all: Vec<_> = tables.iter().map(of).collect();
-    Answer::table(&all, ["name", "in the paper", "what", "rows", "views"], rows)
+    Output::table(&all, ["name", "in the paper", "what", "rows", "views"], rows)
 }
 
-fn listed(cells: &[Cell]) -> Answer {
+fn listed(cells: &[Cell]) -> Output {
     let mut known = BTreeSet::new();
     let cells: Vec<_> = cells.iter().filter(|cell| known.insert(&cell.id)).collect();
     let all: Vec<_> = cells.iter().map(|cell| json!({ "id": cell.id, "cell": cell.description() })).collect();
-    Answer::table(&all, ["id", "cell"], cells.iter().map(|cell| [cell.id.clone(), cell.description()]))
+    Output::table(&all, ["id", "cell"], cells.iter().map(|cell| [cell.id.clone(), cell.description()]))
 }
 
 /// Stores the arguments in DIR, in addition to earlier ones.

@@ -3,7 +3,7 @@
 use super::arguments::list;
 use super::explain::{self, Written};
 use super::render::KernelArgs;
-use super::{Answer, check_size};
+use super::{Output, check_size};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
@@ -68,14 +68,14 @@ struct Voxel {
 }
 
 impl Voxelize {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         match self.kernel.precision {
             Precision::F32 => self.voxelize::<f32>(),
             Precision::F64 => self.voxelize::<f64>(),
         }
     }
 
-    fn voxelize<R: Kernels + Element>(&self) -> Result<Answer> {
+    fn voxelize<R: Kernels + Element>(&self) -> Result<Output> {
         let primitives = model::read(&self.model)?;
         let grid = self.grid()?;
         if let Some(voxel) = self.explain {
@@ -91,7 +91,7 @@ impl Voxelize {
                 let place = Voxel { voxel, position: grid.centre(voxel).to_array() };
                 Ok(explain::answer(place, &primitives, &contributions, written))
             }
-            (None, written) => Ok(Answer::list(&written)),
+            (None, written) => Ok(Output::list(&written)),
         }
     }
 
@@ -104,8 +104,8 @@ impl Voxelize {
         let cutoff = self.kernel.cutoff;
         check_size("volume", &grid.shape)?;
         let volume = voxelize::<R>(primitives, grid, cutoff);
-        let pull_back = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
-        self.kernel.write(out, &volume, pull_back)?;
+        let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
+        self.kernel.write(out, &volume, vjp_of)?;
         Ok(Written {
             out,
             shape: volume.shape().to_vec(),

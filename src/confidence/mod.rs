@@ -1,9 +1,8 @@
-//! Ray confidence: how much of a primitive's surroundings the rays of all views have passed, and the degrees of freedom
-//! that this entitles it to.
+//! Ray confidence: the fraction of a primitive's neighbourhood that the rays of all views cover, and the target of ν.
 //!
-//! A primitive is seen in its local frame, in units in which it is the unit ball. Each view that it is seen from sends
-//! one ray through its centre, with the direction `u = Rᵀ·(source - μ)/|source - μ|` (parallel beam: `u = -Rᵀw`); the
-//! part of that ray inside the unit sphere is the chord from `-u` to `+u`. The chord is surrounded by a tube:
+//! In its local frame and in units of its scales a primitive is the unit ball. Each view that sees it contributes
+//! one ray through its centre, with the direction `u = Rᵀ·(source - μ)/|source - μ|` (parallel beam: `u = -Rᵀw`). The
+//! part of that ray inside the unit sphere is the chord from `-u` to `+u`, which is the axis of a tube:
 //!
 //! | tag | | |
 //! |---|---|---|
@@ -15,7 +14,7 @@
 //!
 //! `1 - (p·u)²` is the squared distance of a point of the unit sphere from the chord: the foot of the perpendicular
 //! never lies beyond its ends. α makes e = 1 for a sphere of any size. Not in the paper: α itself, the N points (a
-//! Fibonacci lattice), the weight `1-c`, and that a view counts only where the centre's shadow falls onto the detector.
+//! Fibonacci lattice), the weight `1-c`, and that a view counts only if the projected mean is on the detector.
 //!
 //! [`naive`] has the equations as plainly as they can be written; the SIMD path makes the same comparisons in the same
 //! arithmetic, so both count the same points, on every build and with any number of threads.
@@ -39,19 +38,19 @@ use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec3};
 use sphere::{Sphere, Tube};
 
-/// Primitives worked on together.
+/// Primitives of one task.
 const CHUNK: usize = 128;
 
-/// What the paper leaves open about `[Eq. 6]` to `[Eq. 9]`.
+/// Parameters of `[Eq. 6]` to `[Eq. 9]` that the paper does not specify.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// N, points on the sphere, at least 1.
     pub sphere_points: usize,
-    /// Radius of the widest tube in units of the primitive. From 1 on such a tube holds the whole sphere.
+    /// Largest radius of a tube, in units of the primitive. A tube of radius 1 or more holds the whole sphere.
     pub r_max: f64,
-    /// Effective ratio from which on the tube is as wide as it can be.
+    /// Effective ratio from which the tube has its largest radius.
     pub kappa: f64,
-    /// T: the smaller, the sharper ν turns from its minimum to its maximum at c = ½.
+    /// T: the smaller, the steeper the transition of ν from minimum to maximum at c = ½.
     pub temperature: f64,
 }
 
@@ -65,7 +64,7 @@ impl Settings {
     /// Checks that there is a point and that the three numbers are positive and finite.
     ///
     /// # Errors
-    /// One clear error for the first setting that cannot work.
+    /// For the first setting that is invalid.
     pub fn validate(&self) -> Result<()> {
         if self.sphere_points == 0 {
             return Err(Error::invalid("sphere points", 0, "at least 1", "the default is 512"));
@@ -157,14 +156,15 @@ impl Coverage {
     }
 }
 
-/// Scales in units of the power of two below the largest: squares and products stay in range, and e, in which the unit
-/// cancels, keeps its bits.
+/// Scales in units of the power of two below the largest.
+///
+/// Squares and products stay in range. The unit cancels in e, whose bits are unchanged.
 fn in_own_unit(scale: DVec3) -> DVec3 {
     let power = power_of_two_below(scale.max_element());
     scale / if power > 0.0 { power } else { f64::MIN_POSITIVE }
 }
 
-/// Whether the shadow of a point falls onto the detector, pixels taken to their edges.
+/// Whether the projection of a point is on the detector, up to the edges of its pixels.
 fn sees(scanner: &Scanner, view: &View, point: DVec3) -> bool {
     let on = |index: f64, count: usize| -0.5 <= index && index < count as f64 - 0.5;
     scanner.project(view.to_camera(point)).is_some_and(|(u, v)| {

@@ -1,5 +1,6 @@
-//! The confidence as plainly as it can be written: every point of every primitive against every view. The SIMD path is
-//! compared with this page, to the last point.
+//! The confidence as plainly as it can be written: every point of every primitive against every view.
+//!
+//! The SIMD path must count the same points.
 //!
 //! Squares and products of scales are taken as they are, so scales must lie well between 1e-100 and 1e100.
 

@@ -1,13 +1,14 @@
-//! From confidence to degrees of freedom: the target of ν and the loss that pulls ν towards it.
+//! The target of ν, a function of the confidence, and the loss that attracts ν to it.
 
 use super::Settings;
+use crate::numeric::Lanes;
 use crate::numeric::elementary::{logit, sigmoid};
 use crate::numeric::exponentials::log;
-use crate::numeric::vectors::{EIGHT, each};
+use crate::numeric::vectors::{LANES, f64x8};
 use crate::numeric::{reduce, threads};
 use crate::primitives::activation::Interval;
 
-/// Primitives worked on together.
+/// Primitives of one task.
 const CHUNK: usize = 1024;
 
 /// Target degrees of freedom `ν_min + (ν_max - ν_min)·σ(logit(c)/T)` `[Eq. 9]` for a confidence c in [0, 1].
@@ -24,7 +25,7 @@ pub fn nu_target(confidence: f64, settings: &Settings, nu: Interval) -> f64 {
 
 /// Value and gradient to ν, `[M]`, of `L = (1/M) Σ λ(1-c)(ln ν - ln ν_target)²` `[Eq. 10]`, λ the weight.
 ///
-/// Confidence and target are constants: `∂L/∂ν = 2λ(1-c)(ln ν - ln ν_target)/(νM)`. No primitives cost nothing.
+/// Confidence and target are constants: `∂L/∂ν = 2λ(1-c)(ln ν - ln ν_target)/(νM)`. Without primitives the loss is 0.
 /// Not in the paper: its weight ω(c), here 1-c.
 ///
 /// Tests: `value_and_gradient_of_the_loss_are_those_computed_by_hand`, `gradient_of_the_loss_matches_central_differences`.
@@ -37,7 +38,7 @@ pub fn nu_loss(nu: &[f64], target: &[f64], confidence: &[f64], weight: f64) -> (
     (value, gradient)
 }
 
-/// [`nu_loss`] with the gradient in memory that is there already.
+/// [`nu_loss`] with the gradient written to an existing array.
 pub(crate) fn nu_loss_into(
     nu: &[f64],
     target: &[f64],
@@ -49,17 +50,17 @@ pub(crate) fn nu_loss_into(
     assert_eq!((target.len(), confidence.len()), (m, m), "targets and confidences of {m} primitives");
     let count = m.max(1) as f64;
     gradient.resize(m, 0.0);
-    // Distances first, which become slopes.
+    // The array holds distances first, then slopes.
     threads::for_each_chunk(gradient, CHUNK, |chunk, distance| {
-        for (first, distance) in (chunk * CHUNK..).step_by(EIGHT).zip(distance.chunks_mut(EIGHT)) {
-            let logs = |of: &[f64]| log(each(|i| of[(first + i).min(m - 1)]));
+        for (first, distance) in (chunk * CHUNK..).step_by(LANES).zip(distance.chunks_mut(LANES)) {
+            let logs = |of: &[f64]| log(f64x8::from_fn(|i| of[(first + i).min(m - 1)]));
             let found = (logs(nu) - logs(target)).to_array();
             distance.copy_from_slice(&found[..distance.len()]);
         }
     });
-    let pull = |i: usize| weight * (1.0 - confidence[i]);
-    let value = reduce::sum_by(m, &|i| pull(i) * gradient[i] * gradient[i]);
-    gradient.iter_mut().enumerate().for_each(|(i, slope)| *slope = 2.0 * pull(i) * *slope / (nu[i] * count));
+    let weight_of = |i: usize| weight * (1.0 - confidence[i]);
+    let value = reduce::sum_by(m, &|i| weight_of(i) * gradient[i] * gradient[i]);
+    gradient.iter_mut().enumerate().for_each(|(i, slope)| *slope = 2.0 * weight_of(i) * *slope / (nu[i] * count));
     value / count
 }
 

@@ -1,14 +1,14 @@
-//! Orders and ranks: how confidences spread, and whether ν follows them.
+//! Order statistics of confidences, and their rank correlation with ν.
 
 use crate::numeric::reduce;
 use serde::Serialize;
 
-/// Where values lie.
+/// Minimum, median, mean and maximum of values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     /// The smallest.
     pub min: f64,
-    /// The one in the middle, or the mean of the two.
+    /// The median.
     pub median: f64,
     /// Their mean.
     pub mean: f64,
@@ -17,7 +17,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of some values; `None` of none. A NaN makes itself felt in the mean, and at an end.
+    /// The spread of values; `None` if there are none. A NaN affects the mean and an end.
     ///
     /// Tests: `the_spread_is_that_computed_by_hand`.
     pub fn of(values: &[f64]) -> Option<Self> {
@@ -32,7 +32,7 @@ impl Spread {
 
 /// Spearman's rank correlation in [-1, 1]: Pearson's of the ranks, equal values sharing the mean of theirs.
 ///
-/// `None` where it means nothing: fewer than two values, all of one array equal, or a NaN. Infinities have ranks.
+/// `None` if undefined: fewer than two values, all of one array equal, or a NaN. Infinities have ranks.
 /// ±1 exactly for monotone pairs of up to 2^18 values, whose sums have no rounding.
 /// Not in the paper: its formula; the paper reports this number for ν and c over the temperatures.
 ///

@@ -1,13 +1,11 @@
-//! Counting the points of a sphere that lie within tubes round its diameters: the hot loop.
+//! **HOT.** Counts the points of a sphere within tubes around its diameters.
 
 use super::naive;
-use crate::numeric::{Lanes, Real};
+use crate::numeric::Lanes;
+use crate::numeric::vectors::f64x8;
 use glam::DVec3;
 
-/// Points that are tested together.
-type Row = <f64 as Real>::Lanes;
-
-/// A tube round the chord from `-direction` to `+direction`, in the primitive's local frame.
+/// A tube around the chord from `-direction` to `+direction`, in the primitive's local frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tube {
     /// Unit vector.
@@ -16,32 +14,32 @@ pub(super) struct Tube {
     pub(super) nearest: f64,
 }
 
-/// The x, y and z of the points, a row at a time; the last is filled up with NaN, which no tube holds.
+/// The x, y and z of the points, a register at a time; the last is padded with NaN, which is in no tube.
 pub(super) struct Sphere {
-    rows: Vec<[Row; 3]>,
+    rows: Vec<[f64x8; 3]>,
 }
 
 impl Sphere {
     /// `n` points.
     pub(super) fn new(n: usize) -> Self {
         let point = |k: usize| if k < n { naive::sphere_point(k, n) } else { DVec3::NAN };
-        let row = |first: usize| [0, 1, 2].map(|axis| Row::from_fn(|lane| point(first + lane)[axis]));
-        Self { rows: (0..n).step_by(Row::WIDTH).map(row).collect() }
+        let row = |first: usize| [0, 1, 2].map(|axis| f64x8::from_fn(|lane| point(first + lane)[axis]));
+        Self { rows: (0..n).step_by(f64x8::WIDTH).map(row).collect() }
     }
 
     /// Number of points within at least one tube.
     ///
     /// A point keeps the least of `(1 - r²) - (p·u)²` over the tubes; a difference has the sign of the comparison.
     pub(super) fn covered(&self, tubes: &[Tube]) -> f64 {
-        let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
+        let (zero, one) = (f64x8::splat(0.0), f64x8::splat(1.0));
         let mut covered = zero;
         for [x, y, z] in &self.rows {
-            let mut outside = Row::splat(f64::INFINITY);
+            let mut outside = f64x8::splat(f64::INFINITY);
             for tube in tubes {
                 // Not a `map` of the array: the compiler leaves it a call, with the sums in memory.
                 let DVec3 { x: ux, y: uy, z: uz } = tube.direction;
-                let along = *x * Row::splat(ux) + *y * Row::splat(uy) + *z * Row::splat(uz);
-                outside = (Row::splat(tube.nearest) - along * along).at_most(outside);
+                let along = *x * f64x8::splat(ux) + *y * f64x8::splat(uy) + *z * f64x8::splat(uz);
+                outside = (f64x8::splat(tube.nearest) - along * along).at_most(outside);
             }
             covered += outside.select_le(zero, one, zero);
         }

@@ -15,6 +15,7 @@ use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettin
 use crate::classical::{RayModel, Turn, Window};
 use crate::confidence;
 use crate::density::Relocation;
+use crate::primitives::KernelKind;
 use crate::projector::Projection;
 use crate::wavelet;
 use documented::{Documented, DocumentedFields};
@@ -100,16 +101,6 @@ pub enum Finish {
     None,
     /// A few steps of least squares with total variation on its voxels.
     Tv,
-}
-
-/// The profile of the primitives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum KernelName {
-    /// `(1+δ/ν)^(-(ν+3)/2)`.
-    StudentT,
-    /// `exp(-δ/2)`.
-    Gaussian,
 }
 
 /// How positions move.
@@ -203,8 +194,8 @@ pub struct Config {
 #[serde(deny_unknown_fields, default)]
 pub struct ModelConfig {
     /// Profile of the primitives: student-t or gaussian.
-    #[default(KernelName::StudentT)]
-    pub kernel: KernelName,
+    #[default(KernelKind::StudentT)]
+    pub kernel: KernelKind,
     /// Primitives at the start; 0: as the volume's surface, ¾ of (voxels)^⅔.
     #[default = 0]
     pub points: usize,
@@ -530,7 +521,7 @@ impl Config {
             Method::R2Gaussian => {
                 config.finish = Finish::None;
                 config.projection = Projection::Affine;
-                config.model.kernel = KernelName::Gaussian;
+                config.model.kernel = KernelKind::Gaussian;
                 config.confidence.enabled = false;
                 config.wavelet.enabled = false;
                 config.optimiser.position = PositionOptimiser::Adam;

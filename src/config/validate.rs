@@ -1,7 +1,8 @@
 //! Which values make sense.
 
-use super::{Config, KernelName, Method, PositionOptimiser};
+use super::{Config, Method, PositionOptimiser};
 use crate::error::{Error, Result};
+use crate::primitives::KernelKind;
 use std::fmt::Debug;
 
 /// More primitives than any computer here can hold, so that a slip of the finger is a message and not a crash.
@@ -150,7 +151,7 @@ impl Config {
     /// Refuses settings that make a method another one.
     fn check_method(&self) -> Result<()> {
         if self.method == Method::R2Gaussian {
-            let gaussian = self.model.kernel == KernelName::Gaussian;
+            let gaussian = self.model.kernel == KernelKind::Gaussian;
             require("model.kernel", self.model.kernel, gaussian, "gaussian with method r2-gaussian")?;
             for (key, enabled) in
                 [("confidence.enabled", self.confidence.enabled), ("wavelet.enabled", self.wavelet.enabled)]
@@ -158,7 +159,7 @@ impl Config {
                 require(key, enabled, !enabled, "false with method r2-gaussian")?;
             }
         }
-        let tails = self.model.kernel == KernelName::StudentT || !self.confidence.enabled;
+        let tails = self.model.kernel == KernelKind::StudentT || !self.confidence.enabled;
         require("confidence.enabled", true, tails, "false with gaussian kernels, which have no ν to pull")
     }
 }

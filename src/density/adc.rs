@@ -1,65 +1,70 @@
-//! Adaptive density control: what pulls hard on its place in the projections is cloned if small and split if large;
-//! what is faint or has left the volume is removed.
+//! Adaptive density control by the gradient to the projected means.
+//!
+//! Primitives with a large gradient are cloned if small and split if large. Faint primitives and those outside of the
+//! volume are removed.
 
-use super::Successor;
+use super::NextPrimitive;
 use crate::primitives::{Parameters, rotation};
 use crate::scene::Grid;
 use glam::DVec3;
 
 /// Parts of a split primitive.
 const PARTS: usize = 2;
-/// How much smaller the parts are.
+/// Ratio of a primitive's scales to those of its parts.
 const SHRINK: f64 = 1.6;
 
 /// Thresholds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Mean length of the gradient to the shadow, in halves of the detector, from which a primitive is too few.
+    /// Densify where the mean screen-space positional gradient (NDC units) is at least this.
     pub gradient: f64,
-    /// Largest scale that is cloned, scene units; above it is split.
+    /// Primitives up to this scale are cloned, larger ones split; scene units.
     pub split_scale: f64,
     /// Density below which a primitive is removed.
     pub faint: f64,
-    /// Number of primitives from which on none is added.
+    /// Number of primitives from which none is added.
     pub cap: usize,
 }
 
-/// One step of `[ADC]`. `pull[i]` is the mean length of the gradient to the centre's shadow over the views that saw
-/// primitive `i` (see [`FieldGradient::shadows`](crate::projector::FieldGradient::shadows)), `normals(i)` are six
-/// standard normal numbers for the places of its two parts.
+/// One step of `[ADC]`: the next population.
 ///
-/// A clone shares the density with its origin, `ρ/2` each, at the same place. A split primitive gives way to two parts
-/// of density ρ/2 and scales s/1.6, drawn from the normal distribution with its mean and covariance. Then all below
-/// `faint` and all with a centre outside of the box go. The others stay in order, clones follow, then the parts.
+/// `view_gradient[i]` is the mean length of the gradient to the projected mean over the views that saw primitive `i` (see
+/// [`FieldGradient::mean2d_gradients`](crate::projector::FieldGradient::mean2d_gradients)). `normals(i)` are six standard
+/// normal numbers for the positions of its two parts.
+///
+/// A clone and its origin have the density `ρ/2` each, at the same position. A split primitive is replaced by two parts
+/// of density ρ/2 and scales s/1.6, whose positions are drawn from the normal distribution with its mean and covariance.
+/// Then primitives below `faint` and those centred outside of the box are removed. The others stay in order, followed by
+/// clones, then parts.
 /// Not in the paper: R²-Gaussian's rules. Tests: below, and `tests/contracts/invariance.rs`.
 ///
 /// # Panics
-/// If `pull` does not have one number per primitive.
+/// If `view_gradient` does not have one number per primitive.
 pub fn adc(
     primitives: &Parameters,
-    pull: &[f64],
+    view_gradient: &[f64],
     settings: &Settings,
     grid: &Grid,
     normals: impl Fn(usize) -> [f64; 3 * PARTS],
-) -> Vec<Successor> {
-    assert_eq!(pull.len(), primitives.len(), "numbers of pulls and primitives");
+) -> Vec<NextPrimitive> {
+    assert_eq!(view_gradient.len(), primitives.len(), "numbers of gradients and primitives");
     let room = primitives.len() < settings.cap;
     let (mut stay, mut clones, mut parts) = (Vec::new(), Vec::new(), Vec::new());
-    for (i, &pull) in pull.iter().enumerate() {
-        let same = Successor::same(primitives, i);
-        let half = Successor { density: same.density / 2.0, ..same };
+    for (i, &view_gradient) in view_gradient.iter().enumerate() {
+        let same = NextPrimitive::same(primitives, i);
+        let half = NextPrimitive { density: same.density / 2.0, ..same };
         let largest = same.scale.into_iter().fold(0.0, f64::max);
-        if !room || pull < settings.gradient {
+        if !room || view_gradient < settings.gradient {
             stay.push(same);
         } else if largest <= settings.split_scale {
             stay.push(half);
-            clones.push(Successor { fresh: true, ..half });
+            clones.push(NextPrimitive { fresh: true, ..half });
         } else {
             let (rotation, _) = rotation::unit(primitives.quaternion[i]);
             for z in normals(i).chunks_exact(3) {
                 let offset = rotation * (DVec3::from_array(same.scale) * DVec3::from_slice(z));
                 let mean = (DVec3::from_array(same.mean) + offset).to_array();
-                parts.push(Successor { mean, scale: same.scale.map(|s| s / SHRINK), fresh: true, ..half });
+                parts.push(NextPrimitive { mean, scale: same.scale.map(|s| s / SHRINK), fresh: true, ..half });
             }
         }
     }
@@ -75,7 +80,7 @@ pub fn adc(
 
 #[cfg(test)]
 mod tests {
-    use super::super::succeed;
+    use super::super::next_parameters;
     use super::*;
 
     const SETTINGS: Settings = Settings { gradient: 1e-3, split_scale: 0.2, faint: 1e-2, cap: 100 };
@@ -90,8 +95,8 @@ mod tests {
         }
     }
 
-    fn step(pull: [f64; 4], settings: &Settings) -> Vec<Successor> {
-        adc(&primitives(), &pull, settings, &Grid::cube(8), |_| [0.5, -1.0, 2.0, -0.5, 1.0, -2.0])
+    fn step(view_gradient: [f64; 4], settings: &Settings) -> Vec<NextPrimitive> {
+        adc(&primitives(), &view_gradient, settings, &Grid::cube(8), |_| [0.5, -1.0, 2.0, -0.5, 1.0, -2.0])
     }
 
     #[test]
@@ -107,7 +112,7 @@ mod tests {
             approx::assert_relative_eq!(got, expected, epsilon = 1e-15);
         }
         assert_eq!(next[4].scale, [0.1, 0.3, 0.1].map(|s| s / 1.6));
-        let parameters = succeed(&primitives(), &next);
+        let parameters = next_parameters(&primitives(), &next);
         assert_eq!((parameters.nu[4], parameters.quaternion[4]), (4.0, [1.0, 0.0, 0.0, 1.0]));
     }
 
@@ -135,7 +140,7 @@ mod tests {
     #[test]
     fn a_full_population_is_only_thinned() {
         let next = step([1.0; 4], &Settings { cap: 4, ..SETTINGS });
-        assert_eq!(next, (0..4).map(|i| Successor::same(&primitives(), i)).collect::<Vec<_>>());
+        assert_eq!(next, (0..4).map(|i| NextPrimitive::same(&primitives(), i)).collect::<Vec<_>>());
         assert_eq!(step([1.0; 4], &Settings { cap: 5, ..SETTINGS }).len(), 8);
     }
 }

@@ -1,8 +1,10 @@
-//! Adding and recycling: primitives that are nearly gone move onto others, and a few are added, all as copies drawn
-//! with a probability in proportion to density.
+//! Adding and recycling.
+//!
+//! Primitives of vanishing density are replaced by copies of others, and a few copies are added. The originals are drawn
+//! with a probability proportional to density.
 
-use super::{Relocation, Successor};
-use crate::primitives::{Kernel, Parameters, Primitives};
+use super::{NextPrimitive, Relocation};
+use crate::primitives::{KernelKind, Parameters, Primitives};
 
 /// Thresholds and fractions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,24 +15,26 @@ pub struct Settings {
     pub recycled: f64,
     /// Fraction by which the population grows in one step.
     pub growth: f64,
-    /// Largest number of primitives that growth leads to.
+    /// Growth stops at this number of primitives.
     pub cap: usize,
     /// How copies share the density of their parent.
     pub relocation: Relocation,
 }
 
-/// One step of `[AR]`. `uniform` gives independent numbers in [0, 1): one for each recycled, then one for each added.
+/// One step of `[AR]`: the next population.
 ///
-/// The dead, the faintest first and at most the fraction `recycled` of all, become copies of living ones; after that
-/// `⌊growth·M⌋` copies of any are added, up to the cap. A primitive that was drawn k times shares with its copies by
-/// `relocation`, N = k+1. Recycled primitives stay in their rows, added ones follow; both are fresh. If nothing lives,
-/// nothing is recycled; if all densities are 0, nothing is added.
+/// `uniform` returns independent numbers in [0, 1): one per recycled primitive, then one per added one.
 ///
-/// With [`Relocation::Exact`] field and projections change by the recycled primitives' own parts alone.
+/// Dead primitives, the faintest first and at most the fraction `recycled` of all, become copies of living ones. Then
+/// `⌊growth·M⌋` copies of any primitive are added, up to the cap. A primitive that was drawn k times shares its density
+/// with its copies by `relocation`, N = k+1. Recycled primitives keep their rows, added ones follow; both are fresh. If
+/// no primitive is alive, none is recycled; if all densities are 0, none is added.
+///
+/// With [`Relocation::Exact`] the field changes only by the contributions of the recycled primitives.
 /// Not in the paper: it names 3D Student Splatting, whose rule this is. Tests: below, and `tests/contracts/invariance.rs`.
-pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<Successor> {
+pub fn ar(primitives: &Primitives, settings: &Settings, mut uniform: impl FnMut() -> f64) -> Vec<NextPrimitive> {
     let (p, m) = (&primitives.parameters, primitives.len());
-    let mut next: Vec<_> = (0..m).map(|i| Successor::same(p, i)).collect();
+    let mut next: Vec<_> = (0..m).map(|i| NextPrimitive::same(p, i)).collect();
 
     let dead = faintest(&p.density, settings.dead, (settings.recycled * m as f64) as usize);
     let alive = |i: usize| if p.density[i] >= settings.dead { p.density[i] } else { 0.0 };
@@ -55,7 +59,7 @@ fn faintest(density: &[f64], dead: f64, most: usize) -> Vec<usize> {
     rows
 }
 
-/// `n` rows, drawn with replacement, with a probability in proportion to their weight; none if all weights are 0.
+/// `n` rows, drawn with replacement with a probability proportional to weight; none if all weights are 0.
 fn draw(weights: impl Iterator<Item = f64>, n: usize, uniform: &mut impl FnMut() -> f64) -> Vec<usize> {
     let mut total = 0.0;
     let upto: Vec<f64> = weights
@@ -68,28 +72,28 @@ fn draw(weights: impl Iterator<Item = f64>, n: usize, uniform: &mut impl FnMut()
     (0..n)
         .map(|_| {
             let target = uniform() * total;
-            // Rounding can lead to the very end, behind the last row that has a weight.
+            // Rounding can lead beyond the last row that has a weight.
             upto.partition_point(|&sum| sum <= target).min(upto.partition_point(|&sum| sum < total))
         })
         .collect()
 }
 
-/// Gives every parent its share and returns the copies, one for each entry of `parents`.
+/// Sets the density of every parent and returns the copies, one for each entry of `parents`.
 fn share(
-    next: &mut [Successor],
+    next: &mut [NextPrimitive],
     parents: &[usize],
     relocation: Relocation,
-    kernel: Kernel,
+    kernel: KernelKind,
     old: &Parameters,
-) -> Vec<Successor> {
+) -> Vec<NextPrimitive> {
     let mut drawn = vec![0; next.len()];
     parents.iter().for_each(|&parent| drawn[parent] += 1);
-    for (successor, k) in next.iter_mut().zip(drawn).filter(|(_, k)| *k > 0) {
-        let nu = old.nu[successor.parent];
-        let (density, factor) = relocation.share(kernel, successor.density, nu, k + 1);
-        *successor = Successor { density, scale: successor.scale.map(|s| s * factor), ..*successor };
+    for (primitive, k) in next.iter_mut().zip(drawn).filter(|(_, k)| *k > 0) {
+        let nu = old.nu[primitive.parent];
+        let (density, factor) = relocation.share(kernel, primitive.density, nu, k + 1);
+        *primitive = NextPrimitive { density, scale: primitive.scale.map(|s| s * factor), ..*primitive };
     }
-    parents.iter().map(|&parent| Successor { fresh: true, ..next[parent] }).collect()
+    parents.iter().map(|&parent| NextPrimitive { fresh: true, ..next[parent] }).collect()
 }
 
 #[cfg(test)]
@@ -111,7 +115,7 @@ mod tests {
         .unwrap()
     }
 
-    fn step(density: &[f64], settings: &Settings, draws: &[f64]) -> Vec<Successor> {
+    fn step(density: &[f64], settings: &Settings, draws: &[f64]) -> Vec<NextPrimitive> {
         let mut draws = draws.iter();
         let next = ar(&primitives(density), settings, || *draws.next().expect("no more draws than copies"));
         assert_eq!(draws.next(), None, "as many draws as copies");
@@ -166,7 +170,7 @@ mod tests {
     fn the_rule_for_opacities_changes_scales_too() {
         let settings = Settings { growth: 0.25, relocation: Relocation::Sss, ..SETTINGS };
         let next = step(&[0.4; 4], &settings, &[0.6]);
-        let (density, factor) = Relocation::Sss.share(Kernel::StudentT, 0.4, 5.0, 2);
+        let (density, factor) = Relocation::Sss.share(KernelKind::StudentT, 0.4, 5.0, 2);
         for copy in [next[2], next[4]] {
             let before = primitives(&[0.4; 4]).parameters.scale[2];
             assert_eq!((copy.density, copy.scale), (density, before.map(|s| s * factor)));

@@ -1,9 +1,9 @@
-//! How primitives come and go: adaptive density control ([`adc`], R²-Gaussian's) and adding & recycling ([`ar`]).
+//! Density control: adaptive density control ([`adc`], R²-Gaussian's) and adding & recycling ([`ar`]).
 //!
-//! Both look at physical values and answer with the next population as a list of [`Successor`]s, each of an old
-//! primitive. What is not named there (rotation, ν) is inherited; who is not `fresh` keeps its id and the optimiser's
-//! memory. The volume's box and all thresholds are in the settings; all draws are given, none made.
-//! Not in the paper: it names adding and recycling and compares with adaptive density control.
+//! Both take physical values and return the next population as a list of [`NextPrimitive`]s, each derived from an old
+//! primitive. Rotation and ν are inherited. A primitive that is not `fresh` keeps its id and the optimiser's moments.
+//! Random numbers are arguments. Not in the paper: it names adding and recycling and compares with adaptive density
+//! control.
 
 pub mod adc;
 pub mod ar;
@@ -16,8 +16,8 @@ use glam::DVec3;
 
 /// A primitive of the next population.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Successor {
-    /// Row of the old primitive whose rotation and ν it has.
+pub struct NextPrimitive {
+    /// Row of the old primitive from which it inherits rotation and ν.
     pub parent: usize,
     /// Centre, scene units.
     pub mean: [f64; 3],
@@ -25,39 +25,40 @@ pub struct Successor {
     pub scale: [f64; 3],
     /// Density, attenuation per scene unit.
     pub density: f64,
-    /// Whether it is new: with an id of its own, unknown to the optimiser.
+    /// Whether it is new: it gets an id of its own, and the optimiser starts from zero.
     pub fresh: bool,
 }
 
-impl Successor {
-    /// Primitive `i` as it is.
+impl NextPrimitive {
+    /// Primitive `i`, unchanged.
     pub fn same(primitives: &Parameters, i: usize) -> Self {
         let (mean, scale, density) = (primitives.mean[i], primitives.scale[i], primitives.density[i]);
         Self { parent: i, mean, scale, density, fresh: false }
     }
 }
 
-/// Moves the fresh apart: each by a draw from the normal distribution with its own covariance, times `spread`. `normals`
-/// gives three standard normal numbers for each of them, in their order.
+/// Displaces fresh primitives, each by `spread` times a draw from the normal distribution with its own covariance.
 ///
-/// What lies at one place is pulled alike and would stay together. Field and projections change by it; with a spread of 0
-/// nothing moves. Not in the paper. Tests: `what_is_fresh_moves_by_its_own_covariance`; what it brings is in CHOICES.md.
-pub fn spread(primitives: &Parameters, next: &mut [Successor], spread: f64, mut normals: impl FnMut() -> [f64; 3]) {
-    for fresh in next.iter_mut().filter(|successor| successor.fresh) {
+/// `normals` returns three standard normal numbers per fresh primitive, in order. Copies at the same position would have
+/// the same gradients and stay together. The displacement changes field and projections; a spread of 0 disables it.
+///
+/// Not in the paper. Tests: `what_is_fresh_moves_by_its_own_covariance`; its effect is in CHOICES.md.
+pub fn spread(primitives: &Parameters, next: &mut [NextPrimitive], spread: f64, mut normals: impl FnMut() -> [f64; 3]) {
+    for fresh in next.iter_mut().filter(|primitive| primitive.fresh) {
         let (rotation, _) = rotation::unit(primitives.quaternion[fresh.parent]);
         let offset = rotation * (DVec3::from_array(fresh.scale) * DVec3::from_array(normals()) * spread);
         fresh.mean = (DVec3::from_array(fresh.mean) + offset).to_array();
     }
 }
 
-/// The next population: physical values of the successors.
-pub fn succeed(primitives: &Parameters, successors: &[Successor]) -> Parameters {
+/// Physical parameters of the next population.
+pub fn next_parameters(primitives: &Parameters, next: &[NextPrimitive]) -> Parameters {
     Parameters {
-        mean: successors.iter().map(|s| s.mean).collect(),
-        scale: successors.iter().map(|s| s.scale).collect(),
-        quaternion: successors.iter().map(|s| primitives.quaternion[s.parent]).collect(),
-        density: successors.iter().map(|s| s.density).collect(),
-        nu: successors.iter().map(|s| primitives.nu[s.parent]).collect(),
+        mean: next.iter().map(|s| s.mean).collect(),
+        scale: next.iter().map(|s| s.scale).collect(),
+        quaternion: next.iter().map(|s| primitives.quaternion[s.parent]).collect(),
+        density: next.iter().map(|s| s.density).collect(),
+        nu: next.iter().map(|s| primitives.nu[s.parent]).collect(),
     }
 }
 
@@ -75,9 +76,9 @@ mod tests {
             density: vec![1.0],
             nu: vec![5.0],
         };
-        let old = Successor::same(&primitives, 0);
-        let small = Successor { fresh: true, scale: old.scale.map(|s| s / 2.0), ..old };
-        let mut next = [old, Successor { fresh: true, ..old }, small];
+        let old = NextPrimitive::same(&primitives, 0);
+        let small = NextPrimitive { fresh: true, scale: old.scale.map(|s| s / 2.0), ..old };
+        let mut next = [old, NextPrimitive { fresh: true, ..old }, small];
         let mut draws = [[1.0, -2.0, 4.0], [1.0, 0.0, 0.0]].into_iter();
         spread(&primitives, &mut next, 2.0, || draws.next().unwrap());
         assert_eq!(draws.next(), None);

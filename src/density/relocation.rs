@@ -1,22 +1,22 @@
-//! What N copies of a primitive at its own place look like, so that together they are what it was.
+//! Densities and scales of N copies of a primitive at its position, such that their sum equals the original.
 
-use crate::primitives::{Kernel, student_t};
+use crate::primitives::{KernelKind, student_t};
 use serde::{Deserialize, Serialize};
 
-/// Largest number of copies that the formulas of 3D Student Splatting are evaluated for: their sums alternate.
+/// Largest number of copies in the formulas of 3D Student Splatting, whose alternating sums lose digits.
 const MOST: usize = 51;
 /// Largest density that counts as an opacity.
 const OPAQUE: f64 = 1.0 - 1e-6;
 
-/// How the copies share.
+/// The rule by which copies share density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Relocation {
     /// Each has ρ/N and the same shape: X-ray densities add up, so field and projections stay as they are.
     Exact,
-    /// 3D Student Splatting's rule for opacities that hide each other: `1-(1-ρ)^(1/N)`, scales times c.
+    /// 3D Student Splatting's rule for opacities that occlude each other: `1-(1-ρ)^(1/N)`, scales times c.
     Sss,
-    /// The same as its published program has it: scales times c².
+    /// The same as in its published program: scales times c².
     SssProgram,
 }
 
@@ -28,10 +28,10 @@ impl Relocation {
     /// | exact | ρ/n | 1 |
     /// | SSS | `o = 1-(1-ρ)^(1/n)` | `c = ρ·a/D`, `D = Σⱼ C(n,j)(-1)^(j-1) oʲ·B(½, (j(ν+3)-1)/2)`, a the B of j = 1 |
     ///
-    /// Opacities: ρ is taken as at most `1-10⁻⁶` and n as at most 51. Not in the paper: it follows 3D Student
+    /// For opacities, ρ is clamped to `1-10⁻⁶` and n to 51. Not in the paper: it follows 3D Student
     /// Splatting's adding and recycling. Tests: `copies_add_up_to_the_original`,
     /// `the_opacity_rule_keeps_the_integral_of_what_shows_along_a_line`.
-    pub fn share(self, kernel: Kernel, density: f64, nu: f64, n: usize) -> (f64, f64) {
+    pub fn share(self, kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f64) {
         match self {
             _ if n == 1 => (density, 1.0),
             Self::Exact => (density / n as f64, 1.0),
@@ -44,18 +44,18 @@ impl Relocation {
     }
 }
 
-fn opacity_rule(kernel: Kernel, density: f64, nu: f64, n: usize) -> (f64, f64) {
+fn opacity_rule(kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f64) {
     let (o, n) = (density.min(OPAQUE), n.min(MOST));
     let each = -libm::expm1(libm::log1p(-o) / n as f64);
-    // B(½, (j(ν+3)-1)/2) up to a factor that all j share; of the Gaussian its limit.
+    // B(½, (j(ν+3)-1)/2) up to a factor common to all j; for the Gaussian its limit.
     let line = |j: usize| match kernel {
-        Kernel::Gaussian => 1.0 / (j as f64).sqrt(),
-        Kernel::StudentT => {
+        KernelKind::Gaussian => 1.0 / (j as f64).sqrt(),
+        KernelKind::StudentT => {
             let nu = j as f64 * (nu + 3.0) - 3.0;
             student_t::line_integral(nu).0 / nu.sqrt()
         }
     };
-    // C(n,j)·(-1)^(j-1)·oʲ from the one before.
+    // C(n,j)·(-1)^(j-1)·oʲ by recurrence.
     let (mut term, mut total) = (-1.0, 0.0);
     for j in 1..=n {
         term *= -each * (n - j + 1) as f64 / j as f64;
@@ -71,7 +71,7 @@ mod tests {
     #[test]
     fn copies_add_up_to_the_original() {
         for n in 1..200 {
-            let (density, factor) = Relocation::Exact.share(Kernel::StudentT, 0.7, 5.0, n);
+            let (density, factor) = Relocation::Exact.share(KernelKind::StudentT, 0.7, 5.0, n);
             approx::assert_relative_eq!(density * n as f64, 0.7, max_relative = 3e-16);
             assert_eq!(factor, 1.0);
         }
@@ -80,19 +80,19 @@ mod tests {
     #[test]
     fn one_copy_is_the_original_under_every_rule() {
         for rule in [Relocation::Exact, Relocation::Sss, Relocation::SssProgram] {
-            assert_eq!(rule.share(Kernel::StudentT, 0.7, 5.0, 1), (0.7, 1.0));
+            assert_eq!(rule.share(KernelKind::StudentT, 0.7, 5.0, 1), (0.7, 1.0));
         }
     }
 
     /// ∫ 1-(1-o·T(x/s))ⁿ dx by the trapezoidal rule after x = sinh t, which converges geometrically.
-    fn shown(kernel: Kernel, o: f64, s: f64, nu: f64, n: usize) -> f64 {
+    fn shown(kernel: KernelKind, o: f64, s: f64, nu: f64, n: usize) -> f64 {
         let h = 1.0 / 512.0;
         let value = |k: i32| {
             let t = f64::from(k) * h;
             let x = libm::sinh(t) / s;
             let kernel = match kernel {
-                Kernel::Gaussian => libm::exp(-x * x / 2.0),
-                Kernel::StudentT => libm::exp(-(nu + 3.0) / 2.0 * libm::log1p(x * x / nu)),
+                KernelKind::Gaussian => libm::exp(-x * x / 2.0),
+                KernelKind::StudentT => libm::exp(-(nu + 3.0) / 2.0 * libm::log1p(x * x / nu)),
             };
             -libm::expm1(n as f64 * libm::log1p(-o * kernel)) * libm::cosh(t)
         };
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn the_opacity_rule_keeps_the_integral_of_what_shows_along_a_line() {
-        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
             for (o, nu, n) in [(0.8, 10.0, 2), (0.9, 3.0, 5), (0.3, 2.0, 17), (0.05, 40.0, 51)] {
                 let (each, factor) = Relocation::Sss.share(kernel, o, nu, n);
                 let (before, after) = (shown(kernel, o, 1.0, nu, 1), shown(kernel, each, factor, nu, n));
@@ -115,15 +115,15 @@ mod tests {
     #[test]
     fn the_published_program_loses_a_tenth() {
         let (o, nu, n) = (0.8, 10.0, 2);
-        let (each, factor) = Relocation::SssProgram.share(Kernel::StudentT, o, nu, n);
-        let lost = 1.0 - shown(Kernel::StudentT, each, factor, nu, n) / shown(Kernel::StudentT, o, 1.0, nu, 1);
+        let (each, factor) = Relocation::SssProgram.share(KernelKind::StudentT, o, nu, n);
+        let lost = 1.0 - shown(KernelKind::StudentT, each, factor, nu, n) / shown(KernelKind::StudentT, o, 1.0, nu, 1);
         assert!((lost - 0.11).abs() < 0.01, "{lost}");
     }
 
     #[test]
     fn absurd_densities_and_numbers_of_copies_have_finite_shares() {
         for (density, nu, n) in [(5.0, 2.0, 51), (1.0, 100.0, 1000), (1e-12, 2.0, 3), (0.999_999, 3.0, 51)] {
-            let (each, factor) = Relocation::Sss.share(Kernel::StudentT, density, nu, n);
+            let (each, factor) = Relocation::Sss.share(KernelKind::StudentT, density, nu, n);
             assert!(each > 0.0 && each < 1.0 && factor > 0.0 && factor.is_finite(), "{density} {n}: {each} {factor}");
         }
     }

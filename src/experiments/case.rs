@@ -28,7 +28,7 @@ enum Source {
 
 /// The acquisition of a case in a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Sight {
+pub(super) struct Acquisition {
     pub(super) views: usize,
     pub(super) noise: Noise,
     pub(super) seed: u64,
@@ -95,8 +95,13 @@ impl Case {
     ///
     /// Phantoms and volumes are scanned by a cone beam over a full turn, with the distances of R²-Gaussian's synthetic
     /// data. Of an existing scan, evenly spaced training views are selected.
-    pub(super) fn scan(&self, scale: Scale, sight: &Sight) -> Result<Dataset> {
-        let plan = Plan { views: sight.views, test_views: scale.test_views(), noise: sight.noise, seed: sight.seed };
+    pub(super) fn scan(&self, scale: Scale, acquisition: &Acquisition) -> Result<Dataset> {
+        let plan = Plan {
+            views: acquisition.views,
+            test_views: scale.test_views(),
+            noise: acquisition.noise,
+            seed: acquisition.seed,
+        };
         match &self.source {
             Source::Phantom => {
                 let phantom = Phantom::by_name(&self.name, 0)?;
@@ -108,7 +113,7 @@ impl Case {
             }
             Source::Scan(path) => {
                 let mut dataset = Dataset::read(path)?;
-                dataset.train = dataset.train.evenly_spaced(sight.views)?;
+                dataset.train = dataset.train.evenly_spaced(acquisition.views)?;
                 Ok(dataset)
             }
         }

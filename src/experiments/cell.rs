@@ -1,8 +1,8 @@
 //! One run of an experiment: a case, its acquisition, and the settings of a method.
 
-use super::case::{Case, Sight};
+use super::case::{Acquisition, Case};
 use super::scale::Scale;
-use super::table::{Row, Table, noise};
+use super::table::{Table, TableRow, noise};
 use crate::config::{Config, Method};
 use crate::error::Result;
 use crate::provenance::{commit, digest_bytes};
@@ -64,7 +64,7 @@ impl Table {
             for &views in &self.views {
                 for level in &self.noise {
                     for case in cases {
-                        let of_row = |row: &Row| self.cell(row, case, scale, views, level, seed);
+                        let of_row = |row: &TableRow| self.cell(row, case, scale, views, level, seed);
                         cells.extend(self.rows.iter().filter_map(of_row));
                     }
                 }
@@ -76,7 +76,7 @@ impl Table {
     /// The cell of a row; `None` if the row runs nothing, or the case has other noise.
     pub(super) fn cell(
         &self,
-        row: &Row,
+        row: &TableRow,
         case: &Case,
         scale: Scale,
         views: usize,
@@ -120,8 +120,8 @@ impl Cell {
 
     /// The scan that the cell reconstructs.
     pub(super) fn scan(&self) -> Result<Dataset> {
-        let sight = Sight { views: self.views, noise: noise(&self.noise), seed: self.seed };
-        self.case.scan(self.scale, &sight)
+        let acquisition = Acquisition { views: self.views, noise: noise(&self.noise), seed: self.seed };
+        self.case.scan(self.scale, &acquisition)
     }
 
     /// Runs the cell on its scan; also returns the [`picture`] of its result.

@@ -26,7 +26,7 @@ pub use runner::{Done, Observe, run};
 pub use scale::Scale;
 pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
-pub use table::{NAMES, Row, Table};
+pub use table::{NAMES, Table, TableRow};
 
 /// All metrics of a cell.
 pub const METRICS: [&str; 5] = ["spearman", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];

@@ -1,7 +1,7 @@
 //! Plots a metric against the varied parameter: a line per row, or one line through numbered rows.
 
 use super::summary::{Estimate, Figure, Summary};
-use super::table::Row;
+use super::table::TableRow;
 use crate::report::escape;
 use plotters::prelude::*;
 use std::collections::BTreeSet;
@@ -56,7 +56,7 @@ fn points(series: &[Series]) -> impl Iterator<Item = (f64, f64)> {
 
 fn series(summary: &Summary, column: usize) -> Vec<Series> {
     let table = &summary.table;
-    let of = |name: String, wanted: &dyn Fn(&Row, &str, usize) -> bool| {
+    let of = |name: String, wanted: &dyn Fn(&TableRow, &str, usize) -> bool| {
         let mut series = Series { name, ours: Vec::new(), paper: Vec::new() };
         for block in &summary.blocks {
             for (row, figures) in table.rows.iter().zip(&block.figures) {

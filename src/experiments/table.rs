@@ -44,7 +44,7 @@ pub struct Table {
     /// The x axis of the plot: views, noise, or a column that numbers the rows in the paper.
     pub against: Option<String>,
     /// Rows from top to bottom.
-    pub rows: Vec<Row>,
+    pub rows: Vec<TableRow>,
     /// The paper's figures.
     #[serde(skip)]
     printed: Vec<BTreeMap<String, String>>,
@@ -53,7 +53,7 @@ pub struct Table {
 /// A row in each block of a table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Row {
+pub struct TableRow {
     /// Name for display.
     pub name: String,
     /// Selects the row in the paper's table: column → value. Empty if the paper does not have it.
@@ -110,7 +110,7 @@ impl Table {
     }
 
     /// The figure that the paper prints for a row, if any.
-    pub fn printed(&self, row: &Row, views: usize, noise: &str, metric: &str) -> Option<f64> {
+    pub fn printed(&self, row: &TableRow, views: usize, noise: &str, metric: &str) -> Option<f64> {
         if row.paper.is_empty() {
             return None;
         }
@@ -124,7 +124,7 @@ impl Table {
     }
 
     /// The position of a row on the x axis of a plot.
-    pub fn place(&self, row: &Row, views: usize, noise: &str) -> Option<f64> {
+    pub fn place(&self, row: &TableRow, views: usize, noise: &str) -> Option<f64> {
         match self.against.as_deref()? {
             "views" => Some(views as f64),
             "noise" => self.noise.iter().position(|known| known == noise).map(|place| place as f64),
@@ -133,7 +133,7 @@ impl Table {
     }
 }
 
-impl Row {
+impl TableRow {
     /// Its configuration before scaling; `None` for a row that only the paper has.
     ///
     /// Both methods on primitives use the paper's affine projection, unless the row says otherwise.

@@ -3,13 +3,13 @@
 use crate::numeric::{Real, reduce, threads};
 use ndarray::{Array2, ArrayView2};
 
-/// Pixels that one task compares: a constant, so the cut does not depend on the threads.
+/// Pixels of one task: a constant, so that results do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
 /// Value and gradient of `L1 = (1/N) Σ |p - t|` over the N pixels of an image.
 ///
 /// `∂L1/∂p = sign(p - t)/N`, and 0 where `p = t`. An empty image has the value 0.
-/// Not in the paper: the first part of R²-Gaussian's data loss.
+/// Not in the paper: the first term of R²-Gaussian's data loss.
 ///
 /// # Panics
 /// When the shapes differ.

@@ -1,4 +1,4 @@
-//! Losses on images and blocks of voxels: values and gradients. They know no primitives.
+//! Losses on images and blocks of voxels: values and gradients. They do not depend on primitives.
 //!
 //! A gradient is ∂loss/∂prediction, an array of the prediction's shape: the cotangent that the projector's or
 //! the voxelizer's `vjp` takes. Values are f64, summed in a tree that depends on the shape alone.
@@ -12,7 +12,18 @@ pub use ssim::{Ssim, SsimTarget};
 use crate::numeric::Real;
 use ndarray::{Array2, ArrayView2};
 
-/// What a projection has to answer for: the parts of the data loss and its gradient.
+/// The terms of the data loss of one projection.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageTerms {
+    /// `l1 + weight·d_ssim`.
+    pub total: f64,
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// `1 - SSIM`, between 0 and 2.
+    pub d_ssim: f64,
+}
+
+/// The data loss of one projection and its gradient.
 #[derive(Clone, Debug)]
 pub struct ImageLoss<R> {
     /// `l1 + weight·d_ssim`.
@@ -27,8 +38,8 @@ pub struct ImageLoss<R> {
 
 /// Data loss of one projection, `L1 + weight·(1 - SSIM)`.
 ///
-/// Not in the paper: taken from R²-Gaussian, with its weight of 0.25. The weights add up, they do not mix:
-/// L1 always counts in full. The third part, [`tv::tv`], is of the volume and not of the image.
+/// Not in the paper: taken from R²-Gaussian, with its weight of 0.25. It is no convex combination:
+/// the weight of L1 is always 1. The third term, [`tv::tv`], is of the volume and not of the image.
 ///
 /// # Panics
 /// When the prediction and the target differ in shape.
@@ -39,11 +50,11 @@ pub fn image_loss<R: Real>(
     target: &SsimTarget<R>,
 ) -> ImageLoss<R> {
     let mut cotangent = Array2::default(prediction.raw_dim());
-    let [total, l1, d_ssim] = image_loss_into(ssim, weight, prediction, target, &mut cotangent);
+    let ImageTerms { total, l1, d_ssim } = image_loss_into(ssim, weight, prediction, target, &mut cotangent);
     ImageLoss { total, l1, d_ssim, cotangent }
 }
 
-/// Total, L1 and D-SSIM of [`image_loss`], with the cotangent in the place of another array. Not in the paper.
+/// [`image_loss`] with the cotangent written to an existing array. Not in the paper.
 ///
 /// # Panics
 /// When the prediction and the target differ in shape.
@@ -53,10 +64,10 @@ pub fn image_loss_into<R: Real>(
     prediction: ArrayView2<R>,
     target: &SsimTarget<R>,
     cotangent: &mut Array2<R>,
-) -> [f64; 3] {
+) -> ImageTerms {
     let [similarity, l1] = ssim.compare(prediction, target, [-weight, 1.0], Some(cotangent));
     let d_ssim = 1.0 - similarity;
-    [l1 + weight * d_ssim, l1, d_ssim]
+    ImageTerms { total: l1 + weight * d_ssim, l1, d_ssim }
 }
 
 #[cfg(test)]

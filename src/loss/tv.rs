@@ -1,37 +1,40 @@
 //! Total variation of a block of voxels.
 
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
-/// Slices along x that one task works on: a constant, so the cut does not depend on the threads.
+/// Slices along x of one task: a constant, so that results do not depend on the number of threads.
 const SLAB: usize = 8;
 
-/// Value and gradient of the anisotropic total variation per difference,
-/// `TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D`, of a block `[x, y, z]`.
+/// Value and gradient of the anisotropic total variation of a block `[x, y, z]`, per difference.
+///
+/// ```text
+/// TV = (Σ|Δx f| + Σ|Δy f| + Σ|Δz f|)/D
+/// ```
 ///
 /// Δ is the difference of neighbours along one axis and D their number over all three axes,
 /// `D = (X-1)YZ + X(Y-1)Z + XY(Z-1)`. A side of 1 has no differences; a block without any has the value 0.
-/// The sub-gradient at equal neighbours is 0. The three distances of a voxel are added up in the block's precision, voxels in
-/// f64. Not in the paper: the third part of R²-Gaussian's data loss.
+/// The sub-gradient at equal neighbours is 0. The three distances of a voxel are summed in the block's precision, voxels in
+/// f64. Not in the paper: the third term of R²-Gaussian's data loss.
 pub fn tv<R: Real>(block: ArrayView3<R>) -> (f64, Array3<R>) {
     let mut gradient = Array3::default(block.raw_dim());
-    (tv_into(block, &Spaces::default(), &mut gradient), gradient)
+    (tv_into(block, &Workspace::default(), &mut gradient), gradient)
 }
 
-/// What [`tv_into`] works in: it asks for no memory again while blocks are as large as the last one.
+/// Buffers of [`tv_into`]. Nothing is allocated while blocks have the size of the last one.
 #[derive(Debug, Default)]
-pub struct Spaces<R> {
-    /// Of each voxel of a slice, the distances to those after it.
-    distances: Spares<Vec<R>>,
-    /// Of each voxel of a slice 1 where it has one before it along z, else 0; and 0 for one more.
-    joined: Spares<Vec<R>>,
-    /// Of each slice, the sum of its distances.
-    sums: Spares<Vec<f64>>,
+pub struct Workspace<R> {
+    /// For each voxel of a slice, the sum of the distances to its next neighbours.
+    distances: Pool<Vec<R>>,
+    /// For each voxel of a slice, 1 if it has a neighbour before it along z, else 0; and one more 0.
+    joined: Pool<Vec<R>>,
+    /// For each slice, the sum of its distances.
+    sums: Pool<Vec<f64>>,
 }
 
-/// [`tv`] with the gradient in the place of another array. Not in the paper.
-pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut Array3<R>) -> f64 {
+/// [`tv`] with the gradient written to an existing array. Not in the paper.
+pub fn tv_into<R: Real>(block: ArrayView3<R>, workspace: &Workspace<R>, gradient: &mut Array3<R>) -> f64 {
     let block = block.as_standard_layout();
     if gradient.dim() != block.dim() {
         *gradient = Array3::default(block.raw_dim());
@@ -43,7 +46,7 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
         return 0.0;
     }
     let [nx, ny, nz] = shape;
-    let (mut joined, mut sums) = (spaces.joined.lend(), spaces.sums.lend());
+    let (mut joined, mut sums) = (workspace.joined.take(), workspace.sums.take());
     joined.clear();
     joined.resize(ny * nz + 1, R::ONE);
     joined.iter_mut().step_by(nz).for_each(|first| *first = R::ZERO);
@@ -56,8 +59,8 @@ pub fn tv_into<R: Real>(block: ArrayView3<R>, spaces: &Spaces<R>, gradient: &mut
     };
     let slices = gradient.as_slice_mut().expect("standard layout");
     let slabs = (threads::chunks(slices, SLAB * ny * nz), threads::chunks(&mut sums, SLAB));
-    threads::for_each_of(slabs, |slab, (slices, sums)| {
-        let mut distances = spaces.distances.lend();
+    threads::for_each_zip(slabs, |slab, (slices, sums)| {
+        let mut distances = workspace.distances.take();
         distances.resize(ny * nz, R::ZERO);
         for (x, (slice, sum)) in (slab * SLAB..).zip(slices.chunks_exact_mut(ny * nz).zip(sums)) {
             whole.slice(x, slice, &mut distances);
@@ -73,7 +76,7 @@ fn differences(shape: [usize; 3], axis: usize) -> usize {
     voxels - voxels / shape[axis].max(1)
 }
 
-/// A block, and what all of its voxels are pushed by.
+/// A block, and the constants of its gradient.
 struct Whole<'a, R> {
     values: &'a [R],
     shape: [usize; 3],
@@ -82,17 +85,17 @@ struct Whole<'a, R> {
 }
 
 impl<R: Real> Whole<'_, R> {
-    /// The gradient of slice `x`, and for each of its voxels the sum of the distances to those after it.
+    /// The gradient of slice `x`, and for each of its voxels the sum of the distances to its next neighbours.
     fn slice(&self, x: usize, gradient: &mut [R], distances: &mut [R]) {
         let [nx, ny, nz] = self.shape;
         let size = ny * nz;
-        // Within a run all voxels have the same neighbours; the block's first and last voxel lack one in memory.
+        // Within a run all voxels have the same kinds of neighbours; the block's first and last voxel lack one in memory.
         let ends = [usize::from(x == 0), size - usize::from(x + 1 == nx)];
         let mut cuts = [0, ends[0], nz, size - nz, ends[1], size];
         cuts.sort_unstable();
         for (&start, &end) in cuts.iter().zip(&cuts[1..]).filter(|(start, end)| start < end) {
             let (place, n) = (x * size + start, end - start);
-            // A voxel that lacks a neighbour is its own: no distance, no push.
+            // A missing neighbour is replaced by the voxel itself: no distance, no gradient.
             let beside = |offset: usize, before: bool, after: bool| {
                 let first = if before { place - offset } else { place };
                 let last = if after { place + offset } else { place };
@@ -105,14 +108,15 @@ impl<R: Real> Whole<'_, R> {
             ];
             let here = &self.values[place..][..n];
             let joined = [&self.joined[start..][..n], &self.joined[start + 1..][..n]];
-            push(here, around, joined, self.slope, &mut gradient[start..end], &mut distances[start..end]);
+            gradient_of_run(here, around, joined, self.slope, &mut gradient[start..end], &mut distances[start..end]);
         }
     }
 }
 
-/// The gradient of voxels from those before and after them along x, y and z, and the sums of the distances to those after.
-/// Along z it counts where voxels are joined.
-fn push<R: Real>(
+/// The gradient of voxels from their neighbours along x, y and z, and the sums of the distances to the next ones.
+///
+/// Differences along z are multiplied by `joined`.
+fn gradient_of_run<R: Real>(
     here: &[R],
     [x, y, z]: [[&[R]; 2]; 3],
     joined: [&[R]; 2],
@@ -167,10 +171,10 @@ mod tests {
 
     #[test]
     fn a_block_after_others_has_the_bits_of_the_first_one() {
-        let (spaces, mut gradient) = (Spaces::default(), Array3::default((0, 0, 0)));
+        let (workspace, mut gradient) = (Workspace::default(), Array3::default((0, 0, 0)));
         for shape in [(9, 5, 7), (4, 3, 5), (1, 1, 1), (9, 5, 7), (1, 6, 1)] {
             let block = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 7 + y * 5 + z * 3) % 13) as f32 / 3.0);
-            let value = tv_into(block.view(), &spaces, &mut gradient);
+            let value = tv_into(block.view(), &workspace, &mut gradient);
             let expected = tv(block.view());
             assert_eq!((value, &gradient), (expected.0, &expected.1), "{shape:?}");
         }

@@ -1,18 +1,21 @@
-//! Transcendental functions with the same bits on every machine: the `libm` crate's, which are
-//! compiled from source instead of taken from the platform. The hot kernels have their own
+//! Transcendental functions with the same bits on every machine.
+//!
+//! They are the `libm` crate's, compiled from source instead of taken from the platform. The hot kernels have their own
 //! ([`super::lanes`]).
 
 use glam::DVec3;
 
 pub use libm::{asin, atan, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
 
-/// |v|, with the bits of glam's `length`, whose square root is libm's: on a processor with AVX-512 its old instruction
-/// waits for the wide registers that the kernels leave behind, as long as a small footprint takes.
+/// |v|, with the bits of glam's `length`.
+///
+/// glam's square root is libm's SSE instruction. After AVX-512 kernels it waits for the upper halves of their registers, as
+/// long as a small footprint takes.
 pub fn length(v: DVec3) -> f64 {
     v.length_squared().sqrt()
 }
 
-/// The power of two at or below a positive number, 0 for a subnormal one: a unit that costs no bits.
+/// The power of two at or below a positive number, 0 for a subnormal one. Division by it is exact.
 pub fn power_of_two_below(x: f64) -> f64 {
     f64::from_bits(x.to_bits() & f64::INFINITY.to_bits())
 }

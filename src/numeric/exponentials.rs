@@ -1,14 +1,16 @@
-//! [`elementary`] functions of eight numbers at a time, with the bits that one alone has: the steps are those of the `libm`
-//! crate, which are FreeBSD's, one in each lane instead of one branch after another. For what is asked of every primitive in
-//! every iteration.
+//! [`elementary`] functions of eight numbers at a time, bit-identical to the scalar functions.
+//!
+//! The steps are those of the `libm` crate (FreeBSD's), with selects instead of branches. They serve work that is done for
+//! every primitive in every iteration.
 
+use super::Lanes;
 use super::elementary;
-use super::vectors::{Eight, all, each};
+use super::vectors::{f64x8, splat};
 use wide::u64x8;
 
-/// ln 2 in two parts: the products of the first with the whole numbers of an exponent are exact.
+/// ln 2 in two parts: products of the first with integer exponents are exact.
 const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
-/// From here on an argument is reduced by multiples of ln 2: the next number after ½ ln 2 in the upper half of the bits.
+/// Threshold of the reduction by ln 2: the next number after ½ ln 2 in the upper half of the bits.
 const REDUCED: f64 = f64::from_bits(0x3fd6_2e43 << 32);
 /// `r·(e^r+1)/(e^r-1) = 2 + z·P(z)`, z = r².
 const EXP: [f64; 5] = [
@@ -36,135 +38,135 @@ const LOG: [f64; 7] = [
     1.531_383_769_920_937_3e-1,
     1.479_819_860_511_658_6e-1,
 ];
-/// The upper half of the bits of √½, and of 1, in their place.
+/// The bits of √½ and of 1, upper halves only.
 const ROOT_HALF: u64 = 0x3fe6_a09e << 32;
 const ONE: u64 = 0x3ff0_0000 << 32;
-/// The number whose bits, with a whole number in them, are those of the sum.
+/// Adding an integer to this number puts the integer into its low bits.
 const INTEGER: f64 = (1_u64 << 52) as f64;
 
 /// `c[0] + x·(c[1] + x·(…))`.
 #[inline(always)]
-fn polynomial(x: Eight, coefficients: &[f64]) -> Eight {
+fn polynomial(x: f64x8, coefficients: &[f64]) -> f64x8 {
     let [rest @ .., last] = coefficients else { unreachable!("a polynomial has terms") };
-    rest.iter().rev().fold(all(*last), |sum, &next| all(next) + x * sum)
+    rest.iter().rev().fold(splat(*last), |sum, &next| splat(next) + x * sum)
 }
 
-/// 2^k for whole numbers k within the exponents of normal numbers.
+/// 2^k for integers k in the exponent range of normal numbers.
 #[inline(always)]
-fn power_of_two(k: Eight) -> Eight {
-    let bits: u64x8 = bytemuck::cast(k + all(INTEGER + 1023.0));
+fn power_of_two(k: f64x8) -> f64x8 {
+    let bits: u64x8 = bytemuck::cast(k + splat(INTEGER + 1023.0));
     bytemuck::cast(bits.unbounded_shl_scalar(52))
 }
 
-/// The whole number k and both parts of what is left of `x - k·ln 2`.
+/// The integer k and the remainder `x - k·ln 2` in two parts.
 #[inline(always)]
-fn reduced(x: Eight) -> [Eight; 3] {
-    let (size, zero) = (x.abs(), all(0.0));
-    let whole = (all(std::f64::consts::LOG2_E) * size + all(0.5)).floor();
-    let whole = size.simd_lt(all(REDUCED)).select(zero, whole);
+fn reduced(x: f64x8) -> [f64x8; 3] {
+    let (size, zero) = (x.abs(), splat(0.0));
+    let whole = (splat(std::f64::consts::LOG2_E) * size + splat(0.5)).floor();
+    let whole = size.simd_lt(splat(REDUCED)).select(zero, whole);
     let k = x.simd_lt(zero).select(-whole, whole);
-    [k, x - k * all(LN_2[0]), k * all(LN_2[1])]
+    [k, x - k * splat(LN_2[0]), k * splat(LN_2[1])]
 }
 
 /// `e^x`: [`elementary::exp`].
 #[inline(always)]
-pub fn exp(x: Eight) -> Eight {
-    // Infinite, vanishing and undefined ones are found one by one.
-    if !x.abs().simd_lt(all(708.0)).all() {
+pub fn exp(x: f64x8) -> f64x8 {
+    // Lanes that are infinite, underflow or NaN are computed one by one.
+    if !x.abs().simd_lt(splat(708.0)).all() {
         let x = x.to_array();
-        return each(|i| elementary::exp(x[i]));
+        return f64x8::from_fn(|i| elementary::exp(x[i]));
     }
     let [k, high, low] = reduced(x);
     let r = high - low;
     let z = r * r;
     let c = r - z * polynomial(z, &EXP);
-    let mantissa = all(1.0) + (r * c / (all(2.0) - c) - low + high);
-    // About 2^-28: the rest would only round it otherwise.
-    let tiny = all(f64::from_bits(0x3e30_0001 << 32));
-    x.abs().simd_lt(tiny).select(all(1.0) + x, mantissa * power_of_two(k))
+    let mantissa = splat(1.0) + (r * c / (splat(2.0) - c) - low + high);
+    // Below about 2^-28 the polynomial would only change the rounding.
+    let tiny = splat(f64::from_bits(0x3e30_0001 << 32));
+    x.abs().simd_lt(tiny).select(splat(1.0) + x, mantissa * power_of_two(k))
 }
 
 /// `e^x - 1`, accurate also near 0: [`elementary::expm1`].
 #[inline(always)]
-pub fn expm1(x: Eight) -> Eight {
-    // Beyond, 1 is added in other places.
-    if !x.abs().simd_lt(all(13.0)).all() {
+pub fn expm1(x: f64x8) -> f64x8 {
+    // For larger arguments libm adds 1 in a different order.
+    if !x.abs().simd_lt(splat(13.0)).all() {
         let x = x.to_array();
-        return each(|i| elementary::expm1(x[i]));
+        return f64x8::from_fn(|i| elementary::expm1(x[i]));
     }
-    let (half, one) = (all(0.5), all(1.0));
+    let (half, one) = (splat(0.5), splat(1.0));
     let [k, high, low] = reduced(x);
     let r = high - low;
     let lost = (high - r) - low;
     let half_r = half * r;
     let z = r * half_r;
     let series = one + z * polynomial(z, &EXPM1);
-    let t = all(3.0) - series * half_r;
-    let e = z * ((series - t) / (all(6.0) - r * t));
+    let t = splat(3.0) - series * half_r;
+    let e = z * ((series - t) / (splat(6.0) - r * t));
     let here = r - (r * e - z);
     let e = (r * (e - lost) - lost) - z;
     let power = power_of_two(k);
     let anywhere = (r - e + (one - power_of_two(-k))) * power;
-    let doubled = r.simd_lt(all(-0.25)).select(all(-2.0) * (e - (r + half)), one + all(2.0) * (r - e));
+    let doubled = r.simd_lt(splat(-0.25)).select(splat(-2.0) * (e - (r + half)), one + splat(2.0) * (r - e));
     let halved = half * (r - e) - half;
     // Below k = -1 the 1 is subtracted after the scaling.
     let far_below = (r - e + one) * power - one;
-    let is = |whole: f64| k.simd_eq(all(whole));
-    let value = k.simd_lt(all(0.0)).select(far_below, anywhere);
+    let is = |whole: f64| k.simd_eq(splat(whole));
+    let value = k.simd_lt(splat(0.0)).select(far_below, anywhere);
     let value = is(-1.0).select(halved, is(0.0).select(here, is(1.0).select(doubled, value)));
     // Below 2^-54 it is x itself, and -0 stays.
-    x.abs().simd_lt(all(f64::from_bits(0x3c90_0000 << 32))).select(x, value)
+    x.abs().simd_lt(splat(f64::from_bits(0x3c90_0000 << 32))).select(x, value)
 }
 
-/// `ln(2^k·(1+f))` for 1+f from √½ to √2. `add` puts the lower part of k·ln 2 onto the series, and what else is as small.
+/// `ln(2^k·(1+f))` for 1+f from √½ to √2. `add` adds the lower part of k·ln 2, and other small terms, to the series.
 #[inline(always)]
-fn log_of(k: Eight, f: Eight, add: impl Fn(Eight, Eight) -> Eight) -> Eight {
-    let half_square = all(0.5) * f * f;
-    let s = f / (all(2.0) + f);
+fn log_of(k: f64x8, f: f64x8, add: impl Fn(f64x8, f64x8) -> f64x8) -> f64x8 {
+    let half_square = splat(0.5) * f * f;
+    let s = f / (splat(2.0) + f);
     let z = s * s;
     let w = z * z;
-    let even = w * (all(LOG[1]) + w * (all(LOG[3]) + w * all(LOG[5])));
-    let odd = z * (all(LOG[0]) + w * (all(LOG[2]) + w * (all(LOG[4]) + w * all(LOG[6]))));
-    add(s * (half_square + (odd + even)), k * all(LN_2[1])) - half_square + f + k * all(LN_2[0])
+    let even = w * (splat(LOG[1]) + w * (splat(LOG[3]) + w * splat(LOG[5])));
+    let odd = z * (splat(LOG[0]) + w * (splat(LOG[2]) + w * (splat(LOG[4]) + w * splat(LOG[6]))));
+    add(s * (half_square + (odd + even)), k * splat(LN_2[1])) - half_square + f + k * splat(LN_2[0])
 }
 
 /// The natural logarithm: [`elementary::log`].
 #[inline(always)]
-pub fn log(x: Eight) -> Eight {
-    if !(x.simd_ge(all(f64::MIN_POSITIVE)) & x.simd_le(all(f64::MAX))).all() {
+pub fn log(x: f64x8) -> f64x8 {
+    if !(x.simd_ge(splat(f64::MIN_POSITIVE)) & x.simd_le(splat(f64::MAX))).all() {
         let x = x.to_array();
-        return each(|i| elementary::log(x[i]));
+        return f64x8::from_fn(|i| elementary::log(x[i]));
     }
     let bits: u64x8 = bytemuck::cast(x);
     let bits = bits + u64x8::splat(ONE - ROOT_HALF);
-    let k: Eight = bytemuck::cast(bits.unbounded_shr_scalar(52) | u64x8::splat(INTEGER.to_bits()));
-    let f: Eight = bytemuck::cast((bits & u64x8::splat(u64::MAX >> 12)) + u64x8::splat(ROOT_HALF));
-    log_of(k - all(INTEGER + 1023.0), f - all(1.0), |sum, low| sum + low)
+    let k: f64x8 = bytemuck::cast(bits.unbounded_shr_scalar(52) | u64x8::splat(INTEGER.to_bits()));
+    let f: f64x8 = bytemuck::cast((bits & u64x8::splat(u64::MAX >> 12)) + u64x8::splat(ROOT_HALF));
+    log_of(k - splat(INTEGER + 1023.0), f - splat(1.0), |sum, low| sum + low)
 }
 
 /// `ln(1+x)` for x from 0 to 1, accurate also near 0: [`elementary::log1p`].
 #[inline(always)]
-fn log1p_of_fraction(x: Eight) -> Eight {
-    let (one, zero) = (all(1.0), all(0.0));
-    // Below √2 - 1, by the upper half of its bits, 1+x is as it has to be.
-    let small = x.simd_lt(all(f64::from_bits(0x3fda_827a << 32)));
+fn log1p_of_fraction(x: f64x8) -> f64x8 {
+    let (one, zero) = (splat(1.0), splat(0.0));
+    // Below √2 - 1, compared by the upper half of the bits, 1+x needs no scaling.
+    let small = x.simd_lt(splat(f64::from_bits(0x3fda_827a << 32)));
     let u = one + x;
     let lost = small.select(zero, (x - (u - one)) / u);
-    log_of(small.select(zero, one), small.select(x, u * all(0.5) - one), |sum, low| sum + (low + lost))
+    log_of(small.select(zero, one), small.select(x, u * splat(0.5) - one), |sum, low| sum + (low + lost))
 }
 
 /// Logistic function `1/(1+e^-x)`: [`elementary::sigmoid`].
 #[inline(always)]
-pub fn sigmoid(x: Eight) -> Eight {
+pub fn sigmoid(x: f64x8) -> f64x8 {
     let e = exp(-x.abs());
-    x.simd_ge(all(0.0)).select(all(1.0), e) / (all(1.0) + e)
+    x.simd_ge(splat(0.0)).select(splat(1.0), e) / (splat(1.0) + e)
 }
 
 /// `ln(1+e^x)`: [`elementary::softplus`].
 #[inline(always)]
-pub fn softplus(x: Eight) -> Eight {
+pub fn softplus(x: f64x8) -> f64x8 {
     let log = log1p_of_fraction(exp(-x.abs()));
-    x.simd_gt(all(0.0)).select(x + log, log)
+    x.simd_gt(splat(0.0)).select(x + log, log)
 }
 
 #[cfg(test)]
@@ -210,10 +212,10 @@ mod tests {
     }
 
     /// Of every argument with ordinary ones beside it, for one that is not takes all of its lanes with it.
-    fn assert_bits(name: &str, eight: fn(Eight) -> Eight, one: fn(f64) -> f64, taken: impl Fn(f64) -> bool) {
+    fn assert_bits(name: &str, eight: fn(f64x8) -> f64x8, one: fn(f64) -> f64, taken: impl Fn(f64) -> bool) {
         for (number, x) in arguments().into_iter().filter(|&x| taken(x)).enumerate() {
             let lane = number % 8;
-            let values = eight(each(|i| if i == lane { x } else { 0.1 + i as f64 / 10.0 })).to_array();
+            let values = eight(f64x8::from_fn(|i| if i == lane { x } else { 0.1 + i as f64 / 10.0 })).to_array();
             for (i, value) in values.into_iter().enumerate() {
                 let expected = one(if i == lane { x } else { 0.1 + i as f64 / 10.0 });
                 let same = value.to_bits() == expected.to_bits() || value.is_nan() && expected.is_nan();

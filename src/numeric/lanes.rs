@@ -1,79 +1,25 @@
-//! Scalars and SIMD lanes: one kernel text for f32 and f64, for every instruction set.
+//! SIMD lanes: one kernel text for f32 and f64, for every instruction set.
 //!
 //! The virtual width is a constant of the algorithm, 16 lanes of f32 and 8 of f64; a build without wide
 //! registers emulates it lane by lane, so sums have the same tree everywhere. `a * b + c` is rounded twice on every
 //! build and [`Lanes::fma`] once on every build, also where the processor has no such instruction.
 
 use super::polynomials::{
-    exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_near_f32,
-    root_near_f64, root_nearest_f32,
+    exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_quarter_f32,
+    root_quarter_f64, root_sixteenth_f32,
 };
 use super::rearrange::{Rearrange, columns_of_f32, one_of_eight, one_of_sixteen};
-use super::reduce::{eight_of_16, sum_of_8};
-use std::fmt::{Debug, Display};
-use std::iter::Sum;
-use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+use super::reduce::{fold_16_to_8, sum_of_8};
+use super::{Real, real};
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 use wide::{f32x16, f64x8, u32x8, u32x16, u64x8};
 
-/// A floating-point scalar that the pixel kernels can run in.
-pub trait Real:
-    Copy
-    + Debug
-    + Default
-    + Display
-    + PartialOrd
-    + Send
-    + Sync
-    + 'static
-    + Add<Output = Self>
-    + AddAssign
-    + Sub<Output = Self>
-    + SubAssign
-    + Mul<Output = Self>
-    + MulAssign
-    + Div<Output = Self>
-    + Neg<Output = Self>
-    + Sum
-{
-    /// Its SIMD lanes.
-    type Lanes: Lanes<Scalar = Self>;
-    /// 0
-    const ZERO: Self;
-    /// 1
-    const ONE: Self;
-    /// Largest n for which the kernels produce 2^-n; smaller values are zero.
-    const HORIZON: f64;
-    /// Largest distance in units of a primitive's scale that is told apart; keeps squares finite.
-    const FAR: f64;
-
-    /// Rounds to nearest.
-    fn from_f64(value: f64) -> Self;
-    /// Exact.
-    fn to_f64(self) -> f64;
-    /// A small count, exact below 2^24.
-    fn from_index(index: usize) -> Self;
-    /// Correctly rounded square root.
-    fn sqrt(self) -> Self;
-    /// Absolute value.
-    fn abs(self) -> Self;
-    /// Not NaN or infinite.
-    fn is_finite(self) -> bool;
-    /// Columns of eight rows of eight values, in f64.
-    fn columns(rows: [&[Self]; 8]) -> [f64x8; 8] {
-        std::array::from_fn(|i| f64x8::new(rows.map(|row| row[i].to_f64())))
-    }
-}
-
-/// Rounds to nearest: [`Real::from_f64`] where another trait has a function of that name.
-pub fn real<R: Real>(value: f64) -> R {
-    R::from_f64(value)
-}
-
-/// The most lanes that there are.
+/// Lanes of the widest register.
 pub const WIDEST: usize = 16;
 
-/// The largest |e| whose root of 1+e [`Lanes::rsqrt_1p_nearest`] takes, and [`Lanes::rsqrt_1p_near`].
-pub const NEAR_ONE: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
+/// Largest |e| that [`Lanes::rsqrt_1p_sixteenth`] and [`Lanes::rsqrt_1p_quarter`] accept.
+pub const ROOT_RANGES: [f64; 2] = [1.0 / 16.0, 1.0 / 4.0];
 
 /// `WIDTH` scalars that are computed together.
 pub trait Lanes:
@@ -98,20 +44,25 @@ pub trait Lanes:
     type Block: Copy;
     /// Number of lanes, even.
     const WIDTH: usize;
-    /// The largest x whose logarithm of 1+x [`Self::log2_1p_near`] takes.
-    const NEAR: f64;
+    /// Largest x that [`Self::log2_1p_near`] accepts.
+    const LOG_NEAR: f64;
 
     /// The same value in every lane.
     fn splat(value: Self::Scalar) -> Self;
+    /// The same value, rounded to nearest, in every lane.
+    #[inline(always)]
+    fn splat_f64(value: f64) -> Self {
+        Self::splat(real(value))
+    }
     /// Lanes from the first `WIDTH` of contiguous values.
     fn from_slice(values: &[Self::Scalar]) -> Self;
     /// Writes the lanes to the first `WIDTH` of contiguous values.
     fn write(self, values: &mut [Self::Scalar]);
-    /// Contiguous values, `WIDTH` at a time, without those that are left over.
+    /// Contiguous values in blocks of `WIDTH`; an incomplete last block is dropped.
     fn blocks(values: &[Self::Scalar]) -> &[Self::Block];
-    /// Lanes from as many values.
+    /// Lanes from a block.
     fn from_block(block: &Self::Block) -> Self;
-    /// [`Self::blocks`] to be written to.
+    /// Mutable [`Self::blocks`].
     fn blocks_mut(values: &mut [Self::Scalar]) -> &mut [Self::Block];
     /// The values of the lanes.
     fn to_block(self) -> Self::Block;
@@ -140,17 +91,18 @@ pub trait Lanes:
     fn add_to_rows(self, top: &mut [Self::Scalar], bottom: &mut [Self::Scalar]);
     /// Lanes from a function of the lane's number.
     fn from_fn(value: impl FnMut(usize) -> Self::Scalar) -> Self;
-    /// The whole number at or below each lane, and what is left over; for lanes from 0 to 2^22.
+    /// Integer and fractional part of each lane, for lanes from 0 to 2^22.
     fn split(self) -> (Self::Index, Self);
     /// The whole number at or above each lane.
     fn ceil(self) -> Self;
-    /// Writes whole numbers from 0 to 2^22 to the first `WIDTH` of contiguous ones.
+    /// Writes integer lanes from 0 to 2^22 to the first `WIDTH` elements.
     fn write_indices(index: Self::Index, indices: &mut [u32]);
-    /// Lane i is `table[index[i]]` of its half's table, of which the first `WIDTH/2` values count. Lanes with another index
-    /// have any of these, or zero.
-    fn pick(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
-    /// [`Self::pick`] from the first `WIDTH` values of the tables.
-    fn pick_wide(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
+    /// Lane i is `table[index[i]]`: each half of the register has its own table of `WIDTH/2` values.
+    ///
+    /// A lane whose index is out of range holds any of these values, or zero.
+    fn lookup(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
+    /// [`Self::lookup`] in tables of `WIDTH` values.
+    fn lookup_wide(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
     /// `self · factor + summand`, rounded once: one instruction where the build has it, a function call per lane elsewhere.
     fn fma(self, factor: Self, summand: Self) -> Self;
     /// Square root, correctly rounded.
@@ -158,9 +110,9 @@ pub trait Lanes:
     /// `1/√self` for positive normal numbers, to two units in the last place.
     fn rsqrt(self) -> Self;
     /// `1/√(1+self)` for lanes from -1/4 to 1/4, to two units in the last place.
-    fn rsqrt_1p_near(self) -> Self;
-    /// The same for lanes from -1/16 to 1/16, other last bits in fewer steps.
-    fn rsqrt_1p_nearest(self) -> Self;
+    fn rsqrt_1p_quarter(self) -> Self;
+    /// The same for lanes from -1/16 to 1/16: fewer steps, different last bits.
+    fn rsqrt_1p_sixteenth(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
     /// The smaller of both, `other` where `self` is NaN.
@@ -171,10 +123,11 @@ pub trait Lanes:
     fn below(self, limit: Self) -> u32;
     /// `yes` in the lanes with `self ≤ limit`, else `no` (also for NaN).
     fn select_le(self, limit: Self, yes: Self, no: Self) -> Self;
-    /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0; of several registers, so that each step
-    /// of one hides those of the others.
+    /// `log2(1+x)` for `0 ≤ x < 2^100`, accurate relative to itself down to x = 0.
+    ///
+    /// Several registers are computed together so that their dependency chains overlap.
     fn log2_1p_each<const N: usize>(x: [Self; N]) -> [Self; N];
-    /// [`Self::log2_1p_each`] for x from 0 to [`Self::NEAR`]: as accurate in fewer steps, perhaps with other last bits.
+    /// [`Self::log2_1p_each`] for x from 0 to [`Self::LOG_NEAR`]: as accurate, in fewer steps; last bits may differ.
     fn log2_1p_near_each<const N: usize>(x: [Self; N]) -> [Self; N];
     /// `2^t` for `-HORIZON ≤ t ≤ 0`, of several registers.
     fn exp2_each<const N: usize>(t: [Self; N]) -> [Self; N];
@@ -190,23 +143,24 @@ pub trait Lanes:
     fn exp2(self) -> Self {
         Self::exp2_each([self])[0]
     }
-    /// Lanes that are eight apart added up, in f64.
-    fn eight(self) -> [f64; 8];
+    /// Sums of lanes that are eight apart, in f64.
+    fn fold_to_8(self) -> [f64; 8];
     /// Sum over the lanes in f64: halves added pairwise, ((0+8)+(4+12))+….
     #[inline(always)]
     fn sum(self) -> f64 {
-        sum_of_8(f64x8::new(self.eight()))
+        sum_of_8(f64x8::new(self.fold_to_8()))
     }
 }
 
-/// Implements [`Real`] and [`Lanes`] for one precision. `rsqrt` is the first guess at a square root's inverse, less half of
-/// the number's bits, and the steps that it takes.
+/// Implements [`Real`] and [`Lanes`] for one precision.
+///
+/// `rsqrt` has the constant of the first approximation (`constant - bits/2`) and the number of Newton steps.
 macro_rules! precision {
     (
         $scalar:ident, $lanes:ident, $bits:ident, $unsigned:ident, width $width:literal, mantissa $mantissa:literal,
         rsqrt $magic:literal in $steps:literal, horizon $horizon:literal, far $far:literal, exp2 $exp2:ident,
-        pick |$tables:ident, $index:ident| $picked:expr, wide $picked_wide:expr,
-        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_near:ident, nearest $root_nearest:ident, eight $eight:expr
+        lookup |$tables:ident, $index:ident| $from_table:expr, wide $from_wide_table:expr,
+        log2_1p $log2_1p:ident, $log2_1p_near:ident up to $near:expr, root_of_1_plus $root_quarter:ident, sixteenth $root_sixteenth:ident, fold $fold:expr
         $(, columns $columns:ident)?
     ) => {
         impl Real for $scalar {
@@ -253,7 +207,7 @@ macro_rules! precision {
             type Index = $bits;
             type Block = [$scalar; $width];
             const WIDTH: usize = $width;
-            const NEAR: f64 = $near;
+            const LOG_NEAR: f64 = $near;
 
             #[inline(always)]
             fn splat(value: $scalar) -> Self {
@@ -317,12 +271,12 @@ macro_rules! precision {
                 indices.iter_mut().zip(index.to_array()).for_each(|(to, whole)| *to = whole as u32);
             }
             #[inline(always)]
-            fn pick($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
-                $picked
+            fn lookup($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
+                $from_table
             }
             #[inline(always)]
-            fn pick_wide($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
-                $picked_wide
+            fn lookup_wide($tables: [&[$scalar]; 2], $index: Self::Index) -> Self {
+                $from_wide_table
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
@@ -347,12 +301,12 @@ macro_rules! precision {
                 (0..$steps).fold(root, |root, _| nearer_to_root(root, self))
             }
             #[inline(always)]
-            fn rsqrt_1p_near(self) -> Self {
-                $root_near(self)
+            fn rsqrt_1p_quarter(self) -> Self {
+                $root_quarter(self)
             }
             #[inline(always)]
-            fn rsqrt_1p_nearest(self) -> Self {
-                $root_nearest(self)
+            fn rsqrt_1p_sixteenth(self) -> Self {
+                $root_sixteenth(self)
             }
             #[inline(always)]
             fn abs(self) -> Self {
@@ -388,8 +342,8 @@ macro_rules! precision {
                 $exp2(t)
             }
             #[inline(always)]
-            fn eight(self) -> [f64; 8] {
-                $eight(self).to_array()
+            fn fold_to_8(self) -> [f64; 8] {
+                $fold(self).to_array()
             }
         }
     };
@@ -397,7 +351,7 @@ macro_rules! precision {
 
 precision!(
     f32, f32x16, u32x16, u32, width 16, mantissa 23, rsqrt 0x5f37_5a86 in 2, horizon 126.0, far 1e15, exp2 exp2_f32,
-    pick |tables, index| {
+    lookup |tables, index| {
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_eight(tables[0], first), one_of_eight(tables[1], second)])
     },
@@ -405,12 +359,12 @@ precision!(
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
         bytemuck::cast([one_of_sixteen(tables[0], first), one_of_sixteen(tables[1], second)])
     },
-    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_near_f32, nearest root_nearest_f32, eight eight_of_16,
+    log2_1p log2_1p_f32, log2_1p_near_f32 up to 1.9374, root_of_1_plus root_quarter_f32, sixteenth root_sixteenth_f32, fold fold_16_to_8,
     columns columns_of_f32
 );
 precision!(
     f64, f64x8, u64x8, u64, width 8, mantissa 52, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, horizon 1022.0, far 1e120, exp2 exp2_f64,
-    pick |tables, index| {
+    lookup |tables, index| {
         let tables = [&tables[0][..4], &tables[1][..4]];
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 4])
@@ -420,7 +374,7 @@ precision!(
         let index = index.to_array();
         Self::from_fn(|lane| tables[lane / 4][index[lane] as usize % 8])
     },
-    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_near_f64, nearest root_near_f64, eight |lanes| lanes
+    log2_1p log2_1p_f64, log2_1p_near_f64 up to 0.4142, root_of_1_plus root_quarter_f64, sixteenth root_quarter_f64, fold |lanes| lanes
 );
 
 #[cfg(test)]
@@ -439,7 +393,7 @@ mod tests {
             if truth < 1e-36 {
                 continue;
             }
-            let (lanes, near) = (R::Lanes::splat(x), x.to_f64() <= R::Lanes::NEAR);
+            let (lanes, near) = (R::Lanes::splat(x), x.to_f64() <= R::Lanes::LOG_NEAR);
             for log in [Some(lanes.log2_1p()), near.then(|| lanes.log2_1p_near())].into_iter().flatten() {
                 let value = (log * R::Lanes::splat(minus_q)).exp2();
                 worst = worst.max((value.sum() / R::Lanes::WIDTH as f64 - truth).abs());
@@ -467,7 +421,7 @@ mod tests {
     fn worst_relative_error_of_a_logarithm<R: Real>(x: impl Iterator<Item = f64>) -> f64 {
         x.flat_map(|x| {
             let (lanes, x) = (R::Lanes::splat(R::from_f64(x)), R::from_f64(x).to_f64());
-            let logarithms = [Some(lanes.log2_1p()), (x <= R::Lanes::NEAR).then(|| lanes.log2_1p_near())];
+            let logarithms = [Some(lanes.log2_1p()), (x <= R::Lanes::LOG_NEAR).then(|| lanes.log2_1p_near())];
             let truth = libm::log1p(x) / std::f64::consts::LN_2;
             logarithms.map(|log| log.map_or(0.0, |log| (log.sum() / R::Lanes::WIDTH as f64 / truth - 1.0).abs()))
         })
@@ -481,7 +435,7 @@ mod tests {
             let border = libm::exp2(f64::from(i / 32)) * (1.0 + f64::from(i % 32) / 32.0) - 1.0;
             [-2.0, -1.0, 0.0, 1.0, 2.0].map(|step| border + step * f64::from(f32::EPSILON) / 2.0)
         });
-        let near = [f32x16::NEAR, f64x8::NEAR, std::f64::consts::SQRT_2 - 1.0].into_iter();
+        let near = [f32x16::LOG_NEAR, f64x8::LOG_NEAR, std::f64::consts::SQRT_2 - 1.0].into_iter();
         let all = (0..100_000).map(|i| libm::pow(10.0, -30.0 + 50.0 * f64::from(i) / 100_000.0));
         let some = || all.clone().chain(borders.clone()).chain(near.clone()).filter(|&x| x > 0.0);
         let (double, single) =
@@ -535,14 +489,18 @@ mod tests {
             assert!((double / truth - 1.0).abs() <= 2.0 * f64::EPSILON, "{e}: {double} against {truth}");
         };
         for i in -10_000..=10_000 {
-            let [nearest, near] = NEAR_ONE.map(|most| most * f64::from(i) / 10_000.0);
-            check(near, f32x16::splat(near as f32).rsqrt_1p_near(), f64x8::splat(near).rsqrt_1p_near());
-            check(nearest, f32x16::splat(nearest as f32).rsqrt_1p_nearest(), f64x8::splat(nearest).rsqrt_1p_nearest());
+            let [nearest, near] = ROOT_RANGES.map(|most| most * f64::from(i) / 10_000.0);
+            check(near, f32x16::splat(near as f32).rsqrt_1p_quarter(), f64x8::splat(near).rsqrt_1p_quarter());
+            check(
+                nearest,
+                f32x16::splat(nearest as f32).rsqrt_1p_sixteenth(),
+                f64x8::splat(nearest).rsqrt_1p_sixteenth(),
+            );
         }
     }
 
-    /// Numbers at and just below whole ones are split by floor, and lanes pick from the table of their half by the whole part.
-    fn split_and_pick<R: Real>(below_one: f64) {
+    /// Numbers at and just below whole ones are split by floor, and lanes look up the table of their half by the whole part.
+    fn split_and_lookup<R: Real>(below_one: f64) {
         let width = R::Lanes::WIDTH;
         let table: Vec<R> = (0..2 * width).map(|i| R::from_index(100 + i)).collect();
         for first in 0..width {
@@ -561,8 +519,8 @@ mod tests {
                     let mut lanes = [vec![R::ZERO; width], vec![R::ZERO; width], vec![R::ZERO; width]];
                     let tables = [&table[..], &table[width..]];
                     fraction.write(&mut lanes[0]);
-                    R::Lanes::pick(tables, index).write(&mut lanes[1]);
-                    R::Lanes::pick_wide(tables, index).write(&mut lanes[2]);
+                    R::Lanes::lookup(tables, index).write(&mut lanes[1]);
+                    R::Lanes::lookup_wide(tables, index).write(&mut lanes[2]);
                     let [fraction, narrow, wide] = lanes.map(|lanes| lanes[lane].to_f64());
                     let expected = 100.0 + floor + if lane < width / 2 { 0.0 } else { width as f64 };
                     assert_eq!(fraction, given[lane].to_f64() - floor);
@@ -574,9 +532,9 @@ mod tests {
     }
 
     #[test]
-    fn lanes_are_split_into_whole_numbers_and_pick_from_the_tables_of_their_halves() {
-        split_and_pick::<f32>(0.999_998);
-        split_and_pick::<f64>(1.0 - 1e-14);
+    fn lanes_are_split_into_whole_numbers_and_look_up_the_tables_of_their_halves() {
+        split_and_lookup::<f32>(0.999_998);
+        split_and_lookup::<f64>(1.0 - 1e-14);
     }
 
     #[test]

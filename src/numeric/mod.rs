@@ -1,13 +1,15 @@
-//! The ground: scalars, SIMD lanes, sums, random numbers and threads. Knows nothing of CT.
+//! Scalars, SIMD lanes, sums, random numbers and threads. It does not depend on any other module.
 
 pub mod elementary;
 pub mod exponentials;
 pub mod lanes;
 mod polynomials;
+mod real;
 pub mod rearrange;
 pub mod reduce;
 pub mod rng;
 pub mod threads;
 pub mod vectors;
 
-pub use lanes::{Lanes, NEAR_ONE, Real, WIDEST, real};
+pub use lanes::{Lanes, ROOT_RANGES, WIDEST};
+pub use real::{Real, real};

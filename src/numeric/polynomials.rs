@@ -1,15 +1,15 @@
-//! Logarithms, powers of two and inverse roots of [`Lanes`], of several registers at a time. Coefficients are minimax in
-//! relative error, tables and they from reference/generate/polynomials.py.
+//! Logarithms, powers of two and inverse square roots of [`Lanes`], of several registers at a time.
 //!
-//! In f32, logarithms and powers begin with a table of eight or sixteen and end with a short polynomial: a processor that
-//! permutes the numbers of a register does so beside its multiply-adds, of which a polynomial alone needs half as many again.
+//! Coefficients are minimax in relative error. `reference/generate/polynomials.py` computes them and the tables.
+//!
+//! In f32, logarithms and powers combine a table of 8 or 16 entries with a short polynomial. Permutations use another
+//! execution port than multiply-adds, of which a polynomial alone would need 50 % more.
 
-use super::lanes::{Lanes, Real, real};
+use super::{Lanes, Real};
 use std::array::from_fn;
 use wide::{f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 
-/// `c[0] + c[1] x + c[2] x² + …` by Horner's rule, fused: the fewest steps. Each waits for the one before, but not for
-/// those of the other registers.
+/// `c[0] + c[1] x + c[2] x² + …` by Horner's rule with FMA. The registers' dependency chains are independent.
 #[inline(always)]
 pub(super) fn polynomial<L: Lanes, const N: usize, const TERMS: usize>(
     x: [L; N],
@@ -20,8 +20,9 @@ pub(super) fn polynomial<L: Lanes, const N: usize, const TERMS: usize>(
     coefficients[..TERMS - 1].iter().rev().fold(last, step)
 }
 
-/// Around 1 + i/8, a number near the inverse, and -log2 of it: of all such numbers nearby the one whose logarithm is nearest
-/// to an f32, to 6e-11. The first eight are those of an octave.
+/// Approximate inverses of 1 + i/8, and -log2 of them. The first eight cover one octave.
+///
+/// Of the numbers near each inverse, the one whose logarithm is closest to an f32 was chosen: within 6e-11.
 const INVERSE_F32: [f32; 16] = [
     1.0e+00,
     8.889791e-01,
@@ -72,7 +73,7 @@ const LOG2_F64: [f64; 8] = [
     2.1918244659274513e-01,
     2.305381423985441e-01,
 ];
-/// 2^(i/8), and what they lack of it, relative to themselves.
+/// 2^(i/8), and the relative rounding errors of these.
 #[allow(clippy::approx_constant, reason = "√2 is one of them")]
 const POWER_F32: [f32; 8] =
     [1.0e+00, 1.0905077e+00, 1.1892071e+00, 1.2968396e+00, 1.4142135e+00, 1.5422108e+00, 1.6817929e+00, 1.8340081e+00];
@@ -109,7 +110,7 @@ const EXP2_F64: [f64; 11] = [
 const ROOT_F32: [f32; 7] =
     [-4.9999994e-01, 3.750099e-01, -3.1251863e-01, 2.724889e-01, -2.4487777e-01, 2.5110355e-01, -2.366246e-01];
 /// The same on [-1/16, 1/16]; 1.5e-8.
-const ROOT_NEAREST_F32: [f32; 4] = [-4.9999884e-01, 3.7499842e-01, -3.137006e-01, 2.7469513e-01];
+const ROOT_SIXTEENTH_F32: [f32; 4] = [-4.9999884e-01, 3.7499842e-01, -3.137006e-01, 2.7469513e-01];
 /// The same on [-1/4, 1/4], to 2.4e-7: a step of third order takes that to 3e-20.
 const ROOT_F64: [f64; 6] = [
     -5.00005971871159e-01,
@@ -120,14 +121,14 @@ const ROOT_F64: [f64; 6] = [
     2.5136991558173755e-01,
 ];
 
-/// Added to a number it rounds it to eighths and leaves these in the low bits: 1.5·2^20.
+/// Adding this rounds a number to eighths, whose count is then in the low bits: 1.5·2^20.
 const EIGHTHS: f32 = 1_572_864.0;
-/// The same with whole numbers: 1.5·2^52.
+/// The same with integers: 1.5·2^52.
 const WHOLE: f64 = 6_755_399_441_055_744.0;
 /// An eighth of an octave in the bits of a number: three bits below the exponent.
 const EIGHTH: u32 = 20;
 
-/// The bits of the first numbers of a table, and i times as many more as `step`.
+/// The bits of the first entries of a table, plus `i·step` for entry i.
 const fn stepped<const N: usize>(table: &[f32], step: u32) -> [u32; N] {
     let (mut bits, mut i) = ([0; N], 0);
     while i < N {
@@ -137,7 +138,7 @@ const fn stepped<const N: usize>(table: &[f32], step: u32) -> [u32; N] {
     bits
 }
 
-/// Of [`LOG2_OF_INVERSE_F32`], what it has more than i/8; exactly.
+/// `LOG2_OF_INVERSE_F32[i] - i/8`, exact.
 const LOG2_REST_F32: [f32; 8] = {
     let (mut rest, mut i) = ([0.0; 8], 0);
     while i < 8 {
@@ -147,30 +148,30 @@ const LOG2_REST_F32: [f32; 8] = {
     rest
 };
 
-/// The number of a table at the index's last four bits.
+/// `table[index % 16]`.
 #[inline(always)]
 fn one_of_sixteen(table: [u32; 16], index: u32x16) -> f32x16 {
     if cfg!(target_feature = "avx512f") {
         bytemuck::cast(u32x16::new(table).shuffle_wrapping(index))
     } else {
         let [low, high]: [u32x8; 2] = bytemuck::cast(table);
-        let pick = |half: u32x8| {
-            // The fourth bit becomes the sign, by which one or the other is taken.
+        let lookup = |half: u32x8| {
+            // The fourth bit becomes the sign, which selects one of the tables.
             let above: i32x8 = bytemuck::cast(half.unbounded_shl_scalar(28));
             let from = |table: u32x8| -> i32x8 { bytemuck::cast(table.shuffle_wrapping(half)) };
             above.simd_lt(i32x8::splat(0)).select(from(high), from(low))
         };
-        // Not `map`, which may stay a call.
+        // Not `map`, which the compiler may not inline.
         let [first, second]: [u32x8; 2] = bytemuck::cast(index);
-        bytemuck::cast([pick(first), pick(second)])
+        bytemuck::cast([lookup(first), lookup(second)])
     }
 }
 
-/// The number of a table at the index's last three bits.
+/// `table[index % 8]`.
 #[inline(always)]
 fn one_of_eight(table: [u32; 8], index: u32x16) -> f32x16 {
     if cfg!(target_feature = "avx512f") {
-        // Twice the eight: one permutation of sixteen.
+        // The table twice: one permutation of sixteen.
         one_of_sixteen(bytemuck::cast([table, table]), index)
     } else {
         let ([first, second], table): ([u32x8; 2], _) = (bytemuck::cast(index), u32x8::new(table));
@@ -188,9 +189,8 @@ fn one_plus<L: Lanes, const N: usize, const TERMS: usize>(x: [L; N], coefficient
 /// A step of third order towards `1/√radicand`: from a relative error ε to 2.5 ε³.
 #[inline(always)]
 pub(super) fn nearer_to_root<L: Lanes>(root: L, radicand: L) -> L {
-    let splat = |value: f64| L::splat(real(value));
-    let error = (-radicand * root).fma(root, splat(1.0));
-    (root * error).fma(error.fma(splat(0.375), splat(0.5)), root)
+    let error = (-radicand * root).fma(root, L::splat_f64(1.0));
+    (root * error).fma(error.fma(L::splat_f64(0.375), L::splat_f64(0.5)), root)
 }
 
 /// `log2(1+x)` for x from 0 to 31/16: 1+x is a small step from one of sixteen inverses.
@@ -207,12 +207,14 @@ pub(super) fn log2_1p_near_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
     from_fn(|i| step[i].fma(series[i], one_of_sixteen(LOGARITHMS, part[i])))
 }
 
-/// `log2(1+x)`. The bits of the rounded 1+x, from those of 31/32 on, say in which part i of which octave k it is; the step is
-/// taken from x itself, so nothing of a small x is lost.
+/// `log2(1+x)`.
+///
+/// The bits of the rounded 1+x, relative to those of 31/32, give the part i of the octave k. The step is taken from x
+/// itself, so that a small x loses no digits.
 #[inline(always)]
 pub(super) fn log2_1p_f32<const N: usize>(x: [f32x16; N]) -> [f32x16; N] {
     const LEAST: u32 = (31.0_f32 / 32.0).to_bits();
-    // Eighths or-ed into its bits are added to it.
+    // Adding eighths to this number is the same as or-ing them into its bits.
     const SCALE: f32 = (1 << EIGHTH) as f32;
     const INVERSES: [u32; 8] = stepped(&INVERSE_F32, 1 << EIGHTH);
     const LOGARITHMS: [u32; 8] = stepped(&LOG2_REST_F32, 0);
@@ -239,12 +241,14 @@ pub(super) fn log2_1p_near_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
     log2_of_1_plus(x, [f64x8::splat(0.0); N])
 }
 
-/// `log2(1+x)`. 1+x = 2^k·(1+f) with 1+f from √½ to √2: the exponent k is read off the rounded 1+x, then
-/// f = x·2^-k + (2^-k - 1) is taken from x itself, so nothing of a small x is lost.
+/// `log2(1+x)`.
+///
+/// 1+x = 2^k·(1+f) with 1+f from √½ to √2. The exponent k is that of the rounded 1+x;
+/// f = x·2^-k + (2^-k - 1) is taken from x itself, so that a small x loses no digits.
 #[inline(always)]
 pub(super) fn log2_1p_f64<const N: usize>(x: [f64x8; N]) -> [f64x8; N] {
     const LEAST: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
-    // A whole number or-ed into its bits is added to it.
+    // Adding an integer to this number is the same as or-ing it into its bits.
     const INTEGER: f64 = (1_u64 << 52) as f64;
     let one = f64x8::splat(1.0);
     let exponent: [u64x8; N] = x.map(|x| {
@@ -271,10 +275,10 @@ fn log2_of_1_plus<const N: usize>(f: [f64x8; N], whole: [f64x8; N]) -> [f64x8; N
     from_fn(|i| s[i].fma(series[i], whole[i]))
 }
 
-/// `2^t`: eighths go into the exponent and pick from the table, the rest into the polynomial.
+/// `2^t`: eighths go into the exponent and the table's index, the remainder into the polynomial.
 #[inline(always)]
 pub(super) fn exp2_f32<const N: usize>(t: [f32x16; N]) -> [f32x16; N] {
-    // Less the eighths that go into the mantissa when whole ones go into the exponent.
+    // Minus the eighths that the shift into the exponent adds to the mantissa.
     const POWERS: [u32; 8] = stepped(&POWER_F32, (1_u32 << EIGHTH).wrapping_neg());
     const LACKS: [u32; 8] = stepped(&LACK_F32, 0);
     let rounder = f32x16::splat(EIGHTHS);
@@ -289,7 +293,7 @@ pub(super) fn exp2_f32<const N: usize>(t: [f32x16; N]) -> [f32x16; N] {
     })
 }
 
-/// `2^t`: what is whole goes into the exponent, the rest into the polynomial.
+/// `2^t`: the integer part goes into the exponent, the remainder into the polynomial.
 #[inline(always)]
 pub(super) fn exp2_f64<const N: usize>(t: [f64x8; N]) -> [f64x8; N] {
     let rounder = f64x8::splat(WHOLE);
@@ -303,16 +307,16 @@ pub(super) fn exp2_f64<const N: usize>(t: [f64x8; N]) -> [f64x8; N] {
 }
 
 #[inline(always)]
-pub(super) fn root_near_f32(e: f32x16) -> f32x16 {
+pub(super) fn root_quarter_f32(e: f32x16) -> f32x16 {
     one_plus([e], &ROOT_F32)[0]
 }
 
 #[inline(always)]
-pub(super) fn root_nearest_f32(e: f32x16) -> f32x16 {
-    one_plus([e], &ROOT_NEAREST_F32)[0]
+pub(super) fn root_sixteenth_f32(e: f32x16) -> f32x16 {
+    one_plus([e], &ROOT_SIXTEENTH_F32)[0]
 }
 
 #[inline(always)]
-pub(super) fn root_near_f64(e: f64x8) -> f64x8 {
+pub(super) fn root_quarter_f64(e: f64x8) -> f64x8 {
     nearer_to_root(one_plus([e], &ROOT_F64)[0], e + f64x8::splat(1.0))
 }

@@ -1,32 +1,31 @@
-//! Lanes in another order.
+//! Permutations of lanes.
 
 use wide::{f32x8, f32x16, f64x8, i32x8, u32x8, u32x16, u64x8};
 
-/// Registers that are dealt together.
-pub const DEALT: usize = 8;
+/// Registers that are interleaved together.
+pub const INTERLEAVED: usize = 8;
 
-/// Moves of values between lanes; none of them computes.
+/// Moves of values between lanes, without arithmetic.
 pub trait Rearrange<R>: Sized {
-    /// Registers from values that are `stride` apart, each in place `row` of its column: lane l of the i-th one is
-    /// `values[l·stride + i]`.
-    fn deal<const N: usize>(values: &[R], stride: usize, columns: &mut [[Self; N]; DEALT], row: usize);
+    /// Loads a register into entry `row` of each column: lane l of column i is `values[l·stride + i]`.
+    fn deinterleave<const N: usize>(values: &[R], stride: usize, columns: &mut [[Self; N]; INTERLEAVED], row: usize);
     /// The inverse.
-    fn collect<const N: usize>(columns: &[[Self; N]; DEALT], row: usize, values: &mut [R], stride: usize);
-    /// Every lane one further up; the first one is 0.
-    fn up(self) -> Self;
-    /// Every lane one further down; the last one is 0.
-    fn down(self) -> Self;
+    fn interleave<const N: usize>(columns: &[[Self; N]; INTERLEAVED], row: usize, values: &mut [R], stride: usize);
+    /// Moves every lane up by one; the first becomes 0.
+    fn shift_up(self) -> Self;
+    /// Moves every lane down by one; the last becomes 0.
+    fn shift_down(self) -> Self;
 }
 
 #[inline(always)]
-fn eight(values: &[f32]) -> f32x8 {
+fn load_8(values: &[f32]) -> f32x8 {
     f32x8::new(values[..8].try_into().expect("a slice of this length"))
 }
 
 /// `table[index]` for indices below 8.
 #[inline(always)]
 pub(super) fn one_of_eight(table: &[f32], index: u32x8) -> u32x8 {
-    bytemuck::cast::<_, u32x8>(eight(table)).shuffle(index)
+    bytemuck::cast::<_, u32x8>(load_8(table)).shuffle(index)
 }
 
 /// `table[index]` for indices below 16.
@@ -48,7 +47,7 @@ pub(super) fn wider([a, b, c, d, e, f, g, h]: [f32; 8]) -> f64x8 {
 /// [`Real::columns`](super::Real::columns), in registers.
 #[inline(always)]
 pub(super) fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
-    let row = |i: usize| eight(rows[i]);
+    let row = |i: usize| load_8(rows[i]);
     let [a, b, c, d, e, f, g, h] =
         f32x8::transpose([row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]).map(f32x8::to_array);
     [wider(a), wider(b), wider(c), wider(d), wider(e), wider(f), wider(g), wider(h)]
@@ -57,55 +56,56 @@ pub(super) fn columns_of_f32(rows: [&[f32]; 8]) -> [f64x8; 8] {
 // By halves of eight lanes, for which there is a fast transpose; in memory, where halves are a register.
 impl Rearrange<f32> for f32x16 {
     #[inline(always)]
-    fn deal<const N: usize>(values: &[f32], stride: usize, columns: &mut [[Self; N]; DEALT], row: usize) {
+    fn deinterleave<const N: usize>(values: &[f32], stride: usize, columns: &mut [[Self; N]; INTERLEAVED], row: usize) {
         for half in [0, 8] {
-            let lane = |i: usize| eight(&values[(half + i) * stride..]);
-            let dealt = f32x8::transpose([lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7)]);
-            for i in 0..DEALT {
-                columns[i][row].as_mut_array()[half..][..8].copy_from_slice(dealt[i].as_array());
+            let lane = |i: usize| load_8(&values[(half + i) * stride..]);
+            let columns_of_half =
+                f32x8::transpose([lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7)]);
+            for i in 0..INTERLEAVED {
+                columns[i][row].as_mut_array()[half..][..8].copy_from_slice(columns_of_half[i].as_array());
             }
         }
     }
     #[inline(always)]
-    fn collect<const N: usize>(columns: &[[Self; N]; DEALT], row: usize, values: &mut [f32], stride: usize) {
+    fn interleave<const N: usize>(columns: &[[Self; N]; INTERLEAVED], row: usize, values: &mut [f32], stride: usize) {
         for half in [0, 8] {
-            let column = |i: usize| eight(&columns[i][row].as_array()[half..]);
+            let column = |i: usize| load_8(&columns[i][row].as_array()[half..]);
             let lanes = [column(0), column(1), column(2), column(3), column(4), column(5), column(6), column(7)];
             let lanes = f32x8::transpose(lanes);
             for i in 0..8 {
-                values[(half + i) * stride..][..DEALT].copy_from_slice(lanes[i].as_array());
+                values[(half + i) * stride..][..INTERLEAVED].copy_from_slice(lanes[i].as_array());
             }
         }
     }
     #[inline(always)]
-    fn up(self) -> Self {
+    fn shift_up(self) -> Self {
         self.shuffle_zeroing(u32x16::new([16, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]))
     }
     #[inline(always)]
-    fn down(self) -> Self {
+    fn shift_down(self) -> Self {
         self.shuffle_zeroing(u32x16::new([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]))
     }
 }
 
 impl Rearrange<f64> for f64x8 {
     #[inline(always)]
-    fn deal<const N: usize>(values: &[f64], stride: usize, columns: &mut [[Self; N]; DEALT], row: usize) {
+    fn deinterleave<const N: usize>(values: &[f64], stride: usize, columns: &mut [[Self; N]; INTERLEAVED], row: usize) {
         for (i, column) in columns.iter_mut().enumerate() {
             column[row] = Self::new(std::array::from_fn(|lane| values[lane * stride + i]));
         }
     }
     #[inline(always)]
-    fn collect<const N: usize>(columns: &[[Self; N]; DEALT], row: usize, values: &mut [f64], stride: usize) {
+    fn interleave<const N: usize>(columns: &[[Self; N]; INTERLEAVED], row: usize, values: &mut [f64], stride: usize) {
         for (i, column) in columns.iter().enumerate() {
             column[row].as_array().iter().enumerate().for_each(|(lane, &value)| values[lane * stride + i] = value);
         }
     }
     #[inline(always)]
-    fn up(self) -> Self {
+    fn shift_up(self) -> Self {
         self.shuffle_zeroing(u64x8::new([8, 0, 1, 2, 3, 4, 5, 6]))
     }
     #[inline(always)]
-    fn down(self) -> Self {
+    fn shift_down(self) -> Self {
         self.shuffle_zeroing(u64x8::new([1, 2, 3, 4, 5, 6, 7, 8]))
     }
 }
@@ -115,31 +115,31 @@ mod tests {
     use super::*;
     use crate::numeric::{Lanes, Real};
 
-    fn lanes_are_dealt_collected_and_moved<R: Real>() {
+    fn lanes_are_interleaved_and_shifted<R: Real>() {
         let width = R::Lanes::WIDTH;
-        for stride in [DEALT, 11] {
+        for stride in [INTERLEAVED, 11] {
             let values: Vec<R> = (0..width * stride).map(R::from_index).collect();
-            let mut columns = [[R::Lanes::default(); 2]; DEALT];
-            R::Lanes::deal(&values, stride, &mut columns, 1);
+            let mut columns = [[R::Lanes::default(); 2]; INTERLEAVED];
+            R::Lanes::deinterleave(&values, stride, &mut columns, 1);
             let mut written = vec![R::ZERO; width];
             for (i, [_, register]) in columns.into_iter().enumerate() {
                 let value = |lane: usize| values[lane * stride + i];
                 register.write(&mut written);
                 assert!((0..width).all(|lane| written[lane] == value(lane)));
-                register.up().write(&mut written);
+                register.shift_up().write(&mut written);
                 assert!((1..width).all(|lane| written[lane] == value(lane - 1)) && written[0] == R::ZERO);
-                register.down().write(&mut written);
+                register.shift_down().write(&mut written);
                 assert!((1..width).all(|lane| written[lane - 1] == value(lane)) && written[width - 1] == R::ZERO);
             }
             let mut back = vec![R::ZERO; values.len()];
-            R::Lanes::collect(&columns, 1, &mut back, stride);
-            assert!((0..width * stride).all(|i| back[i] == if i % stride < DEALT { values[i] } else { R::ZERO }));
+            R::Lanes::interleave(&columns, 1, &mut back, stride);
+            assert!((0..width * stride).all(|i| back[i] == if i % stride < INTERLEAVED { values[i] } else { R::ZERO }));
         }
     }
 
     #[test]
-    fn lanes_of_both_precisions_are_dealt_collected_and_moved() {
-        lanes_are_dealt_collected_and_moved::<f32>();
-        lanes_are_dealt_collected_and_moved::<f64>();
+    fn lanes_of_both_precisions_are_interleaved_and_shifted() {
+        lanes_are_interleaved_and_shifted::<f32>();
+        lanes_are_interleaved_and_shifted::<f64>();
     }
 }

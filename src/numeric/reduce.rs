@@ -7,14 +7,14 @@ use wide::{f32x16, f64x2, f64x4, f64x8};
 
 /// Values added one after another before the tree begins.
 const LEAF: usize = 32;
-/// Leaves gone through side by side: a sum waits for the one before in its own leaf alone.
+/// Leaves that are summed side by side, so that their dependency chains overlap.
 const ABREAST: usize = 8;
-/// Values of these leaves.
+/// Values in these leaves.
 const GROUP: usize = ABREAST * LEAF;
-/// Values that one worker adds up, so that handing them over costs little beside.
+/// Values of one task, enough to make the cost of a task negligible.
 const SHARE: usize = 1 << 13;
 
-/// Sum of eight lanes, by halves. In registers, or the compiler takes the lanes of several sums apart.
+/// Sum of eight lanes, by halves. Explicit registers keep the compiler from splitting several sums into scalars.
 #[inline(always)]
 pub(super) fn sum_of_8(lanes: f64x8) -> f64 {
     let [low, high]: [f64x4; 2] = bytemuck::cast(lanes);
@@ -23,9 +23,9 @@ pub(super) fn sum_of_8(lanes: f64x8) -> f64 {
     low + high
 }
 
-/// Both halves of sixteen lanes added up, in f64.
+/// Sums of the two halves of sixteen lanes, in f64.
 #[inline(always)]
-pub(super) fn eight_of_16(lanes: f32x16) -> f64x8 {
+pub(super) fn fold_16_to_8(lanes: f32x16) -> f64x8 {
     let halves: [[f32; 8]; 2] = bytemuck::cast(lanes);
     wider(halves[0]) + wider(halves[1])
 }
@@ -35,7 +35,7 @@ fn middle(n: usize) -> usize {
     n.div_ceil(2 * LEAF) * LEAF
 }
 
-/// Pairwise sum: leaves of 32 values in order, halves joined left to right; several workers add up many.
+/// Pairwise sum: leaves of 32 values in order, halves joined left to right; parallel for many values.
 pub fn sum<R: Real>(values: &[R]) -> f64 {
     match values.len() {
         0..=LEAF => values.iter().fold(0.0, |total, value| total + value.to_f64()),
@@ -45,13 +45,13 @@ pub fn sum<R: Real>(values: &[R]) -> f64 {
             if n <= SHARE {
                 return sum(left) + sum(right);
             }
-            let (left, right) = threads::both(|| sum(left), || sum(right));
+            let (left, right) = threads::join(|| sum(left), || sum(right));
             left + right
         }
     }
 }
 
-/// [`sum`] of `n` values that are made as they are asked for: `make(range, values)` writes those of a range.
+/// [`sum`] of `n` values that are computed on demand: `make(range, values)` writes those of a range.
 pub fn sum_made<R: Real>(n: usize, make: &(impl Fn(Range<usize>, &mut [R]) + Sync)) -> f64 {
     made(0..n, make)
 }
@@ -65,11 +65,11 @@ fn made<R: Real>(indices: Range<usize>, make: &(impl Fn(Range<usize>, &mut [R]) 
     }
     let between = indices.start + middle(n);
     let (left, right) = (|| made(indices.start..between, make), || made(between..indices.end, make));
-    let (left, right) = if n <= SHARE { (left(), right()) } else { threads::both(left, right) };
+    let (left, right) = if n <= SHARE { (left(), right()) } else { threads::join(left, right) };
     left + right
 }
 
-/// The sums of the leaves of a group, a lane each.
+/// The sums of the leaves of a group, one per lane.
 fn leaves<R: Real>(values: &[R]) -> [f64; ABREAST] {
     let mut totals = f64x8::default();
     for i in (0..LEAF).step_by(ABREAST) {
@@ -83,13 +83,13 @@ fn join([a, b, c, d, e, f, g, h]: [f64; ABREAST]) -> f64 {
     ((a + b) + (c + d)) + ((e + f) + (g + h))
 }
 
-/// Pairwise sum of the terms of some indices, with the same tree as [`sum`]; several workers add up many.
+/// Pairwise sum of the terms of a range of indices, with the same tree as [`sum`]; parallel for many terms.
 pub fn sum_of(indices: Range<usize>, term: &(impl Fn(usize) -> f64 + Sync)) -> f64 {
     if indices.len() <= SHARE {
         return tree(indices, term);
     }
     let between = indices.start + middle(indices.len());
-    let (left, right) = threads::both(|| sum_of(indices.start..between, term), || sum_of(between..indices.end, term));
+    let (left, right) = threads::join(|| sum_of(indices.start..between, term), || sum_of(between..indices.end, term));
     left + right
 }
 

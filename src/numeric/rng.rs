@@ -1,10 +1,12 @@
-//! Counter-based random numbers: a draw is a function of (seed, purpose, step, id, component),
-//! so it does not depend on the order of the work or on what else was drawn. Not in the paper.
+//! Counter-based random numbers. Not in the paper.
+//!
+//! A draw is a function of (seed, purpose, step, id, component). It does not depend on the order of the work or on other
+//! draws.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// What the numbers are for. Each purpose has its own key, so two never share a stream.
+/// Purposes of random numbers. Each has its own key, so that no two share a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
@@ -20,8 +22,8 @@ pub enum Purpose {
     TestAngles = 5,
     /// Solids of a procedural phantom; id = solid.
     Phantom = 6,
-    /// Stirring of positions by the sampler; step = iteration, id = primitive.
-    Stirring = 7,
+    /// Noise of the positions in SGHMC; step = iteration, id = primitive.
+    PositionNoise = 7,
     /// Positions of the parts of a split primitive; step = iteration, id = primitive.
     Splitting = 8,
     /// Choice of the primitives to copy; step = iteration.

@@ -1,5 +1,7 @@
-//! The only user of threads. Work is cut by sizes alone, never by the size of the pool, and
-//! results come back in index order: the number of threads cannot change a bit.
+//! The only user of threads.
+//!
+//! Work is divided by its size alone, never by the number of workers, and results are in index order. The number of
+//! threads therefore cannot change a bit.
 
 use crate::error::{Error, Result};
 use rayon::prelude::*;
@@ -8,10 +10,10 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 use std::sync::Mutex;
 
-/// A number of workers, kept for several pieces of work.
-pub struct Pool(rayon::ThreadPool);
+/// A thread pool.
+pub struct WorkerPool(rayon::ThreadPool);
 
-impl Pool {
+impl WorkerPool {
     /// `threads` workers (0: one for each core).
     ///
     /// # Errors
@@ -35,16 +37,15 @@ impl Pool {
 /// # Errors
 /// When the operating system refuses to start the threads.
 pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Result<T> {
-    Ok(Pool::new(threads)?.run(work))
+    Ok(WorkerPool::new(threads)?.run(work))
 }
 
-/// Runs `work(0)` … `work(n-1)` at the same time, each on a single worker of its own: `n` pieces of work that are not
-/// divided further.
+/// Runs `work(0)` … `work(n-1)` in parallel, each on one thread of its own.
 ///
 /// # Errors
 /// When the operating system refuses to start the threads.
 pub fn side_by_side(n: usize, work: impl Fn(usize) + Sync) -> Result<()> {
-    let pools = (0..n).map(|_| Pool::new(1)).collect::<Result<Vec<_>>>()?;
+    let pools = (0..n).map(|_| WorkerPool::new(1)).collect::<Result<Vec<_>>>()?;
     std::thread::scope(|scope| {
         for (number, pool) in pools.iter().enumerate() {
             let work = &work;
@@ -59,8 +60,8 @@ pub fn count() -> usize {
     rayon::current_num_threads()
 }
 
-/// `(a(), b())`, at the same time if a worker is free.
-pub fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+/// `(a(), b())`, in parallel if a worker is free.
+pub fn join<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
     rayon::join(a, b)
 }
 
@@ -69,13 +70,13 @@ pub fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     (0..n).into_par_iter().with_max_len(1).map(f).collect()
 }
 
-/// As [`map`] for work so small that many neighbours belong in one task.
-pub fn map_many<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+/// As [`map`] for small work items: a task processes at least 64 of them.
+pub fn map_fine<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     (0..n).into_par_iter().with_min_len(64).map(f).collect()
 }
 
-/// [`map_many`] into memory that is there already; what it held goes.
-pub fn map_many_into<T: Send>(values: &mut Vec<T>, n: usize, f: impl Fn(usize) -> T + Sync + Send) {
+/// [`map_fine`] into an existing vector, whose contents are replaced.
+pub fn map_fine_into<T: Send>(values: &mut Vec<T>, n: usize, f: impl Fn(usize) -> T + Sync + Send) {
     (0..n).into_par_iter().with_min_len(64).map(f).collect_into_vec(values);
 }
 
@@ -84,89 +85,90 @@ pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize
     values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
 }
 
-/// Consecutive chunks of an array (the last may be shorter), to be gone through beside those of others.
+/// Consecutive chunks of an array (the last may be shorter), for [`for_each_zip`].
 pub fn chunks<T: Send>(values: &mut [T], length: usize) -> ChunksMut<'_, T> {
     values.par_chunks_mut(length)
 }
 
-/// Calls `f(index, (chunk, chunk, …))` for a tuple of [`chunks`], as many of each array as there are of the shortest.
-pub fn for_each_of<C: IntoParallelIterator<Iter: IndexedParallelIterator>>(
+/// Calls `f(index, (chunk, chunk, …))` for a tuple of [`chunks`], up to the end of the shortest.
+pub fn for_each_zip<C: IntoParallelIterator<Iter: IndexedParallelIterator>>(
     chunks: C,
     f: impl Fn(usize, C::Item) + Sync + Send,
 ) {
     chunks.into_par_iter().with_max_len(1).enumerate().for_each(|(index, chunks)| f(index, chunks));
 }
 
-/// As [`for_each_chunk`], with something for a task to work in.
+/// As [`for_each_chunk`], with a scratch buffer from `pool` for each task.
 pub fn for_each_chunk_in<T: Send, S: Default + Send>(
     values: &mut [T],
     length: usize,
-    spares: &Spares<S>,
+    pool: &Pool<S>,
     f: impl Fn(usize, &mut [T], &mut S) + Sync + Send,
 ) {
-    for_each_chunk(values, length, |index, chunk| f(index, chunk, &mut spares.lend()));
+    for_each_chunk(values, length, |index, chunk| f(index, chunk, &mut pool.take()));
 }
 
-/// Things to work in, kept for the next task, which finds them as another left them: no more are made than are in use at
-/// the same time. Nobody knows which one a task gets, so nothing that it held before may matter.
-pub struct Spares<T>(Mutex<Vec<Box<T>>>);
+/// A pool of scratch buffers. A taken buffer holds arbitrary old data; callers must overwrite it.
+///
+/// As many buffers are allocated as are in use at the same time.
+pub struct Pool<T>(Mutex<Vec<Box<T>>>);
 
-/// One of [`Spares`], which it goes back to.
-pub struct Lent<'a, T> {
-    thing: Option<Box<T>>,
-    home: &'a Spares<T>,
+/// A buffer taken from a [`Pool`]. It returns there when dropped.
+pub struct PoolGuard<'a, T> {
+    buffer: Option<Box<T>>,
+    pool: &'a Pool<T>,
 }
 
-impl<T> Spares<T> {
+impl<T> Pool<T> {
     fn with<O>(&self, work: impl FnOnce(&mut Vec<Box<T>>) -> O) -> O {
         work(&mut self.0.lock().expect("nobody panics with it"))
     }
 }
 
-impl<T: Default> Spares<T> {
-    /// One that nobody uses, a new one if there is none.
-    pub fn lend(&self) -> Lent<'_, T> {
-        let spare = self.with(Vec::pop);
-        Lent { thing: Some(spare.unwrap_or_default()), home: self }
+impl<T: Default> Pool<T> {
+    /// An unused buffer, or a new one.
+    pub fn take(&self) -> PoolGuard<'_, T> {
+        let unused = self.with(Vec::pop);
+        PoolGuard { buffer: Some(unused.unwrap_or_default()), pool: self }
     }
 }
 
-impl<T> Default for Spares<T> {
+impl<T> Default for Pool<T> {
     fn default() -> Self {
         Self(Mutex::default())
     }
 }
 
-/// A copy of what uses them finds its own.
-impl<T> Clone for Spares<T> {
+/// A clone starts with an empty pool.
+impl<T> Clone for Pool<T> {
     fn clone(&self) -> Self {
         Self::default()
     }
 }
 
-impl<T> fmt::Debug for Spares<T> {
+impl<T> fmt::Debug for Pool<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Spares").field(&self.with(|things| things.len())).finish()
+        f.debug_tuple("Pool").field(&self.with(|buffers| buffers.len())).finish()
     }
 }
 
-impl<T> Deref for Lent<'_, T> {
+impl<T> Deref for PoolGuard<'_, T> {
     type Target = T;
     fn deref(&self) -> &T {
-        self.thing.as_ref().expect("there until it goes back")
+        self.buffer.as_ref().expect("present until dropped")
     }
 }
 
-impl<T> DerefMut for Lent<'_, T> {
+impl<T> DerefMut for PoolGuard<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
-        self.thing.as_mut().expect("there until it goes back")
+        self.buffer.as_mut().expect("present until dropped")
     }
 }
 
-impl<T> Drop for Lent<'_, T> {
+impl<T> Drop for PoolGuard<'_, T> {
     fn drop(&mut self) {
-        let thing = self.thing.take();
-        self.home.with(|things| things.extend(thing));
+        let buffer = self.buffer.take();
+        self.pool.with(|buffers| buffers.extend(buffer));
     }
 }
 
@@ -188,27 +190,27 @@ mod tests {
     }
 
     #[test]
-    fn every_chunk_is_worked_on_once_and_no_more_spaces_are_made_than_workers() {
-        let (spares, mut values) = (Spares::<Counted>::default(), vec![0; 1003]);
+    fn every_chunk_is_worked_on_once_and_no_more_buffers_are_made_than_workers() {
+        let (pool, mut values) = (Pool::<Counted>::default(), vec![0; 1003]);
         let work = |index: usize, chunk: &mut [usize], used: &mut Counted| {
             used.0 += 1;
             chunk.iter_mut().for_each(|value| *value += index + 1);
         };
-        let pool = Pool::new(3).unwrap();
+        let workers = WorkerPool::new(3).unwrap();
         for _ in 0..2 {
-            pool.run(|| for_each_chunk_in(&mut values, 10, &spares, work));
+            workers.run(|| for_each_chunk_in(&mut values, 10, &pool, work));
         }
         assert!(values.iter().enumerate().all(|(i, &value)| value == 2 * (i / 10 + 1)));
         let made = MADE.load(Ordering::Relaxed);
         assert!((1..=3).contains(&made));
-        let kept: Vec<_> = (0..made).map(|_| spares.lend()).collect();
+        let kept: Vec<_> = (0..made).map(|_| pool.take()).collect();
         assert_eq!((kept.iter().map(|counted| counted.0).sum::<usize>(), MADE.load(Ordering::Relaxed)), (202, made));
     }
 
     #[test]
     fn chunks_of_several_arrays_go_side_by_side() {
         let (mut a, mut b, mut c) = ([0; 25], [[0; 2]; 25], [0; 25]);
-        for_each_of((chunks(&mut a, 10), chunks(&mut b, 10), chunks(&mut c, 10)), |index, (a, b, c)| {
+        for_each_zip((chunks(&mut a, 10), chunks(&mut b, 10), chunks(&mut c, 10)), |index, (a, b, c)| {
             a.fill(index);
             b.fill([index; 2]);
             c.fill(a.len());

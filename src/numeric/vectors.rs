@@ -1,91 +1,87 @@
-//! Eight numbers or vectors at a time, one in each lane: for what is done once per primitive. Each lane has the bits that
-//! glam's `DVec3` would have, for every operation is rounded alike and comes in the same order.
+//! Eight numbers or vectors at a time, one per lane, for work done once per primitive.
+//!
+//! Results are bit-identical to the scalar path with glam's `DVec3`: the operations and their order are the same.
 
 use super::Lanes;
 use glam::DVec3;
 use std::ops::{Add, Mul, Sub};
-use wide::{f64x8, u64x8};
+use wide::u64x8;
 
-/// A number in each of [`EIGHT`] lanes.
-pub type Eight = f64x8;
+pub use wide::f64x8;
 
-/// Lanes of an [`Eight`].
-pub const EIGHT: usize = <f64x8 as Lanes>::WIDTH;
+/// Lanes of an [`f64x8`].
+pub const LANES: usize = <f64x8 as Lanes>::WIDTH;
 
 /// The same number in every lane.
 #[inline(always)]
-pub fn all(value: f64) -> Eight {
-    Eight::splat(value)
+pub fn splat(value: f64) -> f64x8 {
+    f64x8::splat(value)
 }
 
-/// A number for each lane.
+/// References to the first 8 items; the last is repeated if there are fewer. Panics on an empty slice.
 #[inline(always)]
-pub fn each(value: impl FnMut(usize) -> f64) -> Eight {
-    Eight::from_fn(value)
+pub fn lane_refs<'a, T, U: ?Sized>(items: &'a [T], of: impl Fn(&'a T) -> &'a U) -> [&'a U; LANES] {
+    std::array::from_fn(|i| of(&items[i.min(items.len() - 1)]))
 }
 
-/// What each lane is about: the first [`EIGHT`] of `some`, of which there is one, in the lanes that are left over the last.
+/// Per lane the power of two at or below a positive number.
+///
+/// As [`power_of_two_below`](super::elementary::power_of_two_below).
 #[inline(always)]
-pub fn lanes<'a, T, U: ?Sized>(some: &'a [T], of: impl Fn(&'a T) -> &'a U) -> [&'a U; EIGHT] {
-    std::array::from_fn(|i| of(&some[i.min(some.len() - 1)]))
-}
-
-/// In each lane the power of two at or below a positive number: [`power_of_two_below`](super::elementary::power_of_two_below).
-#[inline(always)]
-pub fn powers_of_two_below(x: Eight) -> Eight {
+pub fn powers_of_two_below(x: f64x8) -> f64x8 {
     let bits: u64x8 = bytemuck::cast(x);
     bytemuck::cast(bits & u64x8::splat(f64::INFINITY.to_bits()))
 }
 
-/// `f` of every number, eight at a time; in the lanes that are left over, of 0.
+/// `f` of every number, eight at a time; unused lanes of the last group are 0.
 #[inline(always)]
-pub fn map_into(values: &mut [f64], given: &[f64], f: impl Fn(Eight) -> Eight) {
-    for (values, given) in values.chunks_mut(EIGHT).zip(given.chunks(EIGHT)) {
-        let found = f(each(|i| given.get(i).copied().unwrap_or(0.0))).to_array();
+pub fn map_into(values: &mut [f64], given: &[f64], f: impl Fn(f64x8) -> f64x8) {
+    for (values, given) in values.chunks_mut(LANES).zip(given.chunks(LANES)) {
+        let found = f(f64x8::from_fn(|i| given.get(i).copied().unwrap_or(0.0))).to_array();
         values.copy_from_slice(&found[..values.len()]);
     }
 }
 
-/// A vector in each lane.
+/// A 3-vector per lane.
 #[derive(Clone, Copy, Debug)]
-pub struct Vectors {
+pub struct DVec3x8 {
     /// First coordinates.
-    pub x: Eight,
+    pub x: f64x8,
     /// Second coordinates.
-    pub y: Eight,
+    pub y: f64x8,
     /// Third coordinates.
-    pub z: Eight,
+    pub z: f64x8,
 }
 
-impl Vectors {
+impl DVec3x8 {
     /// From their coordinates.
     #[inline(always)]
-    pub fn new(x: Eight, y: Eight, z: Eight) -> Self {
+    pub fn new(x: f64x8, y: f64x8, z: f64x8) -> Self {
         Self { x, y, z }
     }
 
     /// The same vector in every lane.
     #[inline(always)]
-    pub fn all(v: DVec3) -> Self {
-        Self::new(all(v.x), all(v.y), all(v.z))
+    pub fn splat(v: DVec3) -> Self {
+        Self::new(splat(v.x), splat(v.y), splat(v.z))
     }
 
     /// A vector for each lane.
     #[inline(always)]
-    pub fn each(vector: impl Fn(usize) -> DVec3) -> Self {
-        Self::new(each(|i| vector(i).x), each(|i| vector(i).y), each(|i| vector(i).z))
+    pub fn from_fn(vector: impl Fn(usize) -> DVec3) -> Self {
+        Self::new(f64x8::from_fn(|i| vector(i).x), f64x8::from_fn(|i| vector(i).y), f64x8::from_fn(|i| vector(i).z))
     }
 
     /// The vector of each lane.
     #[inline(always)]
-    pub fn to_array(self) -> [DVec3; EIGHT] {
+    pub fn to_array(self) -> [DVec3; LANES] {
         let (x, y, z) = (self.x.to_array(), self.y.to_array(), self.z.to_array());
         std::array::from_fn(|i| DVec3::new(x[i], y[i], z[i]))
     }
 
     /// Scalar products.
     #[inline(always)]
-    pub fn dot(self, other: Self) -> Eight {
+    pub fn dot(self, other: Self) -> f64x8 {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
 
@@ -101,24 +97,24 @@ impl Vectors {
 
     /// Squares of the lengths.
     #[inline(always)]
-    pub fn length_squared(self) -> Eight {
+    pub fn length_squared(self) -> f64x8 {
         self.dot(self)
     }
 
     /// Lengths.
     #[inline(always)]
-    pub fn length(self) -> Eight {
+    pub fn length(self) -> f64x8 {
         self.length_squared().sqrt()
     }
 
     /// The same directions with length 1.
     #[inline(always)]
     pub fn unit(self) -> Self {
-        self * (all(1.0) / self.length())
+        self * (splat(1.0) / self.length())
     }
 }
 
-impl Add for Vectors {
+impl Add for DVec3x8 {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
@@ -126,7 +122,7 @@ impl Add for Vectors {
     }
 }
 
-impl Sub for Vectors {
+impl Sub for DVec3x8 {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
@@ -134,25 +130,25 @@ impl Sub for Vectors {
     }
 }
 
-impl Mul<Eight> for Vectors {
+impl Mul<f64x8> for DVec3x8 {
     type Output = Self;
     #[inline(always)]
-    fn mul(self, factor: Eight) -> Self {
+    fn mul(self, factor: f64x8) -> Self {
         Self::new(self.x * factor, self.y * factor, self.z * factor)
     }
 }
 
-/// A matrix in each lane, by its columns.
+/// A 3×3 matrix per lane, stored by columns.
 #[derive(Clone, Copy, Debug)]
-pub struct Matrices {
+pub struct DMat3x8 {
     /// Columns.
-    pub columns: [Vectors; 3],
+    pub columns: [DVec3x8; 3],
 }
 
-impl Mul<Vectors> for Matrices {
-    type Output = Vectors;
+impl Mul<DVec3x8> for DMat3x8 {
+    type Output = DVec3x8;
     #[inline(always)]
-    fn mul(self, v: Vectors) -> Vectors {
+    fn mul(self, v: DVec3x8) -> DVec3x8 {
         let [x, y, z] = self.columns;
         x * v.x + y * v.y + z * v.z
     }
@@ -169,15 +165,15 @@ mod tests {
     fn every_lane_has_the_bits_of_glam() {
         let mut random = stream(3, Purpose::Phantom, 0, 0);
         let mut draw = || DVec3::from_array(std::array::from_fn(|_| random.random::<f64>() - 0.5));
-        let a: [DVec3; EIGHT] = std::array::from_fn(|_| draw());
-        let b: [DVec3; EIGHT] = std::array::from_fn(|_| draw());
+        let a: [DVec3; LANES] = std::array::from_fn(|_| draw());
+        let b: [DVec3; LANES] = std::array::from_fn(|_| draw());
         let columns: [DVec3; 3] = std::array::from_fn(|_| draw());
-        let (va, vb) = (Vectors::each(|i| a[i]), Vectors::each(|i| b[i]));
-        let matrix = Matrices { columns: columns.map(Vectors::all) };
-        let numbers = [va.dot(vb), va.length(), va.length_squared()].map(Eight::to_array);
-        let vectors = [va.cross(vb), va.unit(), va + vb, va - vb, va * vb.x, matrix * va, Vectors::all(columns[0])];
-        let vectors = vectors.map(Vectors::to_array);
-        for i in 0..EIGHT {
+        let (va, vb) = (DVec3x8::from_fn(|i| a[i]), DVec3x8::from_fn(|i| b[i]));
+        let matrix = DMat3x8 { columns: columns.map(DVec3x8::splat) };
+        let numbers = [va.dot(vb), va.length(), va.length_squared()].map(f64x8::to_array);
+        let vectors = [va.cross(vb), va.unit(), va + vb, va - vb, va * vb.x, matrix * va, DVec3x8::splat(columns[0])];
+        let vectors = vectors.map(DVec3x8::to_array);
+        for i in 0..LANES {
             let (a, b) = (a[i], b[i]);
             assert_eq!(numbers.map(|n| n[i]), [a.dot(b), a.length(), a.length_squared()]);
             let [x, y, z] = columns;

@@ -1,13 +1,14 @@
 //! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
+use crate::numeric::Lanes;
 use crate::numeric::threads;
-use crate::numeric::vectors::{EIGHT, Eight, all, each};
+use crate::numeric::vectors::{LANES, f64x8, splat};
 use serde::{Deserialize, Serialize};
 
-/// Numbers updated together.
+/// Numbers of one task.
 const CHUNK: usize = 512;
 
-/// Moments of one array of parameters.
+/// Adam's moments of one array of parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
     beta: [f64; 2],
@@ -28,7 +29,7 @@ impl Adam {
     /// # Panics
     /// If an array does not have the length the optimiser was made for.
     pub fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64) {
-        self.advance(parameters, gradient, |parameter, m, root| parameter - all(rate) * m / root);
+        self.advance(parameters, gradient, |parameter, m, root| parameter - splat(rate) * m / root);
     }
 
     /// Writes the direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
@@ -44,7 +45,7 @@ impl Adam {
         &mut self,
         values: &mut [f64],
         gradient: &[f64],
-        then: impl Fn(Eight, Eight, Eight) -> Eight + Sync + Send,
+        then: impl Fn(f64x8, f64x8, f64x8) -> f64x8 + Sync + Send,
     ) {
         assert_eq!(
             (values.len(), gradient.len()),
@@ -53,19 +54,19 @@ impl Adam {
         );
         self.steps += 1;
         let [beta1, beta2] = self.beta;
-        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(all);
-        let (kept, new) = ([beta1, beta2].map(all), [1.0 - beta1, 1.0 - beta2].map(all));
-        let epsilon = all(self.epsilon);
-        let eight = |values: &mut [f64; EIGHT], moments: &mut [[f64; 2]; EIGHT], g: &[f64; EIGHT]| {
-            let g = Eight::new(*g);
-            let m = kept[0] * each(|i| moments[i][0]) + new[0] * g;
-            let v = kept[1] * each(|i| moments[i][1]) + new[1] * (g * g);
-            *values = then(Eight::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
+        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(splat);
+        let (kept, new) = ([beta1, beta2].map(splat), [1.0 - beta1, 1.0 - beta2].map(splat));
+        let epsilon = splat(self.epsilon);
+        let eight = |values: &mut [f64; LANES], moments: &mut [[f64; 2]; LANES], g: &[f64; LANES]| {
+            let g = f64x8::new(*g);
+            let m = kept[0] * f64x8::from_fn(|i| moments[i][0]) + new[0] * g;
+            let v = kept[1] * f64x8::from_fn(|i| moments[i][1]) + new[1] * (g * g);
+            *values = then(f64x8::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
             let (m, v) = (m.to_array(), v.to_array());
             *moments = std::array::from_fn(|i| [m[i], v[i]]);
         };
         let chunks = (threads::chunks(values, CHUNK), threads::chunks(&mut self.moments, CHUNK));
-        threads::for_each_of(chunks, |chunk, (values, moments)| {
+        threads::for_each_zip(chunks, |chunk, (values, moments)| {
             let gradient = &gradient[chunk * CHUNK..][..values.len()];
             let ((values, last_values), (moments, last_moments)) = (values.as_chunks_mut(), moments.as_chunks_mut());
             let (gradient, last_gradient) = gradient.as_chunks();
@@ -73,7 +74,7 @@ impl Adam {
                 eight(values, moments, gradient);
             }
             let n = last_values.len();
-            let (mut values, mut moments, mut gradient) = ([0.0; EIGHT], [[0.0; 2]; EIGHT], [0.0; EIGHT]);
+            let (mut values, mut moments, mut gradient) = ([0.0; LANES], [[0.0; 2]; LANES], [0.0; LANES]);
             values[..n].copy_from_slice(last_values);
             moments[..n].copy_from_slice(last_moments);
             gradient[..n].copy_from_slice(last_gradient);
@@ -83,15 +84,16 @@ impl Adam {
         });
     }
 
-    /// Takes over a new population of rows of `width` numbers: the moments of an old row, or zeros. The count of steps
-    /// goes on.
-    pub fn succeed(&mut self, width: usize, rows: &[Option<usize>]) {
-        self.moments = succeed(&self.moments, width, rows, [0.0; 2]);
+    /// Adapts the moments to a new population: each row of `width` numbers takes those of an old row, or zeros.
+    ///
+    /// The step count continues.
+    pub fn remap_rows(&mut self, width: usize, rows: &[Option<usize>]) {
+        self.moments = remap_rows(&self.moments, width, rows, [0.0; 2]);
     }
 }
 
-/// Rows of `width` elements taken from `old`, or filled with `empty`.
-pub(super) fn succeed<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
+/// Rows of `width` elements copied from `old`, or filled with `empty`.
+pub(super) fn remap_rows<T: Copy>(old: &[T], width: usize, rows: &[Option<usize>], empty: T) -> Vec<T> {
     let mut new = vec![empty; rows.len() * width];
     for (new, row) in new.chunks_exact_mut(width).zip(rows) {
         if let Some(row) = row {
@@ -159,7 +161,7 @@ mod tests {
     fn a_new_population_keeps_the_moments_of_its_old_rows() {
         let mut adam = Adam::new(6, [0.9, 0.999], 1e-15);
         adam.direction(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], &mut [0.0; 6]);
-        adam.succeed(2, &[Some(2), None, Some(0), Some(0)]);
+        adam.remap_rows(2, &[Some(2), None, Some(0), Some(0)]);
         let first: Vec<f64> = adam.moments.iter().map(|[m, _]| *m * 10.0).collect();
         for (got, expected) in first.iter().zip([5.0, 6.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0]) {
             approx::assert_relative_eq!(*got, expected, max_relative = 1e-14);

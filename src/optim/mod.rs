@@ -1,4 +1,4 @@
-//! How parameters move. Knows arrays of numbers, no primitives' meaning.
+//! Optimisers and learning rates. They work on arrays of numbers and do not depend on primitives.
 
 pub mod adam;
 pub mod schedule;

@@ -2,15 +2,15 @@
 
 use crate::numeric::elementary::{exp, log, pow};
 
-/// Factor on learning rates that a run survives, however short.
+/// Largest factor on learning rates.
 const FASTEST: f64 = 64.0;
 
-/// Factor on the learning rates of a run of `steps` where they are stated for one of `horizon`: `(horizon/steps)^¾`,
-/// from 1 to 64. Fewer steps must be longer ones. The friction of SGHMC goes with its inverse root, so that momentum
-/// is kept as it was.
+/// Factor on the learning rates of a run of `steps`, for rates stated for `horizon` steps: `(horizon/steps)^¾`.
 ///
-/// Not in the paper, whose runs have 30,000 steps. Tests: `short_runs_take_longer_steps`; what it brings is in
-/// CHOICES.md.
+/// It is clamped to 1 … 64: fewer steps must be longer. The friction of SGHMC is divided by its square root, so that the
+/// decay of momentum per step is unchanged.
+///
+/// Not in the paper, whose runs have 30,000 steps. Tests: `short_runs_take_longer_steps`; its effect is in CHOICES.md.
 pub fn pace(horizon: usize, steps: usize) -> f64 {
     pow(horizon as f64 / steps.max(1) as f64, 0.75).clamp(1.0, FASTEST)
 }

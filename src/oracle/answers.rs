@@ -118,7 +118,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "loss-ssim" => {
             let ssim = Ssim::<R>::default();
             let target = SsimTarget::new(&ssim, pixels(q, "target")?.view());
-            let (value, gradient) = ssim.value_and_gradient(pixels(q, "prediction")?.view(), &target);
+            let (value, gradient) = ssim.value_and_grad(pixels(q, "prediction")?.view(), &target);
             valued(value, gradient)
         }
         "loss-image" => {
@@ -166,8 +166,8 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
             let (field, grid) = (Field::<R>::new(&q.primitives()?, 0.0), q.scanner()?.grid);
             let loss = wavelet_loss(q, &field.voxels(&grid))?;
             let mut sum = field.zero_gradient();
-            field.on(&grid).pull_back(loss.gradient.view(), &mut sum);
-            gradient(&field.finish(&sum))
+            field.on(&grid).vjp(loss.gradient.view(), &mut sum);
+            gradient(&field.parameter_gradient(&sum))
         }
         "schedule" => {
             let schedule = Exponential {
@@ -185,7 +185,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "sghmc" => one("trajectory", population::sghmc(q)?),
         "ar" => population::recycled(q)?,
         "adc" => population::controlled(q)?,
-        "gradient-shadow" => one("shadow", population::shadows::<R>(q)?),
+        "gradient-shadow" => one("shadow", population::mean2d_gradients::<R>(q)?),
         "fdk-filter" => one("filtered", filtered::<R>(q)?.mapv(Real::to_f64)),
         "fdk-backprojection" => {
             let filtered = q.array::<Ix3>("filtered")?.mapv(real::<R>);
@@ -377,7 +377,7 @@ fn random(q: &Question) -> Result<Outputs> {
         Purpose::TotalVariation,
         Purpose::TestAngles,
         Purpose::Phantom,
-        Purpose::Stirring,
+        Purpose::PositionNoise,
         Purpose::Splitting,
         Purpose::Recycling,
         Purpose::Wavelet,

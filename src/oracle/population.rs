@@ -2,10 +2,10 @@
 
 use super::outputs::{Outputs, one, parameters};
 use super::question::Question;
-use crate::density::{Relocation, Successor, adc, ar, succeed};
+use crate::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
 use crate::error::{Error, Result};
 use crate::optim::Sghmc;
-use crate::optim::sghmc::{Phase, Stir};
+use crate::optim::sghmc::{NoiseInput, Phase};
 use crate::primitives::Parameters;
 use crate::projector::{Field, Kernels};
 use crate::scene::Grid;
@@ -30,9 +30,10 @@ pub(super) fn sghmc(q: &Question) -> Result<Array3<f64>> {
             Phase::Sampling(q.setting("friction")?)
         };
         let noise = noise.index_axis(Axis(0), step);
-        let stir = |i: usize| Stir { gate: gates[i], noise: vector(noise.row(i)), covariance: covariance(i) };
+        let noise_for =
+            |i: usize| NoiseInput { gate: gates[i], noise: vector(noise.row(i)), covariance: covariance(i) };
         let direction = rows(&directions.index_axis(Axis(0), step).to_owned());
-        sampler.step(&mut positions, &direction, rate, phase, stir);
+        sampler.step(&mut positions, &direction, rate, phase, noise_for);
         let after = ArrayView2::from(positions.as_slice());
         trajectory.index_axis_mut(Axis(0), step).assign(&after);
     }
@@ -55,8 +56,8 @@ pub(super) fn recycled(q: &Question) -> Result<Outputs> {
     };
     let (primitives, draws) = (q.primitives()?, q.numbers("uniform")?);
     let mut draws = draws.into_iter();
-    let successors = ar::ar(&primitives, &settings, || draws.next().unwrap_or(f64::NAN));
-    Ok(generation(&primitives.parameters, &successors))
+    let next = ar::ar(&primitives, &settings, || draws.next().unwrap_or(f64::NAN));
+    Ok(generation(&primitives.parameters, &next))
 }
 
 /// The outputs of one step of adaptive density control.
@@ -71,25 +72,25 @@ pub(super) fn controlled(q: &Question) -> Result<Outputs> {
     let grid = Grid::new([1; 3], corner("low")?, corner("high")?)?;
     let (primitives, normals) = (q.primitives()?, q.array::<Ix2>("normals")?);
     let normals = |i: usize| std::array::from_fn(|k| normals[[i, k]]);
-    let successors = adc::adc(&primitives.parameters, &q.numbers("pull")?, &settings, &grid, normals);
-    Ok(generation(&primitives.parameters, &successors))
+    let next = adc::adc(&primitives.parameters, &q.numbers("pull")?, &settings, &grid, normals);
+    Ok(generation(&primitives.parameters, &next))
 }
 
 /// Gradient with respect to the projected centres of all primitives, `[M, 2]`.
-pub(super) fn shadows<R: Kernels>(q: &Question) -> Result<Array2<f64>> {
+pub(super) fn mean2d_gradients<R: Kernels>(q: &Question) -> Result<Array2<f64>> {
     let (primitives, scanner, projection) = (q.primitives()?, q.scanner()?, q.projection()?);
     let cotangent = q.array::<Ix3>("cotangent")?.mapv(R::from_f64);
     let field = Field::<R>::new(&primitives, 0.0);
     let mut gradient = field.zero_gradient();
     for (cotangent, angle) in cotangent.outer_iter().zip(q.angles()?) {
-        field.view(&scanner, angle, projection).pull_back(cotangent, &mut gradient);
+        field.view(&scanner, angle, projection).vjp(cotangent, &mut gradient);
     }
-    Ok(Array2::from(gradient.shadows().collect::<Vec<_>>()))
+    Ok(Array2::from(gradient.mean2d_gradients().collect::<Vec<_>>()))
 }
 
-fn generation(old: &Parameters, successors: &[Successor]) -> Outputs {
-    let numbers = |of: fn(&Successor) -> f64| successors.iter().map(of).collect::<Array1<_>>();
-    let mut outputs = parameters("model", &succeed(old, successors));
+fn generation(old: &Parameters, next: &[NextPrimitive]) -> Outputs {
+    let numbers = |of: fn(&NextPrimitive) -> f64| next.iter().map(of).collect::<Array1<_>>();
+    let mut outputs = parameters("model", &next_parameters(old, next));
     outputs.extend(one("parent", numbers(|s| s.parent as f64)));
     outputs.extend(one("fresh", numbers(|s| f64::from(u8::from(s.fresh)))));
     outputs

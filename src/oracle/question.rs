@@ -2,7 +2,7 @@
 
 use super::manifest::{Arrays, Case, Vectors, decode};
 use crate::error::{Error, Result};
-use crate::primitives::{Activation, Group, Kernel, Parameters, Primitives, activation::Interval};
+use crate::primitives::{Activation, Group, KernelKind, Parameters, Primitives, activation::Interval};
 use crate::projector::Projection;
 use crate::scene::Scanner;
 use crate::scene::dataset::Description;
@@ -136,7 +136,7 @@ impl Question {
     }
 
     pub(super) fn activation(&self) -> Result<Activation> {
-        let kernel = if self.word("kernel")? == "gaussian" { Kernel::Gaussian } else { Kernel::StudentT };
+        let kernel = if self.word("kernel")? == "gaussian" { KernelKind::Gaussian } else { KernelKind::StudentT };
         Ok(Activation { kernel, scale: self.interval("scale_range")?, nu: self.interval("nu_range")? })
     }
 }

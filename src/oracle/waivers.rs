@@ -29,12 +29,12 @@ pub struct Waiver {
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(default)]
-    waiver: Vec<Row>,
+    waiver: Vec<WaiverEntry>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Row {
+struct WaiverEntry {
     case: String,
     reason: String,
     expires: toml::value::Datetime,
@@ -51,7 +51,7 @@ pub fn read(path: &Path, cases: &[Case]) -> Result<Vec<Waiver>> {
     };
     let expected = "a list of [[waiver]] with case, reason and expires = YYYY-MM-DD";
     let file: File = toml::from_str(&text).map_err(|error| wrong(error.message().to_owned(), expected))?;
-    let waiver = |row: Row| {
+    let waiver = |row: WaiverEntry| {
         if !cases.iter().any(|case| case.id == row.case) {
             return Err(wrong(format!("the case {:?}", row.case), "a case that `trgs oracle list` shows"));
         }

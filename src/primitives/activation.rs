@@ -10,11 +10,11 @@
 //!
 //! Not in the paper: its parametrisation is not given; scales and densities follow R²-Gaussian.
 
-use super::{Kernel, Parameters, Primitives, Rows};
+use super::{KernelKind, Parameters, Primitives, Rows};
 use crate::numeric::elementary::{logit, softplus_inverse};
 use crate::numeric::exponentials::{expm1, sigmoid, softplus};
 use crate::numeric::threads;
-use crate::numeric::vectors::{self, Eight, all};
+use crate::numeric::vectors::{self, f64x8, splat};
 
 /// Primitives per parallel task.
 const CHUNK: usize = 256;
@@ -34,7 +34,7 @@ pub struct Interval {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Activation {
     /// The kernel of the resulting primitives.
-    pub kernel: Kernel,
+    pub kernel: KernelKind,
     /// Range of the scales, scene units.
     pub scale: Interval,
     /// Range of ν.
@@ -42,8 +42,8 @@ pub struct Activation {
 }
 
 impl Interval {
-    fn physical(&self, raw: Eight) -> Eight {
-        all(self.min) + all(self.max - self.min) * sigmoid(raw)
+    fn physical(&self, raw: f64x8) -> f64x8 {
+        splat(self.min) + splat(self.max - self.min) * sigmoid(raw)
     }
 
     /// The raw value of a physical value; values outside the interval are first moved just inside.
@@ -78,8 +78,8 @@ impl Activation {
             vectors::map_into(scale.as_flattened_mut(), scales, |raw| self.scale.physical(raw));
             vectors::map_into(density, &raw.density[here.clone()], softplus);
             match self.kernel {
-                Kernel::Gaussian => nu.fill(f64::INFINITY),
-                Kernel::StudentT => vectors::map_into(nu, &raw.nu[here], |raw| self.nu.physical(raw)),
+                KernelKind::Gaussian => nu.fill(f64::INFINITY),
+                KernelKind::StudentT => vectors::map_into(nu, &raw.nu[here], |raw| self.nu.physical(raw)),
             }
         });
     }
@@ -90,8 +90,8 @@ impl Activation {
         raw.scale.as_flattened_mut().iter_mut().for_each(|s| *s = self.scale.raw(*s));
         raw.density.iter_mut().for_each(|x| *x = softplus_inverse(x.max(1e-12)));
         match self.kernel {
-            Kernel::Gaussian => raw.nu.fill(0.0),
-            Kernel::StudentT => raw.nu.iter_mut().for_each(|x| *x = self.nu.raw(*x)),
+            KernelKind::Gaussian => raw.nu.fill(0.0),
+            KernelKind::StudentT => raw.nu.iter_mut().for_each(|x| *x = self.nu.raw(*x)),
         }
         raw
     }
@@ -117,10 +117,10 @@ impl Activation {
             });
         };
         let of_nu = || match self.kernel {
-            Kernel::Gaussian => nu.fill(0.0),
-            Kernel::StudentT => nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu)),
+            KernelKind::Gaussian => nu.fill(0.0),
+            KernelKind::StudentT => nu.iter_mut().zip(&values.nu).for_each(|(d_nu, nu)| *d_nu *= self.nu.slope(*nu)),
         };
-        threads::both(of_scale, || threads::both(of_density, of_nu));
+        threads::join(of_scale, || threads::join(of_density, of_nu));
     }
 }
 
@@ -128,7 +128,7 @@ impl Activation {
 mod tests {
     use super::*;
 
-    fn activation(kernel: Kernel) -> Activation {
+    fn activation(kernel: KernelKind) -> Activation {
         Activation { kernel, scale: Interval { min: 0.001, max: 1.0 }, nu: Interval { min: 2.0, max: 100.0 } }
     }
 
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn inverse_undoes_forward() {
-        let a = activation(Kernel::StudentT);
+        let a = activation(KernelKind::StudentT);
         let back = a.inverse(&a.forward(&raw()).parameters);
         for group in super::super::Group::ALL {
             for (x, y) in back.group(group).iter().zip(raw().group(group)) {
@@ -155,7 +155,7 @@ mod tests {
 
     #[test]
     fn vjp_matches_central_differences() {
-        let a = activation(Kernel::StudentT);
+        let a = activation(KernelKind::StudentT);
         let weights = Parameters {
             mean: vec![[1.0, 2.0, 3.0]],
             scale: vec![[0.5, -1.0, 2.0]],
@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn values_outside_of_their_range_come_to_lie_just_inside() {
-        let a = activation(Kernel::StudentT);
+        let a = activation(KernelKind::StudentT);
         let mut physical = a.forward(&raw()).parameters;
         physical.scale[0] = [0.0, 5.0, 0.5];
         physical.nu[0] = f64::INFINITY;

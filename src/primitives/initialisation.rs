@@ -2,7 +2,7 @@
 //!
 //! Not in the paper: the rules are R²-Gaussian's, but points lie at voxel centres (R²-Gaussian's lie at voxel corners).
 
-use super::{Kernel, Parameters, Primitives};
+use super::{KernelKind, Parameters, Primitives};
 use crate::error::{Error, Result};
 use crate::numeric::{rng, threads};
 use crate::scene::{Grid, Volume};
@@ -71,7 +71,7 @@ pub fn random_points(grid: &Grid, n: usize, seed: u64) -> Vec<Point> {
 ///
 /// # Errors
 /// With fewer than four points, or a coordinate or density that is not finite.
-pub fn primitives(points: &[Point], kernel: Kernel, factor: f64, nu: f64) -> Result<Primitives> {
+pub fn primitives(points: &[Point], kernel: KernelKind, factor: f64, nu: f64) -> Result<Primitives> {
     if points.len() < 4 {
         return Err(Error::invalid(
             "initial points",
@@ -113,7 +113,7 @@ pub fn primitives(points: &[Point], kernel: Kernel, factor: f64, nu: f64) -> Res
         scale: spread.into_iter().map(|s| [s; 3]).collect(),
         quaternion: vec![[1.0, 0.0, 0.0, 0.0]; m],
         density: points.iter().map(|p| p.density * factor).collect(),
-        nu: vec![if kernel == Kernel::Gaussian { f64::INFINITY } else { nu }; m],
+        nu: vec![if kernel == KernelKind::Gaussian { f64::INFINITY } else { nu }; m],
     })
 }
 
@@ -130,7 +130,7 @@ mod tests {
                 density: 0.5,
             })
             .collect();
-        let p = primitives(&points, Kernel::StudentT, 0.15, 10.0).unwrap().parameters;
+        let p = primitives(&points, KernelKind::StudentT, 0.15, 10.0).unwrap().parameters;
         for (scale, density) in p.scale.iter().zip(&p.density) {
             approx::assert_relative_eq!(scale[0], 0.1, max_relative = 1e-9);
             approx::assert_relative_eq!(*density, 0.075);

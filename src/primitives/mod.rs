@@ -18,8 +18,9 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// The profile shared by all primitives of a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kernel {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KernelKind {
     /// `(1+δ/ν)^(-(ν+3)/2)`.
     StudentT,
     /// `exp(-δ/2)`; ν is infinite.
@@ -54,7 +55,7 @@ pub(crate) struct Rows<'a> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Primitives {
     /// The profile.
-    pub kernel: Kernel,
+    pub kernel: KernelKind,
     /// Physical values, not raw ones.
     pub parameters: Parameters,
 }
@@ -126,7 +127,7 @@ impl Parameters {
             threads::chunks(density, length),
             threads::chunks(nu, length),
         );
-        threads::for_each_of(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
+        threads::for_each_zip(chunks, |chunk, (mean, scale, quaternion, density, nu)| {
             f(chunk, Rows { mean, scale, quaternion, density, nu });
         });
     }
@@ -227,7 +228,7 @@ impl Primitives {
             }
         }
         let infinite = parameters.nu.iter().filter(|nu| **nu == f64::INFINITY).count();
-        let kernel = if m > 0 && infinite == m { Kernel::Gaussian } else { Kernel::StudentT };
+        let kernel = if m > 0 && infinite == m { KernelKind::Gaussian } else { KernelKind::StudentT };
         let bad = |what: &str, i: usize, got: &dyn std::fmt::Debug, expected: &str| {
             Err(Error::invalid(
                 format!("{what} of primitive {i}"),
@@ -252,7 +253,7 @@ impl Primitives {
             if !parameters.density[i].is_finite() {
                 return bad("density", i, &parameters.density[i], "a finite number");
             }
-            if kernel == Kernel::StudentT && !(nu > 0.0 && nu.is_finite()) {
+            if kernel == KernelKind::StudentT && !(nu > 0.0 && nu.is_finite()) {
                 return bad(
                     "nu",
                     i,
@@ -261,7 +262,7 @@ impl Primitives {
                 );
             }
         }
-        if kernel == Kernel::Gaussian {
+        if kernel == KernelKind::Gaussian {
             parameters.nu.fill(f64::INFINITY);
         }
         Ok(Self { kernel, parameters })

@@ -1,7 +1,7 @@
 //! Rotations from quaternions (w,x,y,z) of any length.
 
 use crate::numeric::Lanes;
-use crate::numeric::vectors::{EIGHT, Eight, Matrices, Vectors, all, powers_of_two_below};
+use crate::numeric::vectors::{DMat3x8, DVec3x8, LANES, f64x8, powers_of_two_below, splat};
 use glam::DQuat;
 
 /// Smallest allowed largest entry: the gradient, which grows like 1/length, can still be squared.
@@ -17,48 +17,48 @@ pub(crate) fn is_usable(q: [f64; 4]) -> bool {
 /// The length is computed in units of the power of two below the largest entry. Its square neither overflows nor
 /// underflows, and the bits equal those of the plain formula where that formula works.
 pub(crate) fn unit(q: [f64; 4]) -> (DQuat, f64) {
-    let (units, norms) = Units::new(q.map(all));
+    let (units, norms) = Units::new(q.map(splat));
     (units.to_array()[0], norms.to_array()[0])
 }
 
 /// Unit quaternions, one per lane.
 #[derive(Clone, Copy)]
 pub(crate) struct Units {
-    w: Eight,
-    v: Vectors,
+    w: f64x8,
+    v: DVec3x8,
 }
 
 impl Units {
     /// [`unit()`] of each lane: unit quaternions and lengths of quaternions (w,x,y,z) of any length.
     #[inline(always)]
-    pub(crate) fn new(q: [Eight; 4]) -> (Self, Eight) {
-        let largest = q.iter().fold(all(0.0), |largest, entry| entry.abs().at_least(largest));
+    pub(crate) fn new(q: [f64x8; 4]) -> (Self, f64x8) {
+        let largest = q.iter().fold(splat(0.0), |largest, entry| entry.abs().at_least(largest));
         let scale = powers_of_two_below(largest);
         let [w, x, y, z] = q.map(|entry| entry / scale);
         let norm = (w * w + x * x + y * y + z * z).sqrt();
-        (Self { w: w / norm, v: Vectors::new(x / norm, y / norm, z / norm) }, norm * scale)
+        (Self { w: w / norm, v: DVec3x8::new(x / norm, y / norm, z / norm) }, norm * scale)
     }
 
     /// The quaternion of each lane.
     #[inline(always)]
-    pub(crate) fn to_array(self) -> [DQuat; EIGHT] {
+    pub(crate) fn to_array(self) -> [DQuat; LANES] {
         let (w, v) = (self.w.to_array(), self.v.to_array());
         std::array::from_fn(|i| DQuat::from_xyzw(v[i].x, v[i].y, v[i].z, w[i]))
     }
 
     /// The transposed rotation matrix, which is the inverse rotation; bit-identical to glam's.
     #[inline(always)]
-    pub(crate) fn transposed(self) -> Matrices {
-        let (one, Self { w, v: Vectors { x, y, z } }) = (all(1.0), self);
+    pub(crate) fn transposed(self) -> DMat3x8 {
+        let (one, Self { w, v: DVec3x8 { x, y, z } }) = (splat(1.0), self);
         let (x2, y2, z2) = (x + x, y + y, z + z);
         let (xx, xy, xz, yy, yz, zz) = (x * x2, x * y2, x * z2, y * y2, y * z2, z * z2);
         let (wx, wy, wz) = (w * x2, w * y2, w * z2);
         let rows = [
-            Vectors::new(one - (yy + zz), xy - wz, xz + wy),
-            Vectors::new(xy + wz, one - (xx + zz), yz - wx),
-            Vectors::new(xz - wy, yz + wx, one - (xx + yy)),
+            DVec3x8::new(one - (yy + zz), xy - wz, xz + wy),
+            DVec3x8::new(xy + wz, one - (xx + zz), yz - wx),
+            DVec3x8::new(xz - wy, yz + wx, one - (xx + yy)),
         ];
-        Matrices { columns: rows }
+        DMat3x8 { columns: rows }
     }
 }
 

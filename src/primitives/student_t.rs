@@ -2,7 +2,7 @@
 
 use crate::numeric::elementary::{exp2, log2};
 use crate::numeric::exponentials::expm1;
-use crate::numeric::vectors::{Eight, all};
+use crate::numeric::vectors::{f64x8, splat};
 use crate::numeric::{Lanes, Real};
 use std::f64::consts::PI;
 
@@ -42,18 +42,18 @@ const SERIES_FROM: f64 = 10.0;
 /// (value) and 1e-13 (derivative) against 50 digits. The ratio of gamma functions is computed as one number: a
 /// difference of two log-gammas loses five digits at ν = 10⁴.
 pub fn line_integral(nu: f64) -> (f64, f64) {
-    let (value, derivative) = line_integrals(all(nu));
+    let (value, derivative) = line_integrals(splat(nu));
     (value.to_array()[0], derivative.to_array()[0])
 }
 
 /// [`line_integral`] of eight ν.
-pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
-    let (quarter, half, one, two, zero) = (all(0.25), all(0.5), all(1.0), all(2.0), all(0.0));
+pub(crate) fn line_integrals(nu: f64x8) -> (f64x8, f64x8) {
+    let (quarter, half, one, two, zero) = (splat(0.25), splat(0.5), splat(1.0), splat(2.0), splat(0.0));
     // Γ(z)/Γ(z+½) = Γ(z+1)/Γ(z+3/2)·(z+½)/z, applied until the series is accurate.
     let mut z = (nu + two) / two;
     let (mut shift, mut shift_log_derivative) = (one, zero);
     loop {
-        let early = (z - quarter).simd_lt(all(SERIES_FROM));
+        let early = (z - quarter).simd_lt(splat(SERIES_FROM));
         if !early.any() {
             break;
         }
@@ -63,11 +63,11 @@ pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
     }
     let w = z - quarter;
     let x = one / (w * w);
-    let series = GAMMA_RATIO.iter().rev().fold(zero, |sum, &a| sum * x + all(a));
-    let value = (nu * all(PI) / w).sqrt() * series * shift;
+    let series = GAMMA_RATIO.iter().rev().fold(zero, |sum, &a| sum * x + splat(a));
+    let value = (nu * splat(PI) / w).sqrt() * series * shift;
     let tail = LOG_GAMMA_RATIO.iter().enumerate().rev();
-    let tail = tail.fold(zero, |sum, (k, b)| sum * x + all(b * (k + 1) as f64));
-    let log_derivative_z = all(-0.5) / w - two * tail * x / w + shift_log_derivative;
+    let tail = tail.fold(zero, |sum, (k, b)| sum * x + splat(b * (k + 1) as f64));
+    let log_derivative_z = splat(-0.5) / w - two * tail * x / w + shift_log_derivative;
     (value, value * (half / nu + half * log_derivative_z))
 }
 
@@ -75,12 +75,12 @@ pub(crate) fn line_integrals(nu: Eight) -> (Eight, Eight) {
 ///
 /// It solves `(1+δ/ν)^(-(ν+2)/2) = 2^-bits`.
 pub(crate) fn reach(nu: f64, bits: f64) -> f64 {
-    reaches(all(nu), bits).to_array()[0]
+    reaches(splat(nu), bits).to_array()[0]
 }
 
 /// [`reach`] of eight ν.
-pub(crate) fn reaches(nu: Eight, bits: f64) -> Eight {
-    nu * expm1(all(std::f64::consts::LN_2 * bits * 2.0) / (nu + all(2.0)))
+pub(crate) fn reaches(nu: f64x8, bits: f64) -> f64x8 {
+    nu * expm1(splat(std::f64::consts::LN_2 * bits * 2.0) / (nu + splat(2.0)))
 }
 
 /// The largest δ/ν at which `R` can represent all powers of 1+δ/ν in use.
@@ -93,15 +93,15 @@ pub(crate) fn horizon<R: Real>(nu: f64) -> f64 {
 /// The smaller of [`reach`] and [`horizon`], both in units of ν.
 ///
 /// The horizon is smaller only for a cutoff near what `R` can represent.
-pub(crate) fn limits<R: Real>(nu: Eight, bits: f64, reaches: Eight) -> Eight {
+pub(crate) fn limits<R: Real>(nu: f64x8, bits: f64, reaches: f64x8) -> f64x8 {
     // Clearly different exponents of 2 decide without computing the powers.
-    let within = all(bits) / (nu + all(2.0));
-    let held = all(R::HORIZON) / (nu + all(5.0));
-    if within.simd_lt(held * all(0.999)).all() {
+    let within = splat(bits) / (nu + splat(2.0));
+    let held = splat(R::HORIZON) / (nu + splat(5.0));
+    if within.simd_lt(held * splat(0.999)).all() {
         return reaches;
     }
     let (nu, reaches) = (nu.to_array(), reaches.to_array());
-    Eight::from_fn(|i| reaches[i].min(horizon::<R>(nu[i])))
+    f64x8::from_fn(|i| reaches[i].min(horizon::<R>(nu[i])))
 }
 
 /// `-log2 ε` of a relative cutoff; infinite without a cutoff.
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn lanes_with_other_numbers_of_shifts_do_not_disturb_each_other() {
         let nus = [0.5, 1.0, 3.7, 10.0, 17.4, 17.6, 100.0, 1e12];
-        let (values, derivatives) = line_integrals(Eight::new(nus));
+        let (values, derivatives) = line_integrals(f64x8::new(nus));
         let alone = nus.map(line_integral);
         assert_eq!((values.to_array(), derivatives.to_array()), (alone.map(|l| l.0), alone.map(|l| l.1)));
     }

@@ -1,24 +1,24 @@
-//! What each primitive adds to one pixel or voxel: the way from an artefact back to its cause. Not in the paper.
+//! The contribution of each primitive to one pixel or voxel, to trace an artefact to its cause. Not in the paper.
 
-use super::canvas::{Blocks, Canvas, PAIR, Window};
-use super::column::STRIP;
+use super::image::placement::{PlacedFootprint, from_even};
+use super::image::view::ViewField;
 use super::kernel::Scratch;
+use super::kernel::buffers::{BrickedVolume, GridRegion, PAIR, PaddedImage};
+use super::kernel::columns::STRIP;
 use super::kernels::Kernels;
-use super::patch::{Patch, from_even};
-use super::shape::CHUNK;
-use super::solid::{Placed, Solid};
-use super::{Field, Projection, ViewField};
-use crate::numeric::vectors::EIGHT;
+use super::volume::ellipsoid::{Ellipsoid, EllipsoidInRegion};
+use super::whitened::{CHUNK, Whitened};
+use crate::numeric::vectors::LANES;
 use crate::numeric::{Lanes, Real, threads};
 use crate::scene::Grid;
 use std::ops::Range;
 
-/// One primitive's part of a value.
+/// The contribution of one primitive to a value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contribution {
     /// Its index in the model.
     pub primitive: usize,
-    /// What it adds; negative with its density.
+    /// Its contribution; negative with its density.
     pub value: f64,
     /// `value` as a fraction of the sum of all; not finite if that is 0.
     pub share: f64,
@@ -26,10 +26,10 @@ pub struct Contribution {
     pub sum: f64,
 }
 
-/// The primitives that add anything to a value, the largest |value| first, equal ones by index.
+/// The primitives with a non-zero contribution, the largest |value| first, equal ones by index.
 ///
-/// `values` has an element per primitive, as [`ViewField::contributions`] and [`Field::voxel_contributions`] make it.
-/// Not in the paper: a tool to look with. Tests: `ranks_are_by_size_and_sums_run`.
+/// `values` has an element per primitive, as [`ViewField::contributions`] and [`Field::voxel_contributions`](super::Field::voxel_contributions) make it.
+/// Not in the paper: a tool to for_each_distance with. Tests: `ranks_are_by_size_and_sums_run`.
 pub fn rank<R: Real>(values: &[R]) -> Vec<Contribution> {
     let values: Vec<f64> = values.iter().map(|value| value.to_f64()).collect();
     let mut order: Vec<usize> = (0..values.len()).filter(|&i| values[i] != 0.0).collect();
@@ -45,10 +45,11 @@ pub fn rank<R: Real>(values: &[R]) -> Vec<Contribution> {
 }
 
 impl<R: Kernels> ViewField<'_, R> {
-    /// What each primitive adds to the pixel at (row, column), `[M]`, line integrals of its density `[Eq. 4]`, `[X1]`.
+    /// The contribution of each primitive to the pixel at (row, column), `[M]`, line integrals of its density `[Eq. 4]`,
+    /// `[X1]`.
     ///
-    /// They come from the very kernels that make the image, register by register: in index order they add up to the
-    /// image's pixel but for a rounding of each. 0 beyond the cutoff, and for primitives near or behind the source.
+    /// The kernels of the image compute them, register by register: in index order they add up to the image's pixel but
+    /// for a rounding of each. 0 beyond the cutoff, and for primitives near or behind the source.
     ///
     /// Tests: `contributions_add_up_to_the_image_and_the_volume`.
     ///
@@ -59,61 +60,53 @@ impl<R: Kernels> ViewField<'_, R> {
         let on_detector = row < detector.rows && column < detector.columns;
         assert!(on_detector, "pixel ({row}, {column}) of {} × {}", detector.rows, detector.columns);
         let length = self.ray_lengths(row).map_or(R::ONE, |length| length(column));
-        let kernel = R::kernels(self.field.kernel, self.projection).forward;
+        let kernel = self.kernels().forward;
         let origin = row / STRIP * STRIP;
         let band = origin..detector.rows.min(origin + STRIP);
         let half = R::Lanes::WIDTH / 2;
         in_chunks(self.footprints.len(), |primitives| {
-            let (mut canvas, mut scratch) = (Canvas::<R>::new(STRIP, column + 1), Scratch::default());
+            let (mut image, mut scratch) = (PaddedImage::<R>::new(STRIP, column + 1), Scratch::default());
             let one = |i: usize| {
                 let footprint = &self.footprints[i];
                 let (rows, columns) = (from_even(footprint.rows_in(band.clone())), footprint.columns.clone());
-                // Registers are two rows tall and `half` columns wide, and reach beyond the last row and column.
+                // Registers are two rows tall and `half` columns wide, and extend beyond the last row and column.
                 let tall = rows.start..rows.start + rows.len().next_multiple_of(2);
                 let wide = columns.start..columns.start + columns.len().next_multiple_of(half);
                 if !(tall.contains(&row) && wide.contains(&column)) {
                     return R::ZERO;
                 }
                 let first = column - (column - columns.start) % half;
-                canvas.clear(first..first + 1);
-                let patch = Patch::new(&footprint.plane, rows.start..row + 1, first..first + 1, 0, canvas.stride);
-                kernel(&patch, &mut canvas, &mut scratch);
-                canvas.row(row - rows.start, column + 1)[column] * length
+                image.clear(first..first + 1);
+                let pixel =
+                    PlacedFootprint::new(&footprint.conic, rows.start..row + 1, first..first + 1, 0, image.stride);
+                kernel(&pixel, &mut image, &mut scratch);
+                image.row(row - rows.start, column + 1)[column] * length
             };
             primitives.map(one).collect()
         })
     }
 }
 
-impl<R: Kernels> Field<R> {
-    /// What each primitive adds to the density at the centre of voxel (x, y, z) of a grid, `[M]` `[Eq. 1]`, `[Eq. 2]`.
-    ///
-    /// As [`ViewField::contributions`]: in index order they add up to the voxel of [`Field::voxels`].
-    ///
-    /// Tests: `contributions_add_up_to_the_image_and_the_volume`.
-    ///
-    /// # Panics
-    /// If the voxel is not on the grid.
-    pub fn voxel_contributions(&self, grid: &Grid, [x, y, z]: [usize; 3]) -> Vec<R> {
-        let on_grid = [x, y, z].iter().zip(grid.shape).all(|(&index, n)| index < n);
-        assert!(on_grid, "voxel {:?} of {:?}", [x, y, z], grid.shape);
-        let kernel = R::kernels(self.kernel, Projection::Affine).solid.forward;
-        // A voxel is the same in whichever register.
-        let slice = x / PAIR * PAIR;
-        let window = Window { slices: slice..slice + PAIR, rows: grid.shape[1], columns: z..z + 1 };
-        in_chunks(self.shapes.len(), |primitives| {
-            let (mut blocks, mut scratch) = (Blocks::<R>::new(window.clone()), Scratch::default());
-            let mut voxel = [R::ZERO];
-            let one = |i: usize| {
-                blocks.clear();
-                let [solid, ..] = &Solid::eight([&self.shapes[i]; EIGHT], grid);
-                kernel(&Placed { solid, window: &window }, &mut blocks, &mut scratch);
-                blocks.read(x, y, &mut voxel);
-                voxel[0]
-            };
-            primitives.map(one).collect()
-        })
-    }
+/// [`Field::voxel_contributions`](super::Field::voxel_contributions) of whitened primitives. Not in the paper.
+pub(super) fn of_voxel<R: Kernels>(whitened: Whitened<'_>, grid: &Grid, [x, y, z]: [usize; 3]) -> Vec<R> {
+    let on_grid = [x, y, z].iter().zip(grid.shape).all(|(&index, n)| index < n);
+    assert!(on_grid, "voxel {:?} of {:?}", [x, y, z], grid.shape);
+    let kernel = R::volume_kernels(whitened.kernel).forward;
+    // A voxel's value does not depend on the register that holds it.
+    let slice = x / PAIR * PAIR;
+    let region = GridRegion { slices: slice..slice + PAIR, rows: grid.shape[1], columns: z..z + 1 };
+    in_chunks(whitened.primitives.len(), |primitives| {
+        let (mut volume, mut scratch) = (BrickedVolume::<R>::new(region.clone()), Scratch::default());
+        let mut voxel = [R::ZERO];
+        let one = |i: usize| {
+            volume.clear();
+            let [ellipsoid, ..] = &Ellipsoid::on_grid([&whitened.primitives[i]; LANES], grid);
+            kernel(&EllipsoidInRegion { ellipsoid, region: &region }, &mut volume, &mut scratch);
+            volume.read(x, y, &mut voxel);
+            voxel[0]
+        };
+        primitives.map(one).collect()
+    })
 }
 
 /// The values of `m` primitives, chunk by chunk.
@@ -126,6 +119,7 @@ mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::{Parameters, Primitives};
+    use crate::projector::{Field, Projection};
     use crate::scene::{Beam, Detector, Scanner};
     use glam::DVec3;
     use rand::RngExt;

@@ -1,81 +1,42 @@
-//! Which kernels a precision has: chosen outside of the loop over primitives, compiled once.
+//! The kernels of a precision, compiled once.
 
-use super::Projection;
-use super::canvas::{Blocks, Canvas};
-use super::kernel::{self, Scratch, Sums};
-use super::patch::{Patch, Slim};
-use super::solid::Placed;
+use super::image::kernels::ImageKernels;
+use super::projection::Projection;
+use super::volume::kernels::VolumeKernels;
 use crate::numeric::Real;
-use crate::primitives::Kernel;
-
-/// The kernels for a profile and a projection.
-pub struct KernelPair<R: Real> {
-    pub(super) forward: fn(&Patch, &mut Canvas<R>, &mut Scratch<R::Lanes>),
-    pub(super) backward: fn(&Patch, &Canvas<R>, &mut Scratch<R::Lanes>) -> Sums,
-    pub(super) solid: Solids<R>,
-}
-
-/// The kernels for volumes, where the projection does not matter.
-pub(super) struct Solids<R: Real> {
-    pub(super) forward: for<'a> fn(&Placed<'a>, &mut Blocks<R>, &mut Scratch<R::Lanes>),
-    pub(super) backward: for<'a> fn(&Placed<'a>, &Blocks<R>, &mut Scratch<R::Lanes>) -> Sums,
-}
-
-impl<R: Real> KernelPair<R> {
-    fn new(kernel: Kernel, projection: Projection) -> Self {
-        match (kernel, projection) {
-            (Kernel::StudentT, Projection::Exact) => Self::of::<true, true>(),
-            (Kernel::StudentT, Projection::Affine) => Self::of::<true, false>(),
-            (Kernel::Gaussian, Projection::Exact) => Self::of::<false, true>(),
-            (Kernel::Gaussian, Projection::Affine) => Self::of::<false, false>(),
-        }
-    }
-
-    fn of<const STUDENT: bool, const EXACT: bool>() -> Self {
-        Self {
-            forward: |patch, canvas, scratch| {
-                if patch.is_slim::<R>() {
-                    kernel::forward::<R, _, STUDENT, EXACT>(&Slim(patch), canvas, scratch);
-                } else {
-                    kernel::forward::<R, _, STUDENT, EXACT>(patch, canvas, scratch);
-                }
-            },
-            backward: |patch, canvas, scratch| {
-                if patch.is_slim::<R>() {
-                    kernel::backward::<R, _, STUDENT, EXACT>(&Slim(patch), canvas, scratch)
-                } else {
-                    kernel::backward::<R, _, STUDENT, EXACT>(patch, canvas, scratch)
-                }
-            },
-            solid: Solids {
-                forward: |placed, blocks, scratch| kernel::forward::<R, _, STUDENT, false>(placed, blocks, scratch),
-                backward: |placed, blocks, scratch| kernel::backward::<R, _, STUDENT, false>(placed, blocks, scratch),
-            },
-        }
-    }
-}
+use crate::primitives::KernelKind;
 
 /// A scalar that pixels and voxels can be computed in.
 ///
-/// The kernels of f32 and f64 are compiled here, once, and not again in every crate that projects something. Another
+/// The kernels of f32 and f64 are compiled here, once, and not again in every crate that projects primitives. Another
 /// scalar gets its own where it implements this: `impl Kernels for MyScalar {}`.
 pub trait Kernels: Real {
-    /// The kernels for a profile and a projection.
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
-        KernelPair::new(kernel, projection)
+    /// The kernels for images with a profile and a projection.
+    fn image_kernels(kernel: KernelKind, projection: Projection) -> ImageKernels<Self> {
+        ImageKernels::new(kernel, projection)
+    }
+
+    /// The kernels for volumes with a profile.
+    fn volume_kernels(kernel: KernelKind) -> VolumeKernels<Self> {
+        VolumeKernels::new(kernel)
     }
 }
 
-impl Kernels for f32 {
-    #[inline(never)]
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
-        KernelPair::new(kernel, projection)
-    }
+/// Functions that are not generic, so that other crates do not compile the kernels again.
+macro_rules! compiled_here {
+    ($($scalar:ty),*) => {
+        $(impl Kernels for $scalar {
+            #[inline(never)]
+            fn image_kernels(kernel: KernelKind, projection: Projection) -> ImageKernels<Self> {
+                ImageKernels::new(kernel, projection)
+            }
+
+            #[inline(never)]
+            fn volume_kernels(kernel: KernelKind) -> VolumeKernels<Self> {
+                VolumeKernels::new(kernel)
+            }
+        })*
+    };
 }
 
-impl Kernels for f64 {
-    #[inline(never)]
-    fn kernels(kernel: Kernel, projection: Projection) -> KernelPair<Self> {
-        KernelPair::new(kernel, projection)
-    }
-}
+compiled_here!(f32, f64);

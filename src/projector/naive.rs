@@ -1,13 +1,12 @@
-//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no shared setup. Every fast path is
-//! compared with this page. It works in the camera frame with Σ⁻¹ itself and walks every pixel for every primitive.
+//! The equations as plainly as they can be written: f64, no SIMD, no tiles, no shared setup. The fast path is
+//! tested against it. It works in the camera frame with Σ⁻¹ itself and visits every pixel for every primitive.
 //!
 //! A primitive whose centre lies behind the source, or nearer to it than 1/100 of `dso`, contributes nothing.
 //! Quaternions are squared as they are, so their lengths must lie well between 1e-150 and 1e150.
 
-use super::Projection;
-use super::footprint::NEAR;
+use super::projection::{MIN_DEPTH, Projection};
 use crate::numeric::elementary::{exp, log1p};
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
 use crate::scene::{Beam, Grid, Scanner, View};
 use glam::{DMat3, DQuat, DVec3};
 use ndarray::{Array3, ArrayView3};
@@ -24,7 +23,7 @@ struct Plain {
     /// δ beyond which nothing is seen `[X2]`.
     cut: f64,
     line: (f64, f64),
-    kernel: Kernel,
+    kernel: KernelKind,
 }
 
 /// Gradient to a [`Plain`]'s mean, precision matrix, density and ν.
@@ -47,8 +46,8 @@ impl Plain {
         let nu = p.nu[i];
         let bits = student_t::bits(cutoff);
         let (line, cut) = match primitives.kernel {
-            Kernel::StudentT => (student_t::line_integral(nu), student_t::reach(nu, bits)),
-            Kernel::Gaussian => ((gaussian::line_integral(), 0.0), gaussian::reach(bits)),
+            KernelKind::StudentT => (student_t::line_integral(nu), student_t::reach(nu, bits)),
+            KernelKind::Gaussian => ((gaussian::line_integral(), 0.0), gaussian::reach(bits)),
         };
         Self {
             mean: DVec3::from_array(p.mean[i]),
@@ -66,11 +65,11 @@ impl Plain {
     /// `(1+δ/ν)^-((ν+n)/2)` or `exp(-δ/2)`, and its derivatives to δ and ν. n = 3 in space, 2 on the detector.
     fn profile(&self, delta: f64, n: f64) -> (f64, f64, f64) {
         match self.kernel {
-            Kernel::Gaussian => {
+            KernelKind::Gaussian => {
                 let value = exp(-delta / 2.0);
                 (value, -value / 2.0, 0.0)
             }
-            Kernel::StudentT => {
+            KernelKind::StudentT => {
                 let (q, x) = ((self.nu + n) / 2.0, delta / self.nu);
                 let value = exp(-q * log1p(x));
                 let d_delta = -q / self.nu * value / (1.0 + x);
@@ -86,7 +85,7 @@ impl Plain {
         let (u, v) = scanner.detector.position(row as f64, column as f64);
         let (alpha, beta, kappa, d0) = match scanner.beam {
             Beam::Cone { dso, dsd } => {
-                if m.z <= NEAR * dso {
+                if m.z <= MIN_DEPTH * dso {
                     return None;
                 }
                 (u / dsd * m.z - m.x, v / dsd * m.z - m.y, 1.0 / m.z, m / m.z)
@@ -112,7 +111,7 @@ impl Plain {
         }
     }
 
-    fn finish(&self, gradient: &PlainGradient, i: usize, out: &mut Parameters) {
+    fn parameter_gradient(&self, gradient: &PlainGradient, i: usize, out: &mut Parameters) {
         out.mean[i] = gradient.mean.to_array();
         out.density[i] = gradient.density;
         out.nu[i] = gradient.nu;
@@ -221,7 +220,7 @@ pub fn vjp(
                 Projection::Affine => affine_mean(&p, &ray, &view, d_delta, d_a, d_value * value),
             };
         }
-        p.finish(&sum, i, &mut out);
+        p.parameter_gradient(&sum, i, &mut out);
     }
     out
 }
@@ -281,7 +280,7 @@ pub fn voxelize_vjp(primitives: &Primitives, grid: &Grid, cutoff: f64, cotangent
             sum.precision += outer(e, e) * d_delta;
             sum.mean += pe * (-2.0 * d_delta);
         }
-        p.finish(&sum, i, &mut out);
+        p.parameter_gradient(&sum, i, &mut out);
     }
     out
 }

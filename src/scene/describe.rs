@@ -18,7 +18,7 @@ const DISAGREEMENT: f64 = 0.25;
 
 /// A line of the summary.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Row {
+pub struct DescriptionLine {
     /// Name of the property.
     pub name: String,
     /// Its value.
@@ -27,8 +27,8 @@ pub struct Row {
     pub remark: String,
 }
 
-fn row(name: impl Into<String>, value: impl Into<String>, remark: impl Into<String>) -> Row {
-    Row { name: name.into(), value: value.into(), remark: remark.into() }
+fn line(name: impl Into<String>, value: impl Into<String>, remark: impl Into<String>) -> DescriptionLine {
+    DescriptionLine { name: name.into(), value: value.into(), remark: remark.into() }
 }
 
 /// Sizes, units, views, value ranges and oddities of a dataset, in a fixed order.
@@ -38,10 +38,10 @@ fn row(name: impl Into<String>, value: impl Into<String>, remark: impl Into<Stri
 ///
 /// # Errors
 /// None for a dataset that was read or simulated.
-pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
-    let mut rows = vec![row("name", &dataset.name, "")];
+pub fn describe(dataset: &Dataset) -> Result<Vec<DescriptionLine>> {
+    let mut rows = vec![line("name", &dataset.name, "")];
     rows.extend(scanner_rows(&dataset.scanner));
-    rows.push(row("unit", format!("1 of the files is {} scene units", short(dataset.scale)), ""));
+    rows.push(line("unit", format!("1 of the files is {} scene units", short(dataset.scale)), ""));
     rows.extend(view_rows("training", &dataset.train));
     if let Some(test) = &dataset.test {
         rows.extend(view_rows("test", test));
@@ -52,9 +52,9 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
             format!("{photons} photons per pixel, σ {sigma} counts ({})", dataset.noise)
         }
     };
-    rows.push(row("noise", noise, ""));
+    rows.push(line("noise", noise, ""));
     match &dataset.truth {
-        None => rows.push(row("true volume", "none", "only the projections can be evaluated")),
+        None => rows.push(line("true volume", "none", "results can only be judged by projections")),
         Some(truth) => {
             let (low, mean, high) = range(&truth.values);
             let mut remarks = Vec::new();
@@ -66,7 +66,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
             } else if high > 0.0 && high < 0.5 {
                 remarks.push("far below 1, which PSNR takes as the peak".into());
             }
-            rows.push(row("true values", span(low, mean, high), remarks.join("; ")));
+            rows.push(line("true values", span(low, mean, high), remarks.join("; ")));
             rows.push(agreement(&dataset.scanner, truth, &dataset.train)?);
         }
     }
@@ -75,14 +75,14 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<Row>> {
         let outside = |p: &ndarray::ArrayView1<'_, f64>| (0..3).any(|i| p[i] < min[i] || p[i] > max[i]);
         let count = points.rows().into_iter().filter(outside).count();
         let remark = if count > 0 { format!("{count} outside of the volume") } else { String::new() };
-        rows.push(row("initial points", points.nrows().to_string(), remark));
+        rows.push(line("initial points", points.nrows().to_string(), remark));
     }
-    rows.extend(dataset.notes.iter().map(|note| row("note", note, "")));
-    rows.extend(dataset.oddities.iter().map(|oddity| row("oddity", "", oddity)));
+    rows.extend(dataset.notes.iter().map(|note| line("note", note, "")));
+    rows.extend(dataset.oddities.iter().map(|oddity| line("oddity", "", oddity)));
     Ok(rows)
 }
 
-fn scanner_rows(scanner: &Scanner) -> [Row; 4] {
+fn scanner_rows(scanner: &Scanner) -> [DescriptionLine; 4] {
     let Scanner { beam, detector: d, grid } = scanner;
     let beam = match *beam {
         Beam::Cone { dso, dsd } => {
@@ -97,14 +97,14 @@ fn scanner_rows(scanner: &Scanner) -> [Row; 4] {
     let s = grid.spacing;
     let uneven = s.max_element() > s.min_element() * (1.0 + 1e-6);
     [
-        row("beam", beam, ""),
-        row("detector", size, ""),
-        row("detector offset", offset, ""),
-        row("volume", voxels, if uneven { "voxels are no cubes" } else { "" }),
+        line("beam", beam, ""),
+        line("detector", size, ""),
+        line("detector offset", offset, ""),
+        line("volume", voxels, if uneven { "voxels are no cubes" } else { "" }),
     ]
 }
 
-fn view_rows(kind: &str, views: &Projections) -> [Row; 2] {
+fn view_rows(kind: &str, views: &Projections) -> [DescriptionLine; 2] {
     let angles = &views.angles;
     let fold = |from: f64, pick: fn(f64, f64) -> f64| angles.iter().fold(from, |a, &b| pick(a, b)).to_degrees();
     let (first, last) = (fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max));
@@ -122,7 +122,7 @@ fn view_rows(kind: &str, views: &Projections) -> [Row; 2] {
         remarks.push(format!("{repeated} angles occur again"));
     }
     let value = format!("{}, {first:.2}° to {last:.2}°, largest gap {:.2}°", views.len(), largest.to_degrees());
-    let count = row(format!("{kind} views"), value, remarks.join("; "));
+    let count = line(format!("{kind} views"), value, remarks.join("; "));
 
     let (low, mean, high) = range(&views.images);
     let mut remarks = Vec::new();
@@ -140,11 +140,11 @@ fn view_rows(kind: &str, views: &Projections) -> [Row; 2] {
     if high <= 0.0 {
         remarks.push("all pixels are zero".into());
     }
-    [count, row(format!("{kind} values"), span(low, mean, high), remarks.join("; "))]
+    [count, line(format!("{kind} values"), span(low, mean, high), remarks.join("; "))]
 }
 
 /// Compares the training views with projections of the true volume.
-fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<Row> {
+fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<DescriptionLine> {
     let n = train.len();
     // Three views, not a quarter turn apart: those could hide a mirrored volume.
     let measured = train.select(&[n / 9, n / 3 + n / 12, 3 * n / 4].map(|i: usize| i.min(n - 1)));
@@ -176,7 +176,7 @@ fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<R
     } else {
         String::new()
     };
-    Ok(row("views against true volume", format!("{:.2} % RMS difference", 100.0 * difference), remark))
+    Ok(line("views against true volume", format!("{:.2} % RMS difference", 100.0 * difference), remark))
 }
 
 /// Relative RMS difference after the best scaling, and that scaling factor.

@@ -4,7 +4,7 @@ use crate::config::{Config, PositionOptimiser};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads;
 use crate::optim::schedule::pace;
-use crate::optim::sghmc::{Phase, Stir, gate};
+use crate::optim::sghmc::{NoiseInput, Phase, gate};
 use crate::optim::{Adam, Exponential, Sghmc};
 use crate::primitives::{Group, Parameters, Primitives};
 use glam::{DMat3, DVec3};
@@ -12,7 +12,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-/// What the optimisers remember.
+/// The state of the optimisers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Optimiser {
     /// In the order of [`Group::ALL`].
@@ -21,10 +21,10 @@ pub(super) struct Optimiser {
     sghmc: Sghmc,
 }
 
-/// What a step is told beside the gradient.
+/// The inputs of a step, apart from the gradient.
 pub(super) struct Step<'a> {
     pub(super) config: &'a Config,
-    /// Steps done before.
+    /// Steps completed before this one.
     pub(super) done: usize,
     /// Physical values before the step.
     pub(super) physical: &'a Primitives,
@@ -38,7 +38,7 @@ impl Optimiser {
         Self { adam, sghmc: Sghmc::new(m) }
     }
 
-    /// One step of all; `direction` is memory to work in.
+    /// One step of all parameters; `direction` is scratch.
     pub(super) fn step(
         &mut self,
         raw: &mut Parameters,
@@ -62,19 +62,19 @@ impl Optimiser {
         };
         let step_others = || {
             let each = (threads::chunks(others, 1), threads::chunks(&mut values, 1));
-            threads::for_each_of(each, |i, (adam, values)| {
+            threads::for_each_zip(each, |i, (adam, values)| {
                 adam[0].step(values[0], gradient.group(Group::ALL[1 + i]), rate(ends[i]));
             });
         };
-        threads::both(move_positions, step_others);
+        threads::join(move_positions, step_others);
     }
 
-    /// Takes over a new population: old rows keep what is remembered of them.
-    pub(super) fn succeed(&mut self, rows: &[Option<usize>]) {
+    /// Adapts to a new population: old rows keep their moments and momentum.
+    pub(super) fn remap_rows(&mut self, rows: &[Option<usize>]) {
         for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
-            adam.succeed(group.width(), rows);
+            adam.remap_rows(group.width(), rows);
         }
-        self.sghmc.succeed(rows);
+        self.sghmc.remap_rows(rows);
     }
 }
 
@@ -89,30 +89,30 @@ fn sample(
     step: &Step<'_>,
 ) {
     let settings = &step.config.sghmc;
-    let calmer = pace(step.config.optimiser.horizon, step.config.iterations).sqrt();
-    let (burn_in_friction, friction) = (settings.burn_in_friction / calmer, settings.friction / calmer);
+    let pace_root = pace(step.config.optimiser.horizon, step.config.iterations).sqrt();
+    let (burn_in_friction, friction) = (settings.burn_in_friction / pace_root, settings.friction / pace_root);
     let noise = |i: usize| {
-        let mut random = rng::stream(step.config.seed, Purpose::Stirring, step.done as u64, step.ids[i]);
+        let mut random = rng::stream(step.config.seed, Purpose::PositionNoise, step.done as u64, step.ids[i]);
         let mut normal = || random.sample(StandardNormal);
         DVec3::new(normal(), normal(), normal())
     };
     if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
         direction.clear();
         direction.extend(gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)));
-        let free = |i| Stir { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
+        let free = |i| NoiseInput { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
         return sghmc.step(mean, direction, rate, Phase::Sampling(friction), free);
     }
     let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
     let phase = if burning { Phase::BurnIn(burn_in_friction) } else { Phase::Sampling(friction) };
     let parameters = &step.physical.parameters;
-    let stir = |i: usize| match gate(parameters.density[i], settings.density_reference) {
-        0.0 => Stir::SHUT,
+    let noise_for = |i: usize| match gate(parameters.density[i], settings.density_reference) {
+        0.0 => NoiseInput::GATE_CLOSED,
         gate => {
             let covariance = if burning { parameters.covariance(i) } else { DMat3::ZERO };
-            Stir { gate, noise: noise(i), covariance }
+            NoiseInput { gate, noise: noise(i), covariance }
         }
     };
     direction.resize(mean.len(), [0.0; 3]);
     adam.direction(gradient.group(Group::Mean), direction.as_flattened_mut());
-    sghmc.step(mean, direction, rate, phase, stir);
+    sghmc.step(mean, direction, rate, phase, noise_for);
 }

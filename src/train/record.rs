@@ -1,16 +1,17 @@
-//! What a run says about itself while it runs.
+//! Reports on the state of a run.
 
 use serde::{Deserialize, Serialize};
 
-/// A report on the state of a run: means over the iterations since the last one. Losses are those of the projections and the
-/// volume divided by the run's unit of density.
+/// A report on the state of a run: means over the iterations since the last report.
+///
+/// Losses are of projections and volume in the run's unit of density.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Iterations done.
     pub iteration: usize,
     /// Iterations of the whole run.
     pub iterations: usize,
-    /// What is minimised.
+    /// The total loss.
     pub loss: f64,
     /// Mean absolute difference of the projections.
     pub l1: f64,
@@ -18,9 +19,9 @@ pub struct Record {
     pub d_ssim: f64,
     /// Total variation of the blocks.
     pub tv: f64,
-    /// The pull on the degrees of freedom `[Eq. 10]`; 0 without.
+    /// The loss on the degrees of freedom `[Eq. 10]`; 0 if disabled.
     pub nu: f64,
-    /// The wavelet loss `[Eq. 15]` of the blocks; 0 without.
+    /// The wavelet loss `[Eq. 15]` of the blocks; 0 if disabled.
     pub wavelet: f64,
     /// Number of primitives.
     pub primitives: usize,
@@ -32,7 +33,7 @@ pub struct Record {
     pub seconds: f64,
 }
 
-/// Parts of the loss of one iteration, or their sums over several.
+/// The loss terms of one iteration, or their sums over several.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Losses {
     pub(super) total: f64,
@@ -41,7 +42,7 @@ pub(super) struct Losses {
     pub(super) tv: f64,
     pub(super) nu: f64,
     pub(super) wavelet: f64,
-    /// Blocks that the wavelet loss was computed of.
+    /// Number of blocks in `wavelet`.
     pub(super) blocks: usize,
 }
 

@@ -1,6 +1,5 @@
-//! Where the primitives of a run start: points on a first volume, given ones, or anywhere.
+//! The initial primitives of a run: at points of a first volume, of the dataset, or at random.
 
-use super::kernel;
 use crate::classical::algebraic::{Order, SartSettings, TvSettings, sart, tv};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::classical::{RayModel, VoxelProjector};
@@ -14,14 +13,14 @@ use glam::DVec3;
 use ndarray::{ArrayView1, Axis, Zip};
 use std::ops::ControlFlow;
 
-/// Passes of SART before the first points.
+/// Iterations of SART for the first volume.
 const PASSES: usize = 5;
-/// Iterations with total variation before the first points; the weight is that of [`TvSettings::default`].
+/// Iterations with total variation for the first volume; the weight is that of [`TvSettings::default`].
 const ITERATIONS: usize = 30;
-/// Standard deviations after which the smoothing of a first volume ends.
+/// Radius of the smoothing kernel in standard deviations.
 const REACH: f64 = 3.0;
 
-/// The primitives that a run starts from.
+/// The initial primitives of a run.
 ///
 /// # Errors
 /// When the dataset does not have what the configuration asks for.
@@ -36,10 +35,10 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
         Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
         Start::Dataset => given(dataset)?,
     };
-    initialisation::primitives(&points, kernel(config), start.density_factor, config.model.nu_initial)
+    initialisation::primitives(&points, config.model.kernel, start.density_factor, config.model.nu_initial)
 }
 
-/// The volume whose bright voxels carry the first primitives.
+/// The volume whose bright voxels are the first points.
 fn first_volume(dataset: &Dataset, from: Start, smoothing: f64) -> Result<Volume> {
     let projector = VoxelProjector::new(&dataset.scanner, RayModel::Joseph)?;
     let mut quiet = |_: &_| ControlFlow::Continue(());
@@ -60,7 +59,7 @@ fn first_volume(dataset: &Dataset, from: Start, smoothing: f64) -> Result<Volume
     }
 }
 
-/// The points of the dataset.
+/// The initial points of the dataset.
 fn given(dataset: &Dataset) -> Result<Vec<Point>> {
     let points = dataset.initial_points.as_ref().ok_or_else(|| {
         Error::invalid(
@@ -74,7 +73,7 @@ fn given(dataset: &Dataset) -> Result<Vec<Point>> {
     Ok(points.rows().into_iter().map(point).collect())
 }
 
-/// A volume convolved with a normal distribution of `sigma` voxels along each axis; beyond an end the last voxel stands.
+/// A volume convolved with a normal distribution of `sigma` voxels along each axis; edge voxels are repeated.
 fn smoothed(mut volume: Volume, sigma: f64) -> Volume {
     let reach = (REACH * sigma).ceil() as usize;
     let weights: Vec<f64> = (0..=2 * reach)
@@ -114,7 +113,7 @@ mod tests {
         let phantom = Phantom::by_name("torso", 0).unwrap();
         let scan = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap();
         let truth = &scan.truth.as_ref().unwrap().values;
-        // Points anywhere would meet it less often; FDK has streaks beside it, with so few views.
+        // Random points would hit the object less often; FDK has streaks outside of it with so few views.
         assert!(truth.iter().filter(|value| **value > 0.0).count() * 2 < truth.len());
         let mut volumes = Vec::new();
         for from in [Start::Fdk, Start::SmoothedFdk, Start::Sart, Start::Tv] {

@@ -1,9 +1,9 @@
-//! All that a run must remember to go on to the same bits, and the file that holds it.
+//! The state that a run needs to resume with the same bits, and its checkpoint file.
 
 use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
 use crate::config::Config;
-use crate::density::{Successor, succeed};
+use crate::density::{NextPrimitive, next_parameters};
 use crate::error::{Error, Result};
 use crate::output::{create_folder, write_atomically};
 use crate::primitives::{Activation, Parameters};
@@ -13,25 +13,26 @@ use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Changes with the meaning of the file.
+/// Version of the file format.
 const FORMAT: u32 = 2;
-/// What to do about a checkpoint of something else.
+/// Remedy for a checkpoint of another run.
 const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 
-/// The state of a run after an iteration. Random numbers and the order of views need no memory: they are functions of
-/// the seed and the iteration.
+/// The state of a run after an iteration.
+///
+/// Random numbers and the order of views are functions of the seed and the iteration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
-    /// Iterations done.
+    /// Iterations completed.
     pub(super) iteration: usize,
     pub(super) raw: Parameters,
-    /// A name for each primitive that no other ever had.
+    /// Unique ids of the primitives; none is reused.
     pub(super) ids: Vec<u64>,
     next_id: u64,
     pub(super) optimiser: Optimiser,
-    /// c of each primitive when it was last computed; empty if nothing asks for it.
+    /// c of each primitive as last computed; empty if no loss needs it.
     pub(super) confidence: Vec<f64>,
-    pub(super) pulls: Pulls,
+    pub(super) gradient_stats: GradientStats,
     pub(super) log: Vec<Record>,
     /// Sums of the losses since the last record, and their number.
     pub(super) sums: Losses,
@@ -40,28 +41,28 @@ pub(super) struct State {
     pub(super) seconds: f64,
 }
 
-/// How hard each primitive pulled on its place in the views that saw it, since the last step of density control.
+/// Mean gradient to each projected mean over the views that saw the primitive, since the last density control.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Pulls {
+pub(super) struct GradientStats {
     sum: Vec<f64>,
     views: Vec<u32>,
 }
 
-impl Pulls {
+impl GradientStats {
     fn new(m: usize) -> Self {
         Self { sum: vec![0.0; m], views: vec![0; m] }
     }
 
-    /// Adds one view: the gradient to each shadow, and whether the view saw it.
-    pub(super) fn add(&mut self, shadows: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
+    /// Adds one view: the gradient to each projected mean, and whether the view saw the primitive.
+    pub(super) fn add(&mut self, mean2d_gradients: impl Iterator<Item = [f64; 2]>, seen: impl Iterator<Item = bool>) {
         let totals = self.sum.iter_mut().zip(&mut self.views);
-        for ((sum, views), ([u, v], _)) in totals.zip(shadows.zip(seen)).filter(|(_, (_, seen))| *seen) {
+        for ((sum, views), ([u, v], _)) in totals.zip(mean2d_gradients.zip(seen)).filter(|(_, (_, seen))| *seen) {
             *sum += (u * u + v * v).sqrt();
             *views += 1;
         }
     }
 
-    /// The means; 0 for what no view saw.
+    /// The means; 0 for a primitive that no view saw.
     pub(super) fn means(&self) -> Vec<f64> {
         self.sum.iter().zip(&self.views).map(|(sum, &views)| sum / f64::from(views.max(1))).collect()
     }
@@ -76,7 +77,7 @@ impl State {
             next_id: m as u64,
             optimiser: Optimiser::new(m, config),
             confidence: Vec::new(),
-            pulls: Pulls::new(m),
+            gradient_stats: GradientStats::new(m),
             raw,
             log: Vec::new(),
             sums: Losses::default(),
@@ -85,26 +86,31 @@ impl State {
         }
     }
 
-    /// Replaces the population. What a successor did not change keeps its raw value to the bit.
-    pub(super) fn succeed(&mut self, physical: &Parameters, successors: &[Successor], activation: &Activation) {
-        let new = activation.inverse(&succeed(physical, successors));
+    /// Replaces the population. Unchanged values keep their raw values to the bit.
+    pub(super) fn replace_population(
+        &mut self,
+        physical: &Parameters,
+        next: &[NextPrimitive],
+        activation: &Activation,
+    ) {
+        let new = activation.inverse(&next_parameters(physical, next));
         let old = &self.raw;
         let keep = |same: bool, old: f64, new: f64| if same { old } else { new };
         self.raw = Parameters {
             mean: new.mean,
-            scale: (successors.iter().zip(&new.scale))
+            scale: (next.iter().zip(&new.scale))
                 .map(|(s, new)| {
                     let p = s.parent;
                     [0, 1, 2].map(|k| keep(s.scale[k] == physical.scale[p][k], old.scale[p][k], new[k]))
                 })
                 .collect(),
             quaternion: new.quaternion,
-            density: (successors.iter().zip(&new.density))
+            density: (next.iter().zip(&new.density))
                 .map(|(s, &new)| keep(s.density == physical.density[s.parent], old.density[s.parent], new))
                 .collect(),
-            nu: successors.iter().map(|s| old.nu[s.parent]).collect(),
+            nu: next.iter().map(|s| old.nu[s.parent]).collect(),
         };
-        let mut id = |s: &Successor| {
+        let mut id = |s: &NextPrimitive| {
             if s.fresh {
                 self.next_id += 1;
                 self.next_id - 1
@@ -112,14 +118,14 @@ impl State {
                 self.ids[s.parent]
             }
         };
-        self.ids = successors.iter().map(&mut id).collect();
-        let rows: Vec<_> = successors.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
-        self.optimiser.succeed(&rows);
-        self.pulls = Pulls::new(successors.len());
+        self.ids = next.iter().map(&mut id).collect();
+        let rows: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
+        self.optimiser.remap_rows(&rows);
+        self.gradient_stats = GradientStats::new(next.len());
     }
 }
 
-/// The state of a run in a file, with what it belongs to.
+/// The state of a run, with its configuration and the digest of its data.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Checkpoint {
     format: u32,
@@ -130,12 +136,12 @@ pub struct Checkpoint {
     pub(super) state: State,
 }
 
-/// Where a run keeps its checkpoint, and the one it goes on from.
+/// The file of a run's checkpoints, and the checkpoint to resume from.
 #[derive(Debug)]
 pub struct Checkpoints {
     /// The file; its folder is created.
     pub file: PathBuf,
-    /// What was read from it.
+    /// The checkpoint to resume from.
     pub from: Option<Checkpoint>,
 }
 
@@ -171,7 +177,7 @@ impl Checkpoint {
             write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
         });
         if written.is_err() {
-            // Empty ones only: the others are somebody's by now.
+            // Only empty folders are removed: others are in use by now.
             missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
         }
         written
@@ -193,8 +199,8 @@ impl Checkpoint {
         })
     }
 
-    /// Refuses another configuration. What is done with the primitives after training may differ: `sampling`, `finish` and
-    /// the table `tv`.
+    /// Rejects another configuration. Settings of the steps after training may differ: `sampling`, `finish` and the table
+    /// `tv`.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the first key that differs.
@@ -206,7 +212,7 @@ impl Checkpoint {
         Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
     }
 
-    /// Refuses another configuration and other data.
+    /// Rejects another configuration and other data.
     pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
         if self.data != data {
@@ -216,7 +222,7 @@ impl Checkpoint {
     }
 }
 
-/// Digest of all that a run takes from its dataset.
+/// Digest of the parts of a dataset that training uses.
 pub(super) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
     let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
@@ -226,11 +232,11 @@ pub(super) fn digest(dataset: &Dataset) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::primitives::{Kernel, activation::Interval};
+    use crate::primitives::{KernelKind, activation::Interval};
 
     fn activation() -> Activation {
         Activation {
-            kernel: Kernel::StudentT,
+            kernel: KernelKind::StudentT,
             scale: Interval { min: 0.001, max: 1.0 },
             nu: Interval { min: 2.0, max: 100.0 },
         }
@@ -250,9 +256,9 @@ mod tests {
     fn successors_keep_raw_values_to_the_bit_where_nothing_changed() {
         let mut state = State::new(raw(), &Config::default());
         let physical = activation().forward(&state.raw).parameters;
-        let same = Successor::same(&physical, 1);
-        let half = Successor { density: physical.density[0] / 2.0, ..Successor::same(&physical, 0) };
-        state.succeed(&physical, &[same, half, Successor { fresh: true, ..half }], &activation());
+        let same = NextPrimitive::same(&physical, 1);
+        let half = NextPrimitive { density: physical.density[0] / 2.0, ..NextPrimitive::same(&physical, 0) };
+        state.replace_population(&physical, &[same, half, NextPrimitive { fresh: true, ..half }], &activation());
         assert_eq!((state.raw.scale[0], state.raw.density[0]), (raw().scale[1], raw().density[1]));
         assert_eq!((state.raw.scale[1], state.raw.nu[2]), (raw().scale[0], raw().nu[0]));
         let density = activation().forward(&state.raw).parameters.density;
@@ -262,10 +268,10 @@ mod tests {
 
     #[test]
     fn pulls_are_means_over_the_views_that_saw_a_primitive() {
-        let mut pulls = Pulls::new(3);
-        pulls.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
-        pulls.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
-        assert_eq!(pulls.means(), [3.0, 1.0, 0.0]);
+        let mut gradient_stats = GradientStats::new(3);
+        gradient_stats.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
+        gradient_stats.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
+        assert_eq!(gradient_stats.means(), [3.0, 1.0, 0.0]);
     }
 
     #[test]

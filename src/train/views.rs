@@ -1,11 +1,11 @@
-//! What an iteration looks at.
+//! The view and the blocks of an iteration.
 
 use crate::numeric::rng::{self, Purpose};
 use crate::scene::Grid;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-/// A block of at most `side` voxels a side, a multiple of `multiple`, somewhere in the grid.
+/// A random block of the grid with sides of at most `side` voxels, multiples of `multiple`.
 pub(super) fn random_block(
     grid: &Grid,
     side: usize,

@@ -15,16 +15,17 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Bands of one level.
 pub const BANDS: usize = 8;
-/// Slices along x that one task puts together, an even number: a constant, so the cut does not depend on the threads.
+/// Slices along x of one task, an even number: a constant, so that results do not depend on the number of threads.
 const SLAB: usize = 8;
 /// Cells of a row that are transformed together.
 const CHUNK: usize = 16;
 
-/// What a block is made of `[Eq. 11]`.
+/// The Haar coefficients of a block `[Eq. 11]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Subbands<R> {
-    /// Level by level, finest first; level l = 1, 2, … is `[band, X/2^l, Y/2^l, Z/2^l]`. Band 0 of a level is what the next
-    /// one transforms: it belongs to the coefficients in the coarsest level only.
+    /// Level by level, finest first; level l = 1, 2, … is `[band, X/2^l, Y/2^l, Z/2^l]`.
+    ///
+    /// Band 0 of a level is the input of the next one, and a coefficient in the coarsest level only.
     pub levels: Vec<Array4<R>>,
 }
 
@@ -41,7 +42,7 @@ impl<R: Real> Subbands<R> {
         Self { levels: (1..=levels).map(level).collect() }
     }
 
-    /// Those of a block of `shape`: themselves, or zeros.
+    /// Becomes zeros for a block of `shape`, unless it has that shape already.
     pub(super) fn fit(&mut self, shape: [usize; 3], levels: usize) {
         if levels == 0 || self.levels.len() != levels || self.shape() != shape {
             *self = Self::zeros(shape, levels);
@@ -71,7 +72,7 @@ pub fn forward<R: Real>(block: ArrayView3<R>, levels: usize) -> Subbands<R> {
     subbands
 }
 
-/// [`forward`] in the place of another transform.
+/// [`forward`] into an existing transform.
 pub(super) fn forward_into<R: Real>(block: ArrayView3<R>, levels: usize, subbands: &mut Subbands<R>) {
     let (x, y, z) = block.dim();
     let mut shape = [x, y, z];
@@ -82,11 +83,11 @@ pub(super) fn forward_into<R: Real>(block: ArrayView3<R>, levels: usize, subband
         let all = level.as_slice_mut().expect("coefficients are contiguous");
         let size = all.len() / BANDS;
         let [nx, ny, nz] = shape;
-        let [a, b, c, d, e, f, g, h] = eight(all.chunks_exact_mut(size)).map(|band| {
+        let [a, b, c, d, e, f, g, h] = to_bands(all.chunks_exact_mut(size)).map(|band| {
             let of_slab = SLAB * ny * nz / BANDS;
             threads::chunks(band, of_slab)
         });
-        threads::for_each_of((a, b, c, d, e, f, g, h), |slab, (a, b, c, d, e, f, g, h)| {
+        threads::for_each_zip((a, b, c, d, e, f, g, h), |slab, (a, b, c, d, e, f, g, h)| {
             let first = slab * SLAB;
             let slab = &low[first * ny * nz..nx.min(first + SLAB) * ny * nz];
             analyse_all(slab, [ny, nz], [a, b, c, d, e, f, g, h]);
@@ -103,7 +104,7 @@ pub fn inverse<R: Real>(subbands: &Subbands<R>) -> Array3<R> {
     block
 }
 
-/// [`inverse`] in the place of another block.
+/// [`inverse`] into an existing array.
 pub(super) fn inverse_into<R: Real>(subbands: &Subbands<R>, block: &mut Array3<R>) {
     let shape = subbands.shape();
     if block.shape() != shape {
@@ -119,7 +120,7 @@ pub(super) fn inverse_into<R: Real>(subbands: &Subbands<R>, block: &mut Array3<R
     synthesise_all(&low, subbands, 1, block.as_slice_mut().expect("standard layout"));
 }
 
-/// The block of a level's coefficients, of which `low` are those of band 0.
+/// The block of a level's coefficients; `low` are those of band 0.
 fn synthesise_all<R: Real>(low: &[R], subbands: &Subbands<R>, level: usize, block: &mut [R]) {
     let [_, ny, nz] = subbands.shape().map(|side| side >> (level - 1));
     let bands: [_; BANDS] = std::array::from_fn(|band| if band == 0 { low } else { subbands.band(level, band) });
@@ -149,7 +150,7 @@ fn analyse_all<R: Real>(slices: &[R], [ny, nz]: [usize; 2], mut bands: [&mut [R]
     }
 }
 
-/// All bands of a row of cells, from its four rows of voxels, in the places from the `first` one on.
+/// All bands of a row of cells, from its four rows of voxels, written from index `first` on.
 #[inline(always)]
 fn split_row<R: Real>([a, b, c, d]: [&[R]; 4], bands: &mut [&mut [R]; BANDS], first: usize) {
     let left = a.len() / 2 % CHUNK;
@@ -228,8 +229,8 @@ fn join<R: Real>(bands: &[[R; CHUNK]; BANDS]) -> [[R; 2 * CHUNK]; 4] {
     voxels
 }
 
-fn eight<T>(mut some: impl Iterator<Item = T>) -> [T; BANDS] {
-    std::array::from_fn(|_| some.next().expect("eight bands"))
+fn to_bands<T>(mut values: impl Iterator<Item = T>) -> [T; BANDS] {
+    std::array::from_fn(|_| values.next().expect("eight bands"))
 }
 
 /// One band alone at full size: `shape` voxels in the order `[x, y, z]` from the band's coefficients of a level.
@@ -262,7 +263,7 @@ pub(super) fn is_high(band: usize) -> [bool; 3] {
     [4, 2, 1].map(|axis| band & axis != 0)
 }
 
-/// What the odd voxels along x, y and z count in a band: -1 where it is high, 1 where it is low.
+/// Signs of the odd voxels along x, y and z in a band: -1 where it is high, 1 where it is low.
 fn signs<R: Real>(band: usize) -> [R; 3] {
     is_high(band).map(|high| if high { -R::ONE } else { R::ONE })
 }
@@ -272,8 +273,9 @@ pub(super) fn scale<R: Real>() -> R {
     R::from_f64(0.5 * FRAC_1_SQRT_2)
 }
 
-/// Coefficients of one band from a block of `shape`, one level. Pairs are added before pairs of pairs: where a block does
-/// not change along an axis, its high bands are exactly 0.
+/// Coefficients of one band from a block of `shape`, one level.
+///
+/// Pairs are added before pairs of pairs: the high bands of an axis along which the block is constant are exactly 0.
 fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &mut [R]) {
     let [_, ny, nz] = shape;
     let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
@@ -288,7 +290,7 @@ fn analyse<R: Real>(block: &[R], shape: [usize; 3], band: usize, coefficients: &
     }
 }
 
-/// Adds what one band's coefficients stand for to a block of `shape`, one level. The transpose of [`analyse`].
+/// Adds the contribution of one band to a block of `shape`, one level. The transpose of [`analyse`].
 fn add_synthesis<R: Real>(coefficients: &[R], [_, ny, nz]: [usize; 3], band: usize, block: &mut [R]) {
     let ([along_x, along_y, along_z], scale) = (signs::<R>(band), scale::<R>());
     let sign = |sign: R, index: usize| if index.is_multiple_of(2) { R::ONE } else { sign };

@@ -1,17 +1,17 @@
-//! The loss and its gradient.
+//! The wavelet loss and its gradient.
 
 use super::Settings;
-use super::detail::{Space, Weights, strength};
+use super::detail::{Scratch, Weights, strength};
 use super::haar::{self, BANDS, Subbands};
 use super::routing::Routing;
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Real, reduce};
 use ndarray::{Array3, ArrayView3};
 
 /// The bands that count in each level: not the low one, not the one that is high along all axes `[Eq. 11]`.
 const MIDDLE: std::ops::RangeInclusive<usize> = 1..=6;
 
-/// What a block has to answer for `[Eq. 15]`.
+/// Value and gradient of the wavelet loss `[Eq. 15]`.
 #[derive(Clone, Debug)]
 pub struct WaveletLoss<R> {
     /// `L = λ_supp·S - λ_enh·E`.
@@ -24,20 +24,22 @@ pub struct WaveletLoss<R> {
     pub gradient: Array3<R>,
 }
 
-/// What [`wavelet_loss_into`] works in: with one level it asks for no memory again while blocks are as large as the last one.
+/// Buffers of [`wavelet_loss_into`].
+///
+/// With one level nothing is allocated while blocks have the size of the last one.
 #[derive(Debug, Default)]
-pub struct Spaces<R: Real> {
-    weights: Spares<Weights<R>>,
-    bands: Spares<Space<R>>,
-    subbands: Spares<Subbands<R>>,
-    slopes: Spares<Subbands<R>>,
+pub struct Workspace<R: Real> {
+    weights: Pool<Weights<R>>,
+    bands: Pool<Scratch<R>>,
+    subbands: Pool<Subbands<R>>,
+    slopes: Pool<Subbands<R>>,
 }
 
 /// Value and gradient of the wavelet loss of a block `[x, y, z]` `[Eq. 14]`, `[Eq. 15]`; formulas in [`super`].
 ///
-/// The routing is constant to the gradient, which is found in the coefficients of each band and goes back through the
-/// transform. Where a band is flat (`|∇| ≪ 1e-6`) the gradient to it fades to 0.
-/// Bands are computed in parallel and added up in order, voxels of a cell in the block's precision, cells in f64.
+/// The gradient treats the routing as constant. It is computed in the coefficients of each band and transformed back.
+/// Where a band is flat (`|∇| ≪ 1e-6`) its gradient tends to 0.
+/// Bands are computed in parallel and summed in order, voxels of a cell in the block's precision, cells in f64.
 ///
 /// Tests: against [`super::naive::wavelet_loss`] to 1e-13 in f64 and 1e-5 in f32, and central differences.
 ///
@@ -47,11 +49,11 @@ pub struct Spaces<R: Real> {
 pub fn wavelet_loss<R: Real>(block: ArrayView3<R>, routing: &Routing, settings: &Settings) -> WaveletLoss<R> {
     let mut gradient = Array3::default((0, 0, 0));
     let [value, enhancement, suppression] =
-        wavelet_loss_into(block, routing, settings, &Spaces::default(), &mut gradient);
+        wavelet_loss_into(block, routing, settings, &Workspace::default(), &mut gradient);
     WaveletLoss { value, enhancement, suppression, gradient }
 }
 
-/// L, E and S of [`wavelet_loss`] `[Eq. 15]`, with the gradient in the place of another array.
+/// L, E and S of [`wavelet_loss`] `[Eq. 15]`; the gradient is written to an existing array.
 ///
 /// # Panics
 /// As [`wavelet_loss`].
@@ -59,38 +61,38 @@ pub fn wavelet_loss_into<R: Real>(
     block: ArrayView3<R>,
     routing: &Routing,
     settings: &Settings,
-    spaces: &Spaces<R>,
+    workspace: &Workspace<R>,
     gradient: &mut Array3<R>,
 ) -> [f64; 3] {
     assert_eq!(block.shape(), routing.high.shape(), "shapes of block and routing");
     let (x, y, z) = block.dim();
     let shape = [x, y, z];
-    let (mut subbands, mut of_subbands) = (spaces.subbands.lend(), spaces.slopes.lend());
+    let (mut subbands, mut of_subbands) = (workspace.subbands.take(), workspace.slopes.take());
     haar::forward_into(block, settings.levels, &mut subbands);
     of_subbands.fit(shape, settings.levels);
     let (k, most) = (routing.neighbours, routing.high.iter().fold(0, |most, &high| high.max(most)));
     assert!(usize::from(most) <= k, "{most} confident neighbours of {k}");
-    // What a voxel's count is divided by: neighbours, voxels and bands.
+    // Divisor of all counts: neighbours, voxels and bands.
     let share = (k * block.len() * settings.levels * MIDDLE.count()) as f64;
-    let mut weights = spaces.weights.lend();
+    let mut weights = workspace.weights.take();
     weights.fit(routing, settings, share);
     let mut sums = [0.0; 2];
     for level in 1..=settings.levels {
         let slopes = of_subbands.levels[level - 1].as_slice_mut().expect("coefficients are contiguous");
         let mut of_bands = [[0.0; 2]; BANDS];
         let bands = (threads::chunks(slopes, block.len() >> (3 * level)), threads::chunks(&mut of_bands, 1));
-        threads::for_each_of(bands, |band, (slopes, sums)| {
+        threads::for_each_zip(bands, |band, (slopes, sums)| {
             if MIDDLE.contains(&band) {
-                let mut space = spaces.bands.lend();
+                let mut scratch = workspace.bands.take();
                 let coefficients = subbands.band(level, band);
                 if level == 1 {
-                    sums[0] = strength(coefficients, band, &weights, &mut space, slopes);
+                    sums[0] = strength(coefficients, band, &weights, &mut scratch, slopes);
                 } else {
-                    // It makes the same block as coefficients of level 1 that are low along all axes.
+                    // A coarser band is the same block as low coefficients of level 1.
                     let half = shape.map(|side| side / 2);
                     let alone = haar::alone(coefficients, half, level - 1, band);
                     let mut of_alone = vec![R::ZERO; alone.len()];
-                    sums[0] = strength(&alone, 0, &weights, &mut space, &mut of_alone);
+                    sums[0] = strength(&alone, 0, &weights, &mut scratch, &mut of_alone);
                     slopes.copy_from_slice(&haar::coefficients(&of_alone, half, level - 1, band));
                 }
             }
@@ -213,11 +215,11 @@ mod tests {
 
     #[test]
     fn blocks_of_other_shapes_before_it_do_not_matter_to_a_block() {
-        let (spaces, mut gradient) = (Spaces::default(), Array3::default((0, 0, 0)));
+        let (workspace, mut gradient) = (Workspace::default(), Array3::default((0, 0, 0)));
         // A slice of sixteen cells, of three, of fifteen: what is left over in registers is not that of the last one.
         for (shape, neighbours) in [([4, 8, 8], 8), ([6, 2, 6], 8), ([4, 6, 10], 5), ([4, 8, 8], 3)] {
             let (block, routing) = (block(shape, 6), routing(shape, neighbours));
-            let found = wavelet_loss_into(block.view(), &routing, &plain(), &spaces, &mut gradient);
+            let found = wavelet_loss_into(block.view(), &routing, &plain(), &workspace, &mut gradient);
             let expected = wavelet_loss(block.view(), &routing, &plain());
             assert_eq!(found, [expected.value, expected.enhancement, expected.suppression], "{shape:?}");
             assert_eq!(gradient, expected.gradient, "{shape:?}");

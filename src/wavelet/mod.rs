@@ -15,8 +15,8 @@
 //! L = λ_supp·S - λ_enh·E                                          minimised
 //! ```
 //!
-//! ∇ are differences of neighbouring voxels, in units of voxels. The paper leaves the wavelet, the gradient's differences,
-//! the mean over the bands and where η stands open.
+//! ∇ are differences of neighbouring voxels, in units of voxels. The paper does not specify the wavelet, the differences,
+//! the mean over the bands and the position of η.
 
 mod detail;
 pub mod haar;
@@ -24,7 +24,7 @@ mod loss;
 pub mod naive;
 mod routing;
 
-pub use loss::{Spaces, WaveletLoss, wavelet_loss, wavelet_loss_into};
+pub use loss::{WaveletLoss, Workspace, wavelet_loss, wavelet_loss_into};
 pub use routing::{Router, Routing, route};
 
 use crate::error::{Error, Result};
@@ -32,10 +32,10 @@ use crate::error::{Error, Result};
 /// Added to `|∇f|²`: keeps the gradient finite where a band is flat.
 const FLAT: f64 = 1e-12;
 
-/// What the wavelet regularisation is told.
+/// Parameters of the wavelet regularisation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// K: primitives that a voxel asks for their confidence.
+    /// K: nearest primitives of a voxel whose confidence is used.
     pub neighbours: usize,
     /// τ: confidence from which on a primitive counts as confident.
     pub threshold: f64,

@@ -1,5 +1,7 @@
-//! The wavelet regularisation as plainly as it can be written `[Eq. 11]`–`[Eq. 15]`, in f64: the transform as sums over the whole
-//! block, neighbours by sorting all primitives, bands alone by the inverse transform, the gradient by scattering.
+//! The wavelet regularisation as plainly as it can be written `[Eq. 11]`–`[Eq. 15]`, in f64.
+//!
+//! The transform is a sum over the whole block. Neighbours are found by sorting all primitives, single bands by the inverse
+//! transform, and the gradient by scattering.
 
 use super::routing::Routing;
 use super::{FLAT, Settings, WaveletLoss};
@@ -38,7 +40,9 @@ pub fn inverse_transform(coefficients: &Array4<f64>) -> Array3<f64> {
     })
 }
 
-/// What one band of one level (from 1) adds to a block: transform, all other coefficients to zero, and back `[Eq. 11]`.
+/// The contribution of one band of one level (from 1) to a block `[Eq. 11]`.
+///
+/// The block is transformed, all other coefficients are set to zero, and the rest is transformed back.
 pub fn alone(block: &Array3<f64>, level: usize, band: usize) -> Array3<f64> {
     let mut coefficients = transform(block);
     for (b, mut values) in coefficients.outer_iter_mut().enumerate() {
@@ -65,7 +69,7 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
     Routing { high, neighbours }
 }
 
-/// The two voxels of a difference along an axis of n, and what divides it.
+/// The two voxels of a difference along an axis of n voxels, and its divisor.
 fn ends(i: usize, n: usize) -> (usize, usize, f64) {
     if i == 0 {
         (0, 1, 1.0)
@@ -106,7 +110,7 @@ pub fn wavelet_loss(block: &Array3<f64>, routing: &Routing, settings: &Settings)
                 d_f[below] -= d_g * slope / g / span;
             }
         }
-        // A band alone is an orthogonal projection, which is its own transpose.
+        // Extracting a band is an orthogonal projection, which is its own transpose.
         sum.gradient += &alone(&d_f, level, band);
     }
     sum.value = settings.suppress * sum.suppression - settings.enhance * sum.enhancement;

@@ -1,36 +1,34 @@
-//! Which voxels are near confident primitives `[Eq. 12]`, `[Eq. 13]`.
+//! The confident primitives among the nearest ones of each voxel `[Eq. 12]`, `[Eq. 13]`.
 
 use super::Settings;
 use crate::error::{Error, Result};
+use crate::numeric::Lanes;
 use crate::numeric::elementary::length;
-use crate::numeric::threads::{self, Spares};
-use crate::numeric::{Lanes, Real};
+use crate::numeric::threads::{self, Pool};
+use crate::numeric::vectors::{LANES, f64x8};
 use crate::scene::Grid;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use ndarray::Array3;
 
-/// Voxels along each side of a cell, whose neighbours are looked for together.
+/// Voxels along each side of a cell. The neighbours of a cell's voxels are searched together.
 const CELL: usize = 4;
-/// Voxels along each side of a bundle, which are told from each other in lanes. Sides of a block are even.
+/// Voxels along each side of a bundle, one voxel per lane. Sides of a block are even.
 const BUNDLE: usize = 2;
-/// Voxels of a bundle.
-const LANES: usize = <Row as Lanes>::WIDTH;
-/// A number for each voxel of a bundle.
-type Row = <f64 as Real>::Lanes;
-/// The most that a cell's half diagonal may be of the distance in which its middle has K primitives: beyond, too many
-/// are near the cell for most of its voxels.
+/// Bound on a cell's half diagonal, relative to the distance of the K-th primitive from its centre.
+///
+/// Above it, too many primitives are candidates for the cell's voxels.
 const CROWDED: f64 = 1.5;
-/// The most neighbours for which a cell pays: they are kept in order by insertion.
+/// Bound on the number of neighbours for which cells pay: candidates are kept in order by insertion.
 const FEW: usize = 64;
-/// Squared distances that are closer together than this, relatively, may be equal: the tree rounds in an order of its own.
+/// Relative difference below which squared distances may be equal: the tree rounds in another order.
 const TIE: f64 = 1e-12;
-/// How much farther than around the last place the K-th primitive is expected to be.
+/// Factor from the last distance of the K-th primitive to the first search radius of the next place.
 const FARTHER: f64 = 1.25;
-/// Diagonals of a voxel that primitives may move until the tree is made again: as many more are looked at.
+/// Voxel diagonals that primitives may move before the tree is rebuilt. Searches are widened by as much.
 const STALE: f64 = 0.5;
 
-/// The shares of confident and other neighbours of each voxel of a block.
+/// Numbers of confident neighbours and of all neighbours of each voxel of a block.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Routing {
     /// `|N_high|` `[x, y, z]`; the others of the neighbours are `|N_low|`.
@@ -59,19 +57,21 @@ pub fn route(grid: &Grid, means: &[[f64; 3]], confidence: &[f64], settings: &Set
     Ok(routing)
 }
 
-/// Routes one block after another. Primitives move little from one to the next, so the kd-tree of an earlier block serves
-/// as long as none has gone far: what it finds a little farther away than needed is looked at where it is now.
+/// Routes one block after another.
+///
+/// Primitives move little between blocks, so that the kd-tree of an earlier block is reused until one has moved far. Its
+/// searches are widened, and distances are computed from the current means.
 #[derive(Default)]
 pub struct Router {
     tree: Option<ImmutableKdTree<f64, 3>>,
-    /// Where the tree has the primitives.
+    /// The means in the tree.
     places: Vec<[f64; 3]>,
     confident: Vec<bool>,
-    rooms: Spares<Room>,
+    scratch: Pool<Scratch>,
 }
 
 impl Router {
-    /// [`route`] in the place of another routing.
+    /// [`route`] into an existing routing.
     ///
     /// # Errors
     /// As [`route`].
@@ -101,7 +101,7 @@ impl Router {
         if high.shape() != grid.shape {
             *high = Array3::default(grid.shape);
         }
-        // Where all are neighbours or all are alike, no voxel differs from another.
+        // Where all primitives are neighbours or all are alike, all voxels have the same counts.
         let alike = self.confident.iter().all(|&first| first == self.confident[0]);
         if neighbours == means.len() || alike {
             high.fill(self.confident[..neighbours].iter().filter(|&&confident| confident).count() as u16);
@@ -109,18 +109,18 @@ impl Router {
         }
         let step = length(grid.spacing);
         let moved = self.follow(means, STALE * step)?;
-        let Self { tree, confident, rooms, .. } = self;
+        let Self { tree, confident, scratch, .. } = self;
         let tree = tree.as_ref().expect("made for these means or some near them");
         let nearest = Nearest { means, confident, tree, moved, step, neighbours };
         let [_, ny, nz] = grid.shape;
         let voxels = high.as_slice_mut().expect("standard layout");
-        threads::for_each_chunk_in(voxels, CELL * ny * nz, rooms, |slab, high, room| {
-            nearest.route_slab(grid, slab * CELL, high, room);
+        threads::for_each_chunk_in(voxels, CELL * ny * nz, scratch, |slab, high, scratch| {
+            nearest.route_slab(grid, slab * CELL, high, scratch);
         });
         Ok(())
     }
 
-    /// The most that a primitive is away from where the tree has it; makes it again if this is more than `limit`.
+    /// The largest distance of a primitive from its mean in the tree, which is rebuilt if it exceeds `limit`.
     fn follow(&mut self, means: &[[f64; 3]], limit: f64) -> Result<f64> {
         if self.tree.is_some() && self.places.len() == means.len() {
             let squares = self.places.iter().zip(means).map(|(&place, &mean)| {
@@ -132,7 +132,7 @@ impl Router {
                 return Ok(most);
             }
         }
-        // The old one goes first: two would be in memory at a time.
+        // The old tree is dropped first, so that memory holds one at a time.
         self.tree = None;
         let tree = ImmutableKdTree::new_from_slice(means).map_err(|error| {
             Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", "use fewer")
@@ -144,7 +144,7 @@ impl Router {
     }
 }
 
-/// The first voxels of a cell's bundles, where the block ends so many voxels beyond the cell's first one.
+/// The first voxels of a cell's bundles; `sides` are the distances from the cell's first voxel to the block's end.
 fn bundles(sides: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
     let side = move |axis: usize| (0..sides[axis].min(CELL)).step_by(BUNDLE);
     side(0).flat_map(move |i| side(1).flat_map(move |j| side(2).map(move |k| [i, j, k])))
@@ -165,7 +165,7 @@ struct Nearest<'a> {
     means: &'a [[f64; 3]],
     confident: &'a [bool],
     tree: &'a ImmutableKdTree<f64, 3>,
-    /// The most that a mean is away from where the tree has it.
+    /// Bound on the distance of a mean from its position in the tree.
     moved: f64,
     /// The diagonal of a voxel.
     step: f64,
@@ -174,42 +174,43 @@ struct Nearest<'a> {
 
 impl Nearest<'_> {
     /// Counts the confident neighbours of the voxels of a slab of cells, whose first slice is `first`.
-    fn route_slab(&self, grid: &Grid, first: usize, high: &mut [u16], room: &mut Room) {
+    fn route_slab(&self, grid: &Grid, first: usize, high: &mut [u16], scratch: &mut Scratch) {
         let [_, ny, nz] = grid.shape;
         let deep = high.len() / (ny * nz);
-        room.guess = self.step;
+        scratch.guess = self.step;
         for (y, z) in (0..ny).step_by(CELL).flat_map(|y| (0..nz).step_by(CELL).map(move |z| (y, z))) {
             let corner = DVec3::from([first, y, z].map(|i| i as f64));
             let middle = grid.min + (corner + 0.5 * CELL as f64) * grid.spacing;
-            let found = self.cell(middle, 0.5 * (CELL - 1) as f64 * self.step, room);
+            let found = self.cell(middle, 0.5 * (CELL - 1) as f64 * self.step, scratch);
             for [i, j, k] in bundles([deep, ny - y, nz - z]) {
                 let voxels: [[usize; 3]; LANES] =
                     std::array::from_fn(|lane| [i + lane / 4, y + j + lane / 2 % 2, z + k + lane % 2]);
                 let centres = voxels.map(|[i, j, k]| grid.centre([first + i, j, k]));
-                let counts = if found { room.count(self.neighbours, centres) } else { [None; LANES] };
+                let counts = if found { scratch.count(self.neighbours, centres) } else { [None; LANES] };
                 for (([i, j, k], centre), count) in voxels.into_iter().zip(centres).zip(counts) {
-                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| self.count(centre, room));
+                    high[(i * ny + j) * nz + k] = count.unwrap_or_else(|| self.count(centre, scratch));
                 }
             }
         }
     }
 
-    /// Finds all that can be a neighbour of a centre within `radius` of the middle, the nearest to the middle first. Not if the
-    /// primitives are so dense that these are many, or more neighbours are asked for than [`FEW`].
+    /// Finds all candidates for the neighbours of centres within `radius` of the middle, the nearest to the middle first.
     ///
-    /// K primitives within d of the middle are within d + radius of the centre, so are all of its neighbours, and these within
-    /// d + 2·radius of the middle.
-    fn cell(&self, middle: DVec3, radius: f64, room: &mut Room) -> bool {
+    /// Returns false if the primitives are too dense, or if there are more than [`FEW`] neighbours.
+    ///
+    /// K primitives within d of the middle are within d + radius of the centre. All of its neighbours are therefore within
+    /// d + radius of the centre, and within d + 2·radius of the middle.
+    fn cell(&self, middle: DVec3, radius: f64, scratch: &mut Scratch) -> bool {
         if self.neighbours > FEW {
             return false;
         }
-        let distance = self.around(middle, 2.0 * radius, room);
+        let distance = self.around(middle, 2.0 * radius, scratch);
         if radius > CROWDED * distance {
             return false;
         }
         let reach = distance + 2.0 * radius;
         let limit = reach * reach * (1.0 + TIE);
-        let Room { found, near, .. } = room;
+        let Scratch { found, near, .. } = scratch;
         found.retain(|(square, _)| *square <= limit);
         found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let one = |i: u32| Near { point: self.point(i), confident: f64::from(self.confident[i as usize]) };
@@ -219,16 +220,16 @@ impl Nearest<'_> {
     }
 
     /// The number of confident ones among the neighbours of a centre.
-    fn count(&self, centre: DVec3, room: &mut Room) -> u16 {
-        self.around(centre, 0.0, room);
+    fn count(&self, centre: DVec3, scratch: &mut Scratch) -> u16 {
+        self.around(centre, 0.0, scratch);
         let nearest = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        room.found.select_nth_unstable_by(self.neighbours - 1, nearest);
-        room.found[..self.neighbours].iter().filter(|(_, i)| self.confident[*i as usize]).count() as u16
+        scratch.found.select_nth_unstable_by(self.neighbours - 1, nearest);
+        scratch.found[..self.neighbours].iter().filter(|(_, i)| self.confident[*i as usize]).count() as u16
     }
 
-    /// A distance d within which K primitives are; finds all within d + `beyond` and perhaps some more.
-    fn around(&self, place: DVec3, beyond: f64, room: &mut Room) -> f64 {
-        let Room { found, guess, .. } = room;
+    /// Returns the distance d of the K-th primitive; finds all within d + `beyond`, and possibly more.
+    fn around(&self, place: DVec3, beyond: f64, scratch: &mut Scratch) -> f64 {
+        let Scratch { found, guess, .. } = scratch;
         self.gather(place, *guess + beyond, found);
         while found.len() < self.neighbours {
             *guess = 2.0 * *guess + self.step;
@@ -243,7 +244,7 @@ impl Nearest<'_> {
         distance
     }
 
-    /// Finds all primitives within `radius` and perhaps some more, with their squared distances.
+    /// Finds all primitives within `radius`, and possibly more, with their squared distances.
     fn gather(&self, place: DVec3, radius: f64, found: &mut Vec<(f64, u32)>) {
         let reach = radius + self.moved;
         let limit = reach * reach * (1.0 + TIE) + f64::MIN_POSITIVE;
@@ -258,40 +259,41 @@ impl Nearest<'_> {
     }
 }
 
-/// A primitive that can be a neighbour.
+/// A candidate for a neighbour.
 struct Near {
     point: DVec3,
-    /// 1 if it is, else 0.
+    /// 1 for a confident primitive, else 0.
     confident: f64,
 }
 
-/// Room to work, kept from place to place.
+/// Scratch buffers of the search.
 #[derive(Default)]
-struct Room {
-    /// How far the K-th primitive is expected to be.
+struct Scratch {
+    /// Expected distance of the K-th primitive.
     guess: f64,
     /// Squared distances and indices around a place.
     found: Vec<(f64, u32)>,
-    /// What can be a neighbour of a cell's voxels.
+    /// Candidates for the neighbours of a cell's voxels.
     near: Vec<Near>,
-    /// Squared distances of all that are near.
-    distances: Vec<Row>,
+    /// Squared distances of all candidates.
+    distances: Vec<f64x8>,
     /// The smallest of them, in order.
-    order: Vec<Row>,
+    order: Vec<f64x8>,
 }
 
-impl Room {
-    /// For each centre the number of confident ones among its neighbours, all of which are `near`. `None` where several are as
-    /// near as the last of them.
+impl Scratch {
+    /// The number of confident neighbours of each centre, all of which are among `near`.
+    ///
+    /// `None` where several primitives are as near as the last neighbour.
     fn count(&mut self, neighbours: usize, centres: [DVec3; LANES]) -> [Option<u16>; LANES] {
         let Self { near, distances, order, .. } = self;
-        let [x, y, z] = [0, 1, 2].map(|axis| Row::from_fn(|lane| centres[lane][axis]));
-        let (zero, one) = (Row::splat(0.0), Row::splat(1.0));
+        let [x, y, z] = [0, 1, 2].map(|axis| f64x8::from_fn(|lane| centres[lane][axis]));
+        let (zero, one) = (f64x8::splat(0.0), f64x8::splat(1.0));
         distances.clear();
         order.clear();
-        order.resize(neighbours, Row::splat(f64::INFINITY));
+        order.resize(neighbours, f64x8::splat(f64::INFINITY));
         for Near { point, .. } in &*near {
-            let [x, y, z] = [Row::splat(point.x) - x, Row::splat(point.y) - y, Row::splat(point.z) - z];
+            let [x, y, z] = [f64x8::splat(point.x) - x, f64x8::splat(point.y) - y, f64x8::splat(point.z) - z];
             let mut distance = x * x + y * y + z * z;
             distances.push(distance);
             if distance.below(order[neighbours - 1]) != 0 {
@@ -305,7 +307,7 @@ impl Room {
         for (distance, near) in distances.iter().zip(&*near) {
             let inside = distance.select_le(last, one, zero);
             within += inside;
-            confident += inside * Row::splat(near.confident);
+            confident += inside * f64x8::splat(near.confident);
         }
         let [mut all, mut high] = [[0.0; LANES]; 2];
         within.write(&mut all);

@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use trgs::classical::{Turn, Window, fdk};
 use trgs::config::{Config, Precision};
 use trgs::numeric::threads;
-use trgs::primitives::{Group, Kernel, Parameters};
+use trgs::primitives::{Group, KernelKind, Parameters};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::dataset::Dataset;
 use trgs::scene::noise::Noise;
@@ -40,7 +40,7 @@ fn images_and_gradients<R: Kernels>(precision: &str) {
     let scanner =
         Scanner { detector: Detector { rows: 150, columns: 131, ..scenes::cone().detector }, ..scenes::cone() };
     let angles = [0.2, 3.0];
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let primitives = scenes::primitives(kernel, 700, 21);
         for projection in [Projection::Exact, Projection::Affine] {
             let what = format!("{precision} {kernel:?} {projection:?}");

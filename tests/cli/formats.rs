@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives, model};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives, model};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{dataset, npy};
 
@@ -202,7 +202,7 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
             let pickle = format!("{name}_{protocol}.pickle");
             sandbox.done(&format!("convert {pickle} {pickle}.npz"));
             let found = model::read(&sandbox.path(&format!("{pickle}.npz"))).unwrap();
-            assert_eq!((found.kernel, found.len()), (Kernel::Gaussian, 6));
+            assert_eq!((found.kernel, found.len()), (KernelKind::Gaussian, 6));
             for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
                 let unbounded = group == Group::Scale && name == "unbounded";
                 let key = if unbounded { "unbounded_scale" } else { group.key() };
@@ -235,7 +235,7 @@ fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
     let output = sandbox.run("convert model.npz cloud.npz --r2");
     assert!(crate::program::stderr(&output).contains("ignores nu"), "{}", crate::program::stderr(&output));
     let back = model::read(&sandbox.path("cloud.npz")).unwrap();
-    assert_eq!((back.kernel, back.parameters.nu), (Kernel::StudentT, primitives().parameters.nu));
+    assert_eq!((back.kernel, back.parameters.nu), (KernelKind::StudentT, primitives().parameters.nu));
     sandbox.done("voxelize cloud.npz --grid 4,5,6 --out v.npy");
     assert!(sandbox.refused("convert model.npz cloud.ply --r2").contains("--r2"));
 }

@@ -8,7 +8,7 @@
 use std::fmt::{self, Display, Formatter};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
-use trgs::numeric::rearrange::{DEALT, Rearrange};
+use trgs::numeric::rearrange::{INTERLEAVED, Rearrange};
 use trgs::numeric::{Lanes, Real};
 
 // Copies, not imports: a change of the polynomials changes bits and must be repeated here.
@@ -92,7 +92,7 @@ const EXP2_F64: [f64; 11] = [
 
 const ROOT_F32: [f32; 7] =
     [-4.9999994e-01, 3.750099e-01, -3.1251863e-01, 2.724889e-01, -2.4487777e-01, 2.5110355e-01, -2.366246e-01];
-const ROOT_NEAREST_F32: [f32; 4] = [-4.9999884e-01, 3.7499842e-01, -3.137006e-01, 2.7469513e-01];
+const ROOT_SIXTEENTH_F32: [f32; 4] = [-4.9999884e-01, 3.7499842e-01, -3.137006e-01, 2.7469513e-01];
 const ROOT_F64: [f64; 6] = [
     -5.00005971871159e-01,
     3.7501053018373964e-01,
@@ -175,15 +175,15 @@ fn exp2_f64(t: f64) -> f64 {
 }
 
 /// `1/√(1+e)` near e = 0, for the wider and for the narrower range.
-fn root_near_f32(e: f32) -> f32 {
+fn root_quarter_f32(e: f32) -> f32 {
     e.mul_add(polynomial!(e, ROOT_F32), 1.0)
 }
 
-fn root_nearest_f32(e: f32) -> f32 {
-    e.mul_add(polynomial!(e, ROOT_NEAREST_F32), 1.0)
+fn root_sixteenth_f32(e: f32) -> f32 {
+    e.mul_add(polynomial!(e, ROOT_SIXTEENTH_F32), 1.0)
 }
 
-fn root_near_f64(e: f64) -> f64 {
+fn root_quarter_f64(e: f64) -> f64 {
     let root = e.mul_add(polynomial!(e, ROOT_F64), 1.0);
     let error = (-(e + 1.0) * root).mul_add(root, 1.0);
     (root * error).mul_add(error.mul_add(0.375, 0.5), root)
@@ -192,7 +192,7 @@ fn root_near_f64(e: f64) -> f64 {
 macro_rules! plain {
     (
         $number:ident, $row:ident, $scalar:ident, $unsigned:ident, mantissa $mantissa:literal, $log2_1p:ident, $log2_1p_near:ident up to $span:expr, $exp2:ident,
-        rsqrt $magic:literal in $steps:literal, near $near:ident, nearest $nearest:ident
+        rsqrt $magic:literal in $steps:literal, quarter $quarter:ident, sixteenth $sixteenth:ident
     ) => {
         /// A number whose lanes are arrays of `W`.
         #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
@@ -256,18 +256,18 @@ macro_rules! plain {
         }
 
         impl<const W: usize> Rearrange<$number<W>> for $row<W> {
-            fn deal<const N: usize>(
+            fn deinterleave<const N: usize>(
                 values: &[$number<W>],
                 stride: usize,
-                columns: &mut [[Self; N]; DEALT],
+                columns: &mut [[Self; N]; INTERLEAVED],
                 row: usize,
             ) {
                 for (i, column) in columns.iter_mut().enumerate() {
                     column[row] = Self::from_fn(|lane| values[lane * stride + i]);
                 }
             }
-            fn collect<const N: usize>(
-                columns: &[[Self; N]; DEALT],
+            fn interleave<const N: usize>(
+                columns: &[[Self; N]; INTERLEAVED],
                 row: usize,
                 values: &mut [$number<W>],
                 stride: usize,
@@ -276,10 +276,10 @@ macro_rules! plain {
                     column[row].0.iter().enumerate().for_each(|(lane, &value)| values[lane * stride + i] = value);
                 }
             }
-            fn up(self) -> Self {
+            fn shift_up(self) -> Self {
                 Self::from_fn(|i| if i == 0 { $number(0.0) } else { self.0[i - 1] })
             }
-            fn down(self) -> Self {
+            fn shift_down(self) -> Self {
                 Self::from_fn(|i| self.0.get(i + 1).copied().unwrap_or_default())
             }
         }
@@ -289,7 +289,7 @@ macro_rules! plain {
             type Index = [usize; W];
             type Block = [$number<W>; W];
             const WIDTH: usize = W;
-            const NEAR: f64 = $span;
+            const LOG_NEAR: f64 = $span;
             fn splat(value: $number<W>) -> Self {
                 Self([value; W])
             }
@@ -332,10 +332,10 @@ macro_rules! plain {
             fn write_indices(index: [usize; W], indices: &mut [u32]) {
                 indices.iter_mut().zip(index).for_each(|(to, whole)| *to = whole as u32);
             }
-            fn pick(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
+            fn lookup(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
                 Self::from_fn(|i| tables[2 * i / W][..W / 2].get(index[i]).copied().unwrap_or_default())
             }
-            fn pick_wide(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
+            fn lookup_wide(tables: [&[$number<W>]; 2], index: [usize; W]) -> Self {
                 Self::from_fn(|i| tables[2 * i / W][..W].get(index[i]).copied().unwrap_or_default())
             }
             fn fma(self, factor: Self, summand: Self) -> Self {
@@ -347,11 +347,11 @@ macro_rules! plain {
             fn rsqrt(self) -> Self {
                 Self(self.0.map($number::rsqrt))
             }
-            fn rsqrt_1p_near(self) -> Self {
-                Self(self.0.map(|e| $number($near(e.0))))
+            fn rsqrt_1p_quarter(self) -> Self {
+                Self(self.0.map(|e| $number($quarter(e.0))))
             }
-            fn rsqrt_1p_nearest(self) -> Self {
-                Self(self.0.map(|e| $number($nearest(e.0))))
+            fn rsqrt_1p_sixteenth(self) -> Self {
+                Self(self.0.map(|e| $number($sixteenth(e.0))))
             }
             fn abs(self) -> Self {
                 Self(self.0.map(Real::abs))
@@ -378,7 +378,7 @@ macro_rules! plain {
                 t.map(|t| Self(t.0.map($number::exp2)))
             }
             /// Adds the halves until eight numbers are left.
-            fn eight(self) -> [f64; 8] {
+            fn fold_to_8(self) -> [f64; 8] {
                 let lane = |i: usize| self.0.get(i).map_or(0.0, |lane| lane.to_f64());
                 std::array::from_fn(|i| (i + 8..W).step_by(8).fold(lane(i), |sum, other| sum + lane(other)))
             }
@@ -459,5 +459,5 @@ macro_rules! plain {
     };
 }
 
-plain!(Plain32, Row32, f32, u32, mantissa 23, log2_1p_f32, log2_1p_near_f32 up to 1.9374, exp2_f32, rsqrt 0x5f37_5a86 in 2, near root_near_f32, nearest root_nearest_f32);
-plain!(Plain64, Row64, f64, u64, mantissa 52, log2_1p_f64, log2_1p_near_f64 up to 0.4142, exp2_f64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, near root_near_f64, nearest root_near_f64);
+plain!(Plain32, Row32, f32, u32, mantissa 23, log2_1p_f32, log2_1p_near_f32 up to 1.9374, exp2_f32, rsqrt 0x5f37_5a86 in 2, quarter root_quarter_f32, sixteenth root_sixteenth_f32);
+plain!(Plain64, Row64, f64, u64, mantissa 52, log2_1p_f64, log2_1p_near_f64 up to 0.4142, exp2_f64, rsqrt 0x5fe6_eb50_c7b5_37a9 in 3, quarter root_quarter_f64, sixteenth root_quarter_f64);

@@ -4,7 +4,7 @@ use glam::DVec3;
 use ndarray::{Array, Dimension, ShapeBuilder};
 use rand::RngExt;
 use trgs::numeric::rng::{Purpose, stream};
-use trgs::primitives::{Kernel, Parameters, Primitives};
+use trgs::primitives::{KernelKind, Parameters, Primitives};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 /// Numbers in [low, high) that depend only on the seed and the index.
@@ -23,7 +23,7 @@ where
 }
 
 /// `m` primitives about within the unit ball, with scales between 0.03 and 0.3.
-pub(crate) fn primitives(kernel: Kernel, m: usize, seed: u64) -> Primitives {
+pub(crate) fn primitives(kernel: KernelKind, m: usize, seed: u64) -> Primitives {
     let draw = |component: u64, width: usize, low: f64, high: f64| uniform(seed * 16 + component, m * width, low, high);
     let rows3 = |values: Vec<f64>| values.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect::<Vec<_>>();
     Primitives::new(Parameters {
@@ -32,8 +32,8 @@ pub(crate) fn primitives(kernel: Kernel, m: usize, seed: u64) -> Primitives {
         quaternion: draw(2, 4, -1.0, 1.0).chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect(),
         density: draw(3, 1, 0.1, 1.0),
         nu: match kernel {
-            Kernel::StudentT => draw(4, 1, 1.0, 40.0),
-            Kernel::Gaussian => vec![f64::INFINITY; m],
+            KernelKind::StudentT => draw(4, 1, 1.0, 40.0),
+            KernelKind::Gaussian => vec![f64::INFINITY; m],
         },
     })
     .unwrap()

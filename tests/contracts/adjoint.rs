@@ -9,7 +9,7 @@ use crate::common::precision::{ADJOINT_ENTRY_F64, ADJOINT_F32, ADJOINT_F64, DIRE
 use crate::common::scenes;
 use ndarray::Array3;
 use trgs::numeric::Real;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Beam, Scanner};
 
@@ -101,7 +101,7 @@ fn check(what: &str, pairs: &[Sides], tolerance: f64) {
 
 fn densities_are_adjoint<R: Kernels>(precision: &str, tolerance: f64) {
     for operator in Operator::ALL {
-        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
             for cutoff in [0.0, 1e-3] {
                 let mut primitives = scenes::primitives(kernel, 23, 31);
                 let pairs = (0..PAIRS).map(|seed| {
@@ -138,7 +138,7 @@ fn in_f32_the_gradient_to_densities_is_the_transpose_of_projecting_and_voxelizin
 fn each_entry_of_the_matrix_is_that_of_its_transpose() {
     let mut worst = 0.0_f64;
     for operator in Operator::ALL {
-        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
             let mut primitives = scenes::primitives(kernel, 5, 32);
             let shape = operator.shape();
             for pixel in [[0, 0, 0], [shape[0] - 1, shape[1] - 1, shape[2] - 1], shape.map(|n| n / 2)] {
@@ -195,7 +195,7 @@ fn moved(primitives: &Primitives, direction: &Parameters, step: f64) -> Primitiv
 fn the_derivative_along_a_random_direction_is_the_gradient_times_the_direction() {
     const STEP: f64 = 1e-3;
     for operator in Operator::ALL {
-        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
             let pairs = (0..PAIRS).map(|seed| {
                 let mut primitives = scenes::primitives(kernel, 7, 33 + seed);
                 primitives.parameters.density[3] *= -1.0;

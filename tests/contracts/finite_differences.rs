@@ -12,7 +12,7 @@ use ndarray::{Array2, Array3, Axis};
 use std::f64::consts::FRAC_PI_4;
 use trgs::loss::{Ssim, SsimTarget, image_loss, l1, tv};
 use trgs::primitives::activation::Interval;
-use trgs::primitives::{Activation, Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Activation, Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Projection};
 use trgs::scene::{Detector, Grid, Scanner};
 
@@ -26,7 +26,7 @@ fn scanner() -> Scanner {
     Scanner { detector, ..scenes::cone() }
 }
 
-fn activation(kernel: Kernel) -> Activation {
+fn activation(kernel: KernelKind) -> Activation {
     Activation { kernel, scale: Interval { min: 0.001, max: 1.0 }, nu: Interval { min: 0.5, max: 100.0 } }
 }
 
@@ -76,7 +76,7 @@ impl Loss {
             }
             Self::L1(target) => l1::l1(image.view(), target.index_axis(Axis(0), view)),
             Self::Ssim(target) => {
-                ssim.value_and_gradient(image.view(), &SsimTarget::new(&ssim, target.index_axis(Axis(0), view)))
+                ssim.value_and_grad(image.view(), &SsimTarget::new(&ssim, target.index_axis(Axis(0), view)))
             }
             Self::Both(target) => {
                 let target = SsimTarget::new(&ssim, target.index_axis(Axis(0), view));
@@ -202,8 +202,8 @@ fn assert_second_order(what: &str, errors: [f64; 3]) {
 }
 
 /// Three overlapping primitives of all shapes, with a smooth field in the block of TV.
-fn primitives(kernel: Kernel) -> Primitives {
-    let nu = |nu: f64| if kernel == Kernel::Gaussian { f64::INFINITY } else { nu };
+fn primitives(kernel: KernelKind) -> Primitives {
+    let nu = |nu: f64| if kernel == KernelKind::Gaussian { f64::INFINITY } else { nu };
     Primitives::new(Parameters {
         mean: vec![[0.1, -0.2, 0.05], [-0.15, 0.1, -0.1], [0.0, 0.05, 0.12]],
         scale: vec![[0.3, 0.25, 0.4], [0.22, 0.35, 0.28], [0.33, 0.24, 0.2]],
@@ -214,8 +214,8 @@ fn primitives(kernel: Kernel) -> Primitives {
     .unwrap()
 }
 
-fn combinations() -> impl Iterator<Item = (Kernel, Projection, &'static str, Loss)> {
-    let kernels = [Kernel::StudentT, Kernel::Gaussian].into_iter();
+fn combinations() -> impl Iterator<Item = (KernelKind, Projection, &'static str, Loss)> {
+    let kernels = [KernelKind::StudentT, KernelKind::Gaussian].into_iter();
     let pairs =
         kernels.flat_map(|kernel| [Projection::Exact, Projection::Affine].map(|projection| (kernel, projection)));
     pairs.flat_map(|(kernel, projection)| {
@@ -228,8 +228,8 @@ fn combinations() -> impl Iterator<Item = (Kernel, Projection, &'static str, Los
     })
 }
 
-fn groups(kernel: Kernel) -> impl Iterator<Item = Group> {
-    Group::ALL.into_iter().filter(move |group| kernel == Kernel::StudentT || *group != Group::Nu)
+fn groups(kernel: KernelKind) -> impl Iterator<Item = Group> {
+    Group::ALL.into_iter().filter(move |group| kernel == KernelKind::StudentT || *group != Group::Nu)
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::common::vectors::assert_conformance;
 use trgs::config::Precision;
 use trgs::oracle::Format;
 use trgs::primitives::activation::Interval;
-use trgs::primitives::{Activation, Group, Kernel, Parameters};
+use trgs::primitives::{Activation, Group, KernelKind, Parameters};
 use trgs::projector::{self, Field, Projection};
 use trgs::scene::{Detector, Scanner};
 
@@ -28,11 +28,11 @@ fn gradients_in_f32_agree_with_50_digit_differences() {
 #[test]
 fn raw_gradients_agree_with_central_differences() {
     let activation = Activation {
-        kernel: Kernel::StudentT,
+        kernel: KernelKind::StudentT,
         scale: Interval { min: 0.001, max: 1.0 },
         nu: Interval { min: 0.5, max: 100.0 },
     };
-    let raw = activation.inverse(&scenes::primitives(Kernel::StudentT, 3, 11).parameters);
+    let raw = activation.inverse(&scenes::primitives(KernelKind::StudentT, 3, 11).parameters);
     let (scanner, angles) = (scenes::cone(), [0.4, 2.5]);
     let cotangent = scenes::cotangent(5, (2, scanner.detector.rows, scanner.detector.columns));
     let loss = |raw: &Parameters| {
@@ -60,7 +60,7 @@ fn raw_gradients_agree_with_central_differences() {
 /// A round primitive has no preferred rotation: Adam would amplify rounding noise there to full steps.
 #[test]
 fn the_gradient_to_the_rotation_of_a_round_primitive_is_exactly_zero() {
-    let mut primitives = scenes::primitives(Kernel::StudentT, 5, 12);
+    let mut primitives = scenes::primitives(KernelKind::StudentT, 5, 12);
     primitives.parameters.scale.iter_mut().for_each(|s| *s = [s[0]; 3]);
     let scanner = scenes::cone();
     let cotangent = scenes::cotangent(6, (1, scanner.detector.rows, scanner.detector.columns));
@@ -72,7 +72,7 @@ fn the_gradient_to_the_rotation_of_a_round_primitive_is_exactly_zero() {
 /// Only the rotation matters: the gradient has no component along the quaternion itself.
 #[test]
 fn the_gradient_to_a_quaternion_is_tangential() {
-    let primitives = scenes::primitives(Kernel::Gaussian, 5, 13);
+    let primitives = scenes::primitives(KernelKind::Gaussian, 5, 13);
     let scanner = scenes::cone();
     let cotangent = scenes::cotangent(6, (1, scanner.detector.rows, scanner.detector.columns));
     let gradient = projector::vjp(&primitives, &scanner, &[0.7], Projection::Affine, 0.0, cotangent.view());
@@ -89,15 +89,15 @@ fn the_gradient_to_a_quaternion_is_tangential() {
 #[test]
 fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
     for (scanner, name) in [(scenes::cone(), "cone"), (scenes::parallel(), "parallel")] {
-        for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+        for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
             let primitives = scenes::primitives(kernel, 1, 17);
             let Detector { rows, columns, pitch_u, pitch_v, .. } = scanner.detector;
             let (half_u, half_v) = (pitch_u * columns as f64 / 2.0, pitch_v * rows as f64 / 2.0);
             let cotangent = scenes::cotangent(6, (rows, columns));
             let field = Field::<f64>::new(&primitives, 0.0);
             let mut gradient = field.zero_gradient();
-            field.view(&scanner, 0.7, Projection::Affine).pull_back(cotangent.view(), &mut gradient);
-            let [u, v] = gradient.shadows().next().unwrap();
+            field.view(&scanner, 0.7, Projection::Affine).vjp(cotangent.view(), &mut gradient);
+            let [u, v] = gradient.mean2d_gradients().next().unwrap();
             let moved = |u: f64, v: f64| {
                 let Detector { offset_u, offset_v, .. } = scanner.detector;
                 let detector =
@@ -116,9 +116,9 @@ fn the_gradient_to_a_shadow_is_that_of_a_shifted_image() {
 /// Volumes do not contribute to the gradient with respect to projected centres.
 #[test]
 fn the_gradient_to_a_shadow_comes_from_views_alone() {
-    let (primitives, scanner) = (scenes::primitives(Kernel::StudentT, 3, 17), scenes::cone());
+    let (primitives, scanner) = (scenes::primitives(KernelKind::StudentT, 3, 17), scenes::cone());
     let field = Field::<f64>::new(&primitives, 0.0);
     let mut gradient = field.zero_gradient();
-    field.on(&scanner.grid).pull_back(scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
-    assert!(gradient.shadows().all(|shadow| shadow == [0.0, 0.0]));
+    field.on(&scanner.grid).vjp(scenes::cotangent(7, scanner.grid.shape).view(), &mut gradient);
+    assert!(gradient.mean2d_gradients().all(|shadow| shadow == [0.0, 0.0]));
 }

@@ -6,13 +6,13 @@ use crate::common::precision::{FAR_SOURCE_RATE, INVARIANCE_F64, LARGE_NU_RATE};
 use crate::common::scenes;
 use glam::{DQuat, DVec3};
 use ndarray::{Array3, ArrayView3, Axis, Slice};
-use trgs::density::{Relocation, Successor, adc, ar, succeed};
-use trgs::primitives::{Kernel, Primitives};
+use trgs::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
+use trgs::primitives::{KernelKind, Primitives};
 use trgs::projector::{self, Projection};
 use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const ANGLES: [f64; 3] = [0.3, 2.4, 5.1];
-const KERNELS: [Kernel; 2] = [Kernel::StudentT, Kernel::Gaussian];
+const KERNELS: [KernelKind; 2] = [KernelKind::StudentT, KernelKind::Gaussian];
 const PROJECTIONS: [Projection; 2] = [Projection::Exact, Projection::Affine];
 
 /// Largest difference relative to the largest value.
@@ -288,7 +288,7 @@ fn assert_first_order(what: &str, parameters: [f64; 2], distance_at: impl Fn(f64
 
 #[test]
 fn the_t_kernel_approaches_the_gaussian_like_one_over_nu() {
-    let gaussian = scenes::primitives(Kernel::Gaussian, 13, 65);
+    let gaussian = scenes::primitives(KernelKind::Gaussian, 13, 65);
     let student = |nu: f64| {
         let mut parameters = gaussian.parameters.clone();
         parameters.nu.fill(nu);
@@ -325,9 +325,9 @@ fn a_cone_beam_from_far_away_approaches_the_parallel_beam_like_one_over_the_dist
 }
 
 /// The primitives after a step of density control.
-fn succeeded(primitives: &Primitives, successors: &[Successor]) -> Primitives {
-    assert!(successors.iter().filter(|s| s.fresh).count() > 3, "something was copied");
-    Primitives { kernel: primitives.kernel, parameters: succeed(&primitives.parameters, successors) }
+fn next_population(primitives: &Primitives, next: &[NextPrimitive]) -> Primitives {
+    assert!(next.iter().filter(|s| s.fresh).count() > 3, "something was copied");
+    Primitives { kernel: primitives.kernel, parameters: next_parameters(&primitives.parameters, next) }
 }
 
 /// Half as many primitives again, copied from living ones.
@@ -335,7 +335,7 @@ fn grown(primitives: &Primitives, relocation: Relocation) -> Primitives {
     let settings = ar::Settings { dead: 0.0, recycled: 0.0, growth: 0.5, cap: 1000, relocation };
     let draws = scenes::uniform(63, 100, 0.0, 1.0);
     let mut draws = draws.iter();
-    succeeded(primitives, &ar::ar(primitives, &settings, || *draws.next().unwrap()))
+    next_population(primitives, &ar::ar(primitives, &settings, || *draws.next().unwrap()))
 }
 
 #[test]
@@ -352,7 +352,7 @@ fn copying_primitives_changes_neither_projections_nor_field() {
 
 #[test]
 fn the_rule_for_opacities_does_change_them() {
-    let (primitives, grid) = (scenes::primitives(Kernel::StudentT, 13, 61), scenes::cone().grid);
+    let (primitives, grid) = (scenes::primitives(KernelKind::StudentT, 13, 61), scenes::cone().grid);
     let before = volume(&primitives, &grid);
     assert!(distance(volume(&grown(&primitives, Relocation::Sss), &grid).view(), before.view()) > 1e-3);
 }
@@ -363,7 +363,7 @@ fn cloning_what_pulls_changes_neither_projections_nor_field() {
         let settings = adc::Settings { gradient: 0.5, split_scale: 1.0, faint: 0.0, cap: 1000 };
         let pull: Vec<f64> = (0..primitives.len()).map(|i| (i % 3) as f64).collect();
         let wide = Grid { min: DVec3::splat(-9.0), spacing: DVec3::splat(18.0), shape: [1; 3] };
-        succeeded(primitives, &adc::adc(&primitives.parameters, &pull, &settings, &wide, |_| [0.0; 6]))
+        next_population(primitives, &adc::adc(&primitives.parameters, &pull, &settings, &wide, |_| [0.0; 6]))
     };
     everywhere("clones", |primitives, scanner, projection| {
         let after = images(&cloned(primitives), scanner, &ANGLES, projection);

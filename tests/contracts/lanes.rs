@@ -11,7 +11,7 @@ use rand::RngExt;
 use trgs::classical::{RayModel, VoxelProjector};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::{Lanes, Real};
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::{Detector, Scanner};
 use trgs::wavelet::{self, Routing};
@@ -84,9 +84,9 @@ fn operations<L: Lanes>() -> Vec<Operation<L>> {
         ("log2_1p", |a, _, _| a.log2_1p()),
         ("exp2", |a, _, _| a.exp2()),
         ("log2_1p of positive numbers", |a, _, _| (a * a).log2_1p()),
-        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(L::NEAR))).log2_1p_near()),
-        ("rsqrt_1p_near", |a, _, _| a.rsqrt_1p_near()),
-        ("rsqrt_1p_nearest", |a, _, _| a.rsqrt_1p_nearest()),
+        ("log2_1p_near", |a, _, _| (a * a).at_most(L::splat(L::Scalar::from_f64(L::LOG_NEAR))).log2_1p_near()),
+        ("rsqrt_1p_quarter", |a, _, _| a.rsqrt_1p_quarter()),
+        ("rsqrt_1p_sixteenth", |a, _, _| a.rsqrt_1p_sixteenth()),
         ("exp2 down to the horizon", |a, _, _| {
             (-(a * a).at_most(L::splat(L::Scalar::from_f64(L::Scalar::HORIZON)))).exp2()
         }),
@@ -232,7 +232,7 @@ fn bits((arrays, gradients): &(Vec<Array3<f64>>, Vec<Parameters>)) -> Vec<u64> {
 }
 
 fn assert_kernels_agree_bit_by_bit<Fast: Kernels, Plain: Kernels>() {
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         for scanner in [scenes::cone(), scenes::parallel()] {
             for cutoff in [0.0, 1e-3] {
                 let primitives = scenes::primitives(kernel, 21, 83);
@@ -291,7 +291,7 @@ fn distance(a: &[Array3<f64>], b: &[Array3<f64>]) -> f64 {
 /// the width.
 #[test]
 fn another_width_changes_the_last_bits_only() {
-    let primitives = scenes::primitives(Kernel::StudentT, 21, 84);
+    let primitives = scenes::primitives(KernelKind::StudentT, 21, 84);
     let check = |what: &str, images: &[Array3<f64>], reference: &[Array3<f64>], tolerance: f64| {
         let found = distance(images, reference);
         eprintln!("{what} in four lanes: {found:.1e}");
@@ -309,7 +309,7 @@ fn another_width_changes_the_last_bits_only() {
 /// Its pixel must equal that of a whole detector in which the same pixel starts a register.
 fn narrow<R: Kernels>(tolerance: f64) {
     let (d, angles) = (scenes::cone().detector, [0.7]);
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let primitives = scenes::primitives(kernel, 21, 85);
         let image = |detector: Detector| {
             let scanner = Scanner { detector, ..scenes::cone() };

@@ -3,15 +3,15 @@
 use crate::common::precision::{FAST_AGAINST_NAIVE_F64, GRADIENT_FAST_AGAINST_NAIVE_F64};
 use crate::common::scenes;
 use ndarray::Array3;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Projection, naive};
 use trgs::scene::Scanner;
 
 const ANGLES: [f64; 3] = [0.3, 2.1, 4.4];
 
-fn combinations() -> Vec<(Kernel, Projection, Scanner)> {
+fn combinations() -> Vec<(KernelKind, Projection, Scanner)> {
     let mut all = Vec::new();
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         for projection in [Projection::Exact, Projection::Affine] {
             all.extend([(kernel, projection, scenes::cone()), (kernel, projection, scenes::parallel())]);
         }
@@ -66,7 +66,7 @@ fn image_gradients_agree_with_the_naive_twin() {
 
 #[test]
 fn volumes_and_their_gradients_agree_with_the_naive_twin() {
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let (primitives, grid) = (scenes::primitives(kernel, 9, 3), scenes::cone().grid);
         let error =
             worst(&projector::voxelize::<f64>(&primitives, &grid, 0.0), &naive::voxelize(&primitives, &grid, 0.0));
@@ -129,7 +129,7 @@ fn what_the_cutoff_drops_is_within_its_reported_bound() {
 
 #[test]
 fn primitives_behind_the_source_are_no_part_of_the_bound() {
-    let mut primitives = scenes::primitives(Kernel::StudentT, 2, 6);
+    let mut primitives = scenes::primitives(KernelKind::StudentT, 2, 6);
     primitives.parameters.mean[1] = [6.0, 2.0, 0.1];
     let bound = |primitives: &Primitives| {
         let field = projector::Field::<f64>::new(primitives, 1e-2);
@@ -143,7 +143,7 @@ fn primitives_behind_the_source_are_no_part_of_the_bound() {
 
 #[test]
 fn primitives_behind_the_source_are_left_out_by_both() {
-    let mut primitives = scenes::primitives(Kernel::StudentT, 3, 6);
+    let mut primitives = scenes::primitives(KernelKind::StudentT, 3, 6);
     primitives.parameters.mean[1] = [6.0, 2.0, 0.1];
     primitives.parameters.mean[2] = [5.0, 0.0, 0.0];
     let fast = projector::forward::<f64>(&primitives, &scenes::cone(), &[0.0], Projection::Exact, 0.0);

@@ -6,7 +6,7 @@ use crate::common::precision::{REPRESENTATION_F32, REPRESENTATION_F64};
 use crate::common::scenes;
 use glam::{DMat3, DQuat};
 use ndarray::Array3;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
 use trgs::scene::Scanner;
 
@@ -39,7 +39,7 @@ fn distance(a: &[Array3<f64>], b: &[Array3<f64>]) -> f64 {
 }
 
 fn same_up_to_rounding(what: &str, change: impl Fn(&mut Primitives)) {
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let before = scenes::primitives(kernel, 17, 71);
         let mut after = before.clone();
         change(&mut after);
@@ -73,7 +73,7 @@ fn the_order_of_primitives_matters_by_rounding_only() {
 
 #[test]
 fn the_gradient_of_a_primitive_does_not_depend_on_its_place_or_company() {
-    let primitives = scenes::primitives(Kernel::StudentT, 140, 72);
+    let primitives = scenes::primitives(KernelKind::StudentT, 140, 72);
     let together = gradient(&primitives, &scenes::cone());
     for i in [0, 63, 64, 139] {
         let mut alone = Parameters::zeros(1);
@@ -91,7 +91,7 @@ fn the_gradient_of_a_primitive_does_not_depend_on_its_place_or_company() {
 
 #[test]
 fn the_sign_of_a_quaternion_changes_no_bit() {
-    for kernel in [Kernel::StudentT, Kernel::Gaussian] {
+    for kernel in [KernelKind::StudentT, KernelKind::Gaussian] {
         let before = scenes::primitives(kernel, 17, 73);
         let mut after = before.clone();
         after.parameters.quaternion.iter_mut().for_each(|q| *q = q.map(|x| -x));
@@ -107,7 +107,7 @@ fn the_sign_of_a_quaternion_changes_no_bit() {
 
 #[test]
 fn a_power_of_two_in_the_length_of_a_quaternion_changes_no_bit() {
-    let before = scenes::primitives(Kernel::StudentT, 17, 74);
+    let before = scenes::primitives(KernelKind::StudentT, 17, 74);
     for length in [0.25, 8.0, libm::exp2(-300.0), libm::exp2(300.0)] {
         let mut after = before.clone();
         after.parameters.quaternion.iter_mut().for_each(|q| *q = q.map(|x| x * length));
@@ -166,7 +166,7 @@ fn splitting_a_primitive_into_parts_of_its_density_changes_nothing() {
 /// All parts have the same gradient to mean and shape, and these add up to the whole's gradient.
 #[test]
 fn the_parts_of_a_primitive_share_its_gradient() {
-    let whole = scenes::primitives(Kernel::StudentT, 1, 75);
+    let whole = scenes::primitives(KernelKind::StudentT, 1, 75);
     let mut halves = whole.clone();
     halves.parameters.density[0] /= 2.0;
     let p = &mut halves.parameters;
@@ -188,7 +188,7 @@ fn the_parts_of_a_primitive_share_its_gradient() {
 
 #[test]
 fn a_primitive_without_density_changes_no_bit() {
-    let before = scenes::primitives(Kernel::StudentT, 17, 76);
+    let before = scenes::primitives(KernelKind::StudentT, 17, 76);
     let mut after = before.clone();
     after.parameters.density[16] = 0.0;
     let mut without = Parameters::zeros(16);

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use trgs::numeric::rng::{self, Purpose};
 use trgs::optim::Sghmc;
-use trgs::optim::sghmc::{Phase, Stir};
+use trgs::optim::sghmc::{NoiseInput, Phase};
 
 const CHAINS: usize = 4096;
 const FRICTION: f64 = 2.0;
@@ -19,9 +19,9 @@ fn moments(rate: f64, warm_up: usize, steps: usize, mean: DVec3, precision: DMat
         let slope = |x: &[f64; 3]| (precision * (DVec3::from_array(*x) - mean)).to_array();
         let gradient: Vec<_> = positions.iter().map(slope).collect();
         sampler.step(&mut positions, &gradient, rate, Phase::Sampling(FRICTION), |i| {
-            let mut random = rng::stream(11, Purpose::Stirring, step as u64, i as u64);
+            let mut random = rng::stream(11, Purpose::PositionNoise, step as u64, i as u64);
             let mut normal = || random.sample(StandardNormal);
-            Stir { gate: 1.0, noise: DVec3::new(normal(), normal(), normal()), covariance: DMat3::ZERO }
+            NoiseInput { gate: 1.0, noise: DVec3::new(normal(), normal(), normal()), covariance: DMat3::ZERO }
         });
         if step >= warm_up {
             for x in positions.iter().map(|x| DVec3::from_array(*x) - mean) {

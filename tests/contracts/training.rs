@@ -4,7 +4,7 @@ use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
-use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into, tv};
+use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
@@ -12,7 +12,7 @@ use trgs::scene::noise::Noise;
 use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Scanner};
-use trgs::train::{Checkpoint, Checkpoints, Reconstruction, train};
+use trgs::train::{Checkpoint, Checkpoints, TrainedModel, train};
 use trgs::wavelet::{self, Routing, wavelet_loss, wavelet_loss_into};
 use trgs::{Error, evaluation};
 
@@ -38,12 +38,12 @@ fn busy(method: Method) -> Config {
     config
 }
 
-fn run(dataset: &Dataset, config: &Config) -> Reconstruction {
+fn run(dataset: &Dataset, config: &Config) -> TrainedModel {
     config.validate().unwrap();
     train(dataset, config, None, &mut |_, _| ControlFlow::Continue(())).unwrap()
 }
 
-fn bits(result: &Reconstruction) -> Vec<u64> {
+fn bits(result: &TrainedModel) -> Vec<u64> {
     let parameters = &result.primitives.parameters;
     Group::ALL.into_iter().flat_map(|group| parameters.group(group)).map(|x| x.to_bits()).collect()
 }
@@ -76,8 +76,8 @@ fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
     (config.iterations, config.model.points, config.density_control.cap) = (300, 5000, 5000);
     let field = Field::<f32>::new(&run(&dataset, &config).primitives, config.cutoff);
     for angle in [0.0, 0.4, 2.0] {
-        let pairs = field.view(&scanner, angle, config.projection).pairs();
-        assert!(pairs.useful > 500_000 && pairs.share() > 0.7, "{angle}: {} of {pairs:?}", pairs.share());
+        let pairs = field.view(&scanner, angle, config.projection).utilisation();
+        assert!(pairs.active > 500_000 && pairs.ratio() > 0.7, "{angle}: {} of {pairs:?}", pairs.ratio());
     }
 }
 
@@ -224,11 +224,11 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     let target = SsimTarget::new(&ssim, Array2::from_elem((detector.rows, detector.columns), 0.1).view());
     let settings = Config::default().wavelet.settings();
     let routing = Routing { high: Array3::from_elem(grid.shape, 1), neighbours: settings.neighbours };
-    let (of_tv, of_wavelets) = (tv::Spaces::default(), wavelet::Spaces::default());
+    let (of_tv, of_wavelets) = (tv::Workspace::default(), wavelet::Workspace::default());
     let (mut image, mut volume) = (Array2::default((0, 0)), Array3::default((0, 0, 0)));
     let (mut cotangent, mut slopes) =
         (Array2::default((detector.rows, detector.columns)), [(); 2].map(|()| Array3::default((0, 0, 0))));
-    let mut losses = ([0.0; 3], 0.0, [0.0; 3]);
+    let mut losses = (ImageTerms { total: 0.0, l1: 0.0, d_ssim: 0.0 }, 0.0, [0.0; 3]);
     let mut all = || {
         view.image_into(&mut image);
         there.voxels_into(&mut volume);
@@ -244,7 +244,7 @@ fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_m
     assert!(blocks[0] > 0 && blocks[1] == 0, "{blocks:?}");
     assert_eq!((&image, &volume), (&view.image(), &there.voxels()));
     let expected = image_loss(&ssim, 0.25, image.view(), &target);
-    assert_eq!((losses.0[0], &cotangent), (expected.total, &expected.cotangent));
+    assert_eq!((losses.0.total, &cotangent), (expected.total, &expected.cotangent));
     let (value, gradient) = tv::tv(volume.view());
     assert_eq!((losses.1, &slopes[0]), (value, &gradient));
     let expected = wavelet_loss(volume.view(), &routing, &settings);

@@ -4,7 +4,7 @@ use crate::common::precision::GRADIENT_AGAINST_DIFFERENCES;
 use crate::common::scenes;
 use glam::DVec3;
 use trgs::numeric::threads;
-use trgs::primitives::{Group, Kernel, Parameters, Primitives};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::Field;
 use trgs::scene::Grid;
 use trgs::wavelet::{Routing, Settings, route, wavelet_loss};
@@ -36,19 +36,19 @@ fn value_and_gradient(
     let field = Field::<f64>::new(primitives, 0.0);
     let loss = wavelet_loss(field.voxels(grid).view(), routing, settings);
     let mut gradient = field.zero_gradient();
-    field.on(grid).pull_back(loss.gradient.view(), &mut gradient);
-    (loss.value, field.finish(&gradient))
+    field.on(grid).vjp(loss.gradient.view(), &mut gradient);
+    (loss.value, field.parameter_gradient(&gradient))
 }
 
 #[test]
 fn gradients_through_the_field_match_central_differences_for_every_parameter() {
-    for (kernel, levels, shape) in [(Kernel::StudentT, 1, [8, 6, 10]), (Kernel::Gaussian, 2, [8, 4, 12])] {
+    for (kernel, levels, shape) in [(KernelKind::StudentT, 1, [8, 6, 10]), (KernelKind::Gaussian, 2, [8, 4, 12])] {
         let (primitives, grid) = (scenes::primitives(kernel, 12, 31), Grid { shape, ..block() });
         let (routing, settings) = (routing(&primitives, &grid), settings(levels));
         let shares = (0..=3).filter(|n| routing.high.iter().any(|h| h == n)).count();
         assert!(shares >= 3, "{shares} shares of confident neighbours");
         let (_, gradient) = value_and_gradient(&primitives, &grid, &routing, &settings);
-        for group in Group::ALL.into_iter().filter(|group| kernel == Kernel::StudentT || *group != Group::Nu) {
+        for group in Group::ALL.into_iter().filter(|group| kernel == KernelKind::StudentT || *group != Group::Nu) {
             let (mut error, mut size) = (0.0, 0.0);
             for (i, analytic) in gradient.group(group).iter().enumerate() {
                 let at = primitives.parameters.group(group)[i];
@@ -71,7 +71,7 @@ fn gradients_through_the_field_match_central_differences_for_every_parameter() {
 
 #[test]
 fn the_chain_has_the_same_bits_on_any_number_of_threads() {
-    let primitives = scenes::primitives(Kernel::StudentT, 200, 32);
+    let primitives = scenes::primitives(KernelKind::StudentT, 200, 32);
     let run = || {
         let routing = routing(&primitives, &block());
         value_and_gradient(&primitives, &block(), &routing, &settings(1))

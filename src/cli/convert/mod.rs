@@ -6,7 +6,7 @@ mod scan;
 mod stack;
 mod volume;
 
-use crate::cli::Answer;
+use crate::cli::Output;
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
@@ -88,7 +88,7 @@ struct Converted<'a> {
 }
 
 impl Convert {
-    pub(super) fn run(&self) -> Result<Answer> {
+    pub(super) fn run(&self) -> Result<Output> {
         let out = kind(&self.out);
         let source = match extension(&self.source) {
             _ if self.source.join("meta_data.json").exists() => Kind::Scan,

@@ -1,11 +1,11 @@
 //! Conversion of models: archives, PLY, R²-Gaussian's point clouds.
 
 use super::{Convert, extension};
-use crate::cli::{Answer, interrupt};
+use crate::cli::{Output, interrupt};
 use serde::Serialize;
 use std::path::Path;
 use trgs::confidence::{Coverage, Settings, Spread};
-use trgs::primitives::{Kernel, Primitives, model};
+use trgs::primitives::{KernelKind, Primitives, model};
 use trgs::scene::Dataset;
 use trgs::{Error, Result};
 
@@ -20,7 +20,7 @@ struct Converted<'a> {
     confidence: Option<Spread>,
 }
 
-pub(super) fn convert(command: &Convert) -> Result<Answer> {
+pub(super) fn convert(command: &Convert) -> Result<Output> {
     let to_ply = extension(&command.out) == "ply";
     let refuse = |flag: &str, expected: &str| {
         Err(Error::invalid(
@@ -49,11 +49,11 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
         (_, true) => model::r2::write(&command.out, &primitives),
         _ => model::write(&command.out, &primitives.parameters),
     })?;
-    let is_student = primitives.kernel == Kernel::StudentT;
+    let is_student = primitives.kernel == KernelKind::StudentT;
     if command.r2 && is_student {
         tracing::warn!("R²-Gaussian ignores nu and reads the primitives as Gaussians: it reconstructs another density");
     }
-    Ok(Answer::list(&Converted {
+    Ok(Output::list(&Converted {
         out: &command.out,
         kind: "model",
         kernel: if is_student { "student-t" } else { "gaussian" },

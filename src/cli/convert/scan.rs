@@ -1,11 +1,11 @@
 //! Conversion of scans to R²-Gaussian's folder.
 
 use super::{Convert, Converted, warn};
-use crate::cli::{Answer, interrupt};
+use crate::cli::{Output, interrupt};
 use trgs::scene::Dataset;
 use trgs::{Error, Result};
 
-pub(super) fn convert(command: &Convert) -> Result<Answer> {
+pub(super) fn convert(command: &Convert) -> Result<Output> {
     let (source, out) = (&command.source, &command.out);
     if command.scanner.is_some() {
         let expected = "no --scanner: a scan has its own";
@@ -16,5 +16,5 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     let dataset = command.protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(out))?;
     let (shape, notes) = (dataset.scanner.grid.shape, dataset.notes);
-    Ok(Answer::list(&Converted { out, kind: "dataset", shape, spacing: None, origin: None, notes }))
+    Ok(Output::list(&Converted { out, kind: "dataset", shape, spacing: None, origin: None, notes }))
 }

@@ -2,7 +2,7 @@
 
 use super::{Convert, warn};
 use crate::cli::arguments::finite;
-use crate::cli::{Answer, interrupt};
+use crate::cli::{Output, interrupt};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
 use serde::Serialize;
@@ -121,7 +121,7 @@ fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
     mean_frame(what, &stack::read(path)?).map_err(|error| error.in_file(path))
 }
 
-pub(super) fn convert(command: &Convert) -> Result<Answer> {
+pub(super) fn convert(command: &Convert) -> Result<Output> {
     let Convert { source, out, scanner, protocol, stack: arguments, .. } = command;
     let Some(scanner) = scanner else {
         let expected = "the description of beam, detector and volume, for a stack of projections";
@@ -154,7 +154,7 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     let dataset = protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(out))?;
     let detector = dataset.scanner.detector;
-    Ok(Answer::list(&Measured {
+    Ok(Output::list(&Measured {
         out,
         kind: "dataset",
         views: dataset.train.len(),

@@ -1,12 +1,12 @@
 //! Conversion of volumes.
 
 use super::{Convert, Converted, warn};
-use crate::cli::Answer;
+use crate::cli::Output;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::volume_file;
 use trgs::{Error, Result};
 
-pub(super) fn convert(command: &Convert) -> Result<Answer> {
+pub(super) fn convert(command: &Convert) -> Result<Output> {
     let (source, out) = (&command.source, &command.out);
     let mut volume = volume_file::read(source)?;
     warn(source, &volume.oddities);
@@ -23,5 +23,5 @@ pub(super) fn convert(command: &Convert) -> Result<Answer> {
     }
     volume_file::write(out, &volume)?;
     let [spacing, origin] = [volume.spacing, volume.origin].map(|vector| vector.map(|vector| vector.to_array()));
-    Ok(Answer::list(&Converted { out, kind: "volume", shape, spacing, origin, notes: Vec::new() }))
+    Ok(Output::list(&Converted { out, kind: "volume", shape, spacing, origin, notes: Vec::new() }))
 }

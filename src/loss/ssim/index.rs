@@ -1,4 +1,4 @@
-//! The index of a pixel and its derivatives by the blurs, which are sums over the window.
+//! The index of a pixel and its derivatives to the blurs, which are sums over the window.
 //!
 //! With `A`, `B`, `AA`, `BB`, `AB` the blurs of `a`, `b`, `a²`, `b²` and `ab`, and `n` the sum of the window's weights, S is
 //! multiplied by `n⁴` above and below the line:
@@ -8,40 +8,40 @@
 //! ```
 
 use super::window::total;
-use crate::numeric::{Lanes, real};
+use crate::numeric::Lanes;
 use std::array::from_fn;
 
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// What the index is made with.
+/// Constants of the index.
 #[derive(Clone, Copy)]
 pub(super) struct Index<L> {
     one: L,
     two: L,
     /// The sum of the window's weights.
     n: L,
-    /// The constants, times its square.
+    /// C1 and C2, times the square of this sum.
     c1: L,
     c2: L,
-    /// Twice what the derivatives are multiplied by.
+    /// Twice the factor of the derivatives.
     share: L,
 }
 
 impl<L: Lanes> Index<L> {
     pub(super) fn new(share: f64) -> Self {
-        let (all, n) = (|x: f64| L::splat(real(x)), total());
+        let n = total();
         Self {
-            one: all(1.0),
-            two: all(2.0),
-            n: all(n),
-            c1: all(C1 * n * n),
-            c2: all(C2 * n * n),
-            share: all(2.0 * share),
+            one: L::splat_f64(1.0),
+            two: L::splat_f64(2.0),
+            n: L::splat_f64(n),
+            c1: L::splat_f64(C1 * n * n),
+            c2: L::splat_f64(C2 * n * n),
+            share: L::splat_f64(2.0 * share),
         }
     }
 
-    /// The same for registers of which some lanes have no pixel.
+    /// The same for registers in which some lanes hold no pixel.
     pub(super) fn within(self, pixels: L) -> Self {
         Self { share: self.share * pixels, ..self }
     }
@@ -52,9 +52,10 @@ impl<L: Lanes> Index<L> {
         self.n.fma(of_bb, -(of_b * of_b))
     }
 
-    /// S and `share` times its derivatives by the blurs of `a`, `a²` and `ab`, from the blur of `b`, its variance and these.
-    /// The second one is doubled, because `∂a²/∂a = 2a`, and has the other sign. Of several registers, so that each step of
-    /// one hides those of the others.
+    /// S, and `share` times its derivatives to the blurs of `a`, `a²` and `ab`; from these, the blur of `b` and its variance.
+    ///
+    /// The second derivative is doubled, because `∂a²/∂a = 2a`, and negated. Several registers are computed together so that
+    /// their dependency chains overlap.
     #[inline(always)]
     pub(super) fn slopes<const N: usize>(
         self,

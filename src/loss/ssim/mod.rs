@@ -20,7 +20,7 @@ mod index;
 mod tests;
 mod window;
 
-use crate::numeric::threads::{self, Spares};
+use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, reduce};
 use index::Index;
 use ndarray::{Array2, ArrayView2};
@@ -28,47 +28,49 @@ use std::array::from_fn;
 use std::ops::Range;
 use window::{BLOCK, Column, Fold, RADIUS, Window, around, margins};
 
-/// Blurs: of `a`, `a²` and `ab`, and of the derivatives of S by these.
+/// Number of blurs: of `a`, `a²` and `ab`, and of the derivatives of S to them.
 const KINDS: usize = 3;
 /// Blocks kept at a time: one and its neighbours.
 const KEPT: usize = 3;
-/// Blocks that one task computes: a constant, so the cut does not depend on the threads. The derivatives of S in [`RADIUS`]
-/// rows on both sides are computed by the neighbours too: that is less work than to write all of them to memory and wait.
+/// Blocks of one task: a constant, so that results do not depend on the number of threads.
+///
+/// The derivatives of S in [`RADIUS`] rows on both sides are computed by the neighbouring tasks, too: that is less work
+/// than to store all of them and wait.
 const SPAN: usize = 13;
 
-/// Compares images.
+/// Computes SSIM and its gradient, with buffers that are reused.
 #[derive(Clone, Debug, Default)]
 pub struct Ssim<R: Real> {
-    spaces: Spares<Space<R>>,
-    sums: Spares<Vec<Sums>>,
+    scratch: Pool<Scratch<R>>,
+    sums: Pool<Vec<Sums>>,
 }
 
-/// Of S and of |a - b|.
+/// Sums of S and of |a - b|.
 type Sums = [f64; 2];
 
-/// Some rows.
+/// The rows of a block, column by column.
 type Block<R> = Vec<Column<R>>;
-/// A block and those above and below.
+/// A block and the blocks above and below.
 type Neighbours<'a, R> = [&'a [Column<R>]; 3];
 
-/// What a task works in.
+/// Scratch arrays of a task.
 #[derive(Debug, Default)]
-struct Space<R: Real> {
-    /// A row to be folded and one that was, padded.
+struct Scratch<R: Real> {
+    /// A row before folding and one after unfolding, padded.
     rows: [Vec<R>; 2],
     /// 1 in the lanes that have a pixel.
     pixels: Vec<R::Lanes>,
-    /// Blocks of `a`; block i is in place i modulo [`KEPT`].
+    /// Blocks of `a`; block i has index i modulo [`KEPT`].
     image: [Block<R>; KEPT],
-    /// The blurs of a block down the columns, and the derivatives of S by the whole blurs; both with [`margins`].
+    /// The blurs of a block down the columns, and the derivatives of S to the full blurs; both with [`margins`].
     down: [Block<R>; KINDS],
     slopes: [Block<R>; KINDS],
-    /// Blocks of the derivatives blurred along the rows, in the same places as those of `a`.
+    /// Blocks of the derivatives blurred along the rows, indexed as those of `a`.
     lines: [[Block<R>; KINDS]; KEPT],
     gradient: Block<R>,
 }
 
-impl<R: Real> Space<R> {
+impl<R: Real> Scratch<R> {
     fn fit(&mut self, fold: Fold) {
         let (zero, length) = ([R::Lanes::default(); BLOCK], fold.length);
         for row in &mut self.rows {
@@ -83,12 +85,12 @@ impl<R: Real> Space<R> {
     }
 }
 
-/// An image to compare others with, and what SSIM needs to know of it. Computed once for each view.
+/// A reference image with its blur and variance, computed once per view.
 #[derive(Clone, Debug)]
 pub struct SsimTarget<R: Real> {
     /// Rows and columns.
     shape: [usize; 2],
-    /// The blocks of the image, between two of zeros.
+    /// The blocks of the image, between two blocks of zeros.
     blocks: Block<R>,
     /// The blur of the image and its variance, in blocks.
     moments: [Block<R>; 2],
@@ -104,19 +106,19 @@ impl<R: Real> SsimTarget<R> {
         let zeros = |count: usize| vec![Column::<R>::default(); count * n];
         let (mut blocks, mut moments) = (zeros(count + 2), [zeros(count), zeros(count)]);
         if !image.is_empty() {
-            let mut space = ssim.spaces.lend();
-            space.fit(fold);
+            let mut scratch = ssim.scratch.take();
+            scratch.fit(fold);
             let rows = image.as_slice().expect("standard layout").chunks(BLOCK * columns);
             for (values, block) in rows.zip(blocks[n..].chunks_exact_mut(n)) {
-                fold.deal(values, &mut space.rows[0], block);
+                fold.deinterleave(values, &mut scratch.rows[0], block);
             }
         }
         let [of_b, variances] = moments.each_mut().map(|moments| threads::chunks(moments, n));
-        threads::for_each_of((of_b, variances), |i, (of_b, variances)| {
-            let mut space = ssim.spaces.lend();
-            space.fit(fold);
+        threads::for_each_zip((of_b, variances), |i, (of_b, variances)| {
+            let mut scratch = ssim.scratch.take();
+            scratch.fit(fold);
             let near = [i, i + 1, i + 2].map(|i| &blocks[i * n..][..n]);
-            let [down, down_square, _] = &mut space.down;
+            let [down, down_square, _] = &mut scratch.down;
             for j in 0..n {
                 let b = around(near, j);
                 down[RADIUS + j] = window.down(&b);
@@ -149,14 +151,15 @@ impl<R: Real> Ssim<R> {
     ///
     /// # Panics
     /// When the shapes differ.
-    pub fn value_and_gradient(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
+    pub fn value_and_grad(&self, image: ArrayView2<R>, target: &SsimTarget<R>) -> (f64, Array2<R>) {
         let mut gradient = Array2::default(image.raw_dim());
         let [value, _] = self.compare(image, target, [1.0, 0.0], Some(&mut gradient));
         (value, gradient)
     }
 
-    /// SSIM and the mean absolute difference, and, in the place of another array, the gradient of their sum with these
-    /// weights: both need the same pixels.
+    /// SSIM and the mean absolute difference; writes the gradient of their weighted sum.
+    ///
+    /// Both are computed together, since they read the same pixels.
     pub(super) fn compare(
         &self,
         image: ArrayView2<R>,
@@ -179,25 +182,27 @@ impl<R: Real> Ssim<R> {
         let share = 1.0 / image.len() as f64;
         let [index, step] = [weights[0] * share, weights[1] * share];
         let (fold, window) = (Fold::new::<R>(columns), Window::new());
-        let (index, step) = (Index::new(index), R::Lanes::splat(R::from_f64(step)));
+        let (index, step) = (Index::new(index), R::Lanes::splat_f64(step));
         let image = image.as_slice().expect("standard layout");
         let pass = Comparison { fold, window, index, step, image, rows, columns, target };
-        let mut sums = self.sums.lend();
+        let mut sums = self.sums.take();
         sums.resize(rows.div_ceil(SPAN * BLOCK), [0.0; 2]);
         let of_tasks = threads::chunks(&mut sums, 1);
-        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.spaces.lend(), gradient);
+        let of_task = |task: usize, gradient: Option<&mut [R]>| pass.task(task, &mut self.scratch.take(), gradient);
         match gradient {
             Some(gradient) => {
                 let gradients = threads::chunks(gradient, SPAN * BLOCK * columns);
-                threads::for_each_of((of_tasks, gradients), |i, (sums, gradient)| sums[0] = of_task(i, Some(gradient)));
+                threads::for_each_zip((of_tasks, gradients), |i, (sums, gradient)| {
+                    sums[0] = of_task(i, Some(gradient))
+                });
             }
-            None => threads::for_each_of(of_tasks, |i, sums| sums[0] = of_task(i, None)),
+            None => threads::for_each_zip(of_tasks, |i, sums| sums[0] = of_task(i, None)),
         }
         [0, 1].map(|which| reduce::sum_by(sums.len(), &|task| sums[task][which]) * share)
     }
 }
 
-/// An image and one that it is compared with. Blocks are counted from two that are outside of the image.
+/// The inputs of one comparison. Block numbers start two blocks before the image.
 struct Comparison<'a, R: Real> {
     fold: Fold,
     window: Window<R::Lanes>,
@@ -217,17 +222,17 @@ impl<R: Real> Comparison<'_, R> {
         at(block)..at(block + 1)
     }
 
-    /// The sums of some blocks, and the gradient in them: each one's when the derivatives of the next one are there.
-    fn task(&self, task: usize, space: &mut Space<R>, mut gradient: Option<&mut [R]>) -> Sums {
-        space.fit(self.fold);
+    /// The sums of the task's blocks, and their gradient: a block's follows when the next block has its derivatives.
+    fn task(&self, task: usize, scratch: &mut Scratch<R>, mut gradient: Option<&mut [R]>) -> Sums {
+        scratch.fit(self.fold);
         let first = 2 + task * SPAN;
         let blocks = first..(first + SPAN).min(2 + self.rows.div_ceil(BLOCK));
         let mut sums = [0.0; 2];
-        self.deal(first - 2, space);
-        self.deal(first - 1, space);
+        self.load_block(first - 2, scratch);
+        self.load_block(first - 1, scratch);
         for block in first - 1..=blocks.end {
-            self.deal(block + 1, space);
-            let of_block = self.differentiate(block, space);
+            self.load_block(block + 1, scratch);
+            let of_block = self.differentiate(block, scratch);
             if blocks.contains(&block) {
                 sums = [sums[0] + of_block[0], sums[1] + of_block[1]];
             }
@@ -235,23 +240,23 @@ impl<R: Real> Comparison<'_, R> {
                 && let Some(gradient) = &mut gradient
             {
                 let rows = gradient.chunks_mut(BLOCK * self.columns).nth(block - 1 - first);
-                self.pull_back(block - 1, space, rows.expect("a chunk for each block"));
+                self.vjp(block - 1, scratch, rows.expect("a chunk for each block"));
             }
         }
         sums
     }
 
     /// Folds a block of `a`.
-    fn deal(&self, block: usize, space: &mut Space<R>) {
+    fn load_block(&self, block: usize, scratch: &mut Scratch<R>) {
         let rows = self.rows_of(block);
         let values = &self.image[rows.start * self.columns..rows.end * self.columns];
-        self.fold.deal(values, &mut space.rows[0], &mut space.image[block % KEPT]);
+        self.fold.deinterleave(values, &mut scratch.rows[0], &mut scratch.image[block % KEPT]);
     }
 
-    /// The sums of a block, and the derivatives of S in it, blurred along the rows; 0 outside of the image.
-    fn differentiate(&self, block: usize, space: &mut Space<R>) -> Sums {
+    /// The sums of a block; writes the derivatives of S, blurred along the rows, 0 outside of the image.
+    fn differentiate(&self, block: usize, scratch: &mut Scratch<R>) -> Sums {
         let (n, rows, window) = (self.fold.length, self.rows_of(block).len(), self.window);
-        let Space { pixels, image, down, slopes, lines, .. } = space;
+        let Scratch { pixels, image, down, slopes, lines, .. } = scratch;
         let lines = &mut lines[block % KEPT];
         if rows == 0 {
             lines.iter_mut().for_each(|line| line.fill(Column::<R>::default()));
@@ -274,8 +279,9 @@ impl<R: Real> Comparison<'_, R> {
         sums
     }
 
-    /// Blurs `a`, `a²` and `ab` down the columns of a block, from it and its neighbours. One after another, or the compiler
-    /// has more in hand than there are registers.
+    /// Blurs `a`, `a²` and `ab` down the columns of a block, from it and its neighbours.
+    ///
+    /// One blur after another: together they would need more registers than there are.
     fn blur_down(&self, a: Neighbours<R>, b: Neighbours<R>, down: &mut [Block<R>; KINDS]) {
         let (n, window) = (self.fold.length, self.window);
         let [of_a, of_aa, of_ab] = down.each_mut().map(|line| line[RADIUS..][..n].iter_mut().enumerate());
@@ -292,8 +298,9 @@ impl<R: Real> Comparison<'_, R> {
         }
     }
 
-    /// In a block, turns the blurs of `a`, `a²` and `ab` into the derivatives of S by them. The sums are of the rows that
-    /// are in the image, added in lanes first.
+    /// Replaces the blurs of `a`, `a²` and `ab` in a block by the derivatives of S to them.
+    ///
+    /// The sums are over the rows within the image, lane by lane first.
     fn slopes(
         &self,
         rows: usize,
@@ -320,9 +327,9 @@ impl<R: Real> Comparison<'_, R> {
     }
 
     /// The gradient in a block, from the derivatives of S in it and its neighbours.
-    fn pull_back(&self, block: usize, space: &mut Space<R>, gradient: &mut [R]) {
+    fn vjp(&self, block: usize, scratch: &mut Scratch<R>, gradient: &mut [R]) {
         let n = self.fold.length;
-        let Space { rows: [_, row], image, lines, gradient: folded, .. } = space;
+        let Scratch { rows: [_, row], image, lines, gradient: folded, .. } = scratch;
         let kept = [block - 1, block, block + 1].map(|block| &lines[block % KEPT]);
         let lines: [_; KINDS] = from_fn(|kind| kept.map(|lines| &lines[kind][..n]));
         let (a, b) = (&image[block % KEPT][..n], &self.target.blocks[(block - 1) * n..][..n]);
@@ -335,7 +342,7 @@ impl<R: Real> Comparison<'_, R> {
                 *out = self.slope_of_distance(a - b) + of_index;
             }
         }
-        self.fold.collect(folded, row, gradient);
+        self.fold.interleave(folded, row, gradient);
     }
 
     /// `step`, with the sign of the difference; 0 also for NaN.

@@ -63,7 +63,7 @@ fn gradient_matches_central_differences_across_bands_and_borders() {
         let (a, b) = images(rows, columns);
         let ssim = Ssim::<f64>::default();
         let target = SsimTarget::new(&ssim, b.view());
-        let (value, gradient) = ssim.value_and_gradient(a.view(), &target);
+        let (value, gradient) = ssim.value_and_grad(a.view(), &target);
         assert_eq!(value, ssim.value(a.view(), &target));
         assert_matches_central_differences(&a, &gradient, 1, 1e-9, |a| ssim.value(a.view(), &target));
     }
@@ -73,9 +73,9 @@ fn gradient_matches_central_differences_across_bands_and_borders() {
 fn gradient_in_f32_agrees_with_f64() {
     let (a, b) = images(40, 50);
     let (double, single) = (Ssim::<f64>::default(), Ssim::<f32>::default());
-    let (_, truth) = double.value_and_gradient(a.view(), &SsimTarget::new(&double, b.view()));
+    let (_, truth) = double.value_and_grad(a.view(), &SsimTarget::new(&double, b.view()));
     let (a, b) = (a.mapv(|x| x as f32), b.mapv(|x| x as f32));
-    let (_, gradient) = single.value_and_gradient(a.view(), &SsimTarget::new(&single, b.view()));
+    let (_, gradient) = single.value_and_grad(a.view(), &SsimTarget::new(&single, b.view()));
     let largest = truth.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
     for (g, t) in gradient.iter().zip(&truth) {
         assert!((f64::from(*g) - t).abs() <= 1e-5 * largest, "{g:e} against {t:e}");
@@ -86,7 +86,7 @@ fn gradient_in_f32_agrees_with_f64() {
 fn equal_images_have_similarity_one_and_no_slope() {
     let (a, _) = images(20, 30);
     let ssim = Ssim::<f64>::default();
-    let (value, gradient) = ssim.value_and_gradient(a.view(), &SsimTarget::new(&ssim, a.view()));
+    let (value, gradient) = ssim.value_and_grad(a.view(), &SsimTarget::new(&ssim, a.view()));
     assert!((value - 1.0).abs() < 1e-15, "{value}");
     assert!(gradient.iter().all(|g| g.abs() < 1e-15));
 }
@@ -100,7 +100,7 @@ fn images_that_are_not_contiguous_and_empty_ones_are_accepted() {
     assert!((value - turned).abs() < 1e-14);
     for shape in [(0, 0), (0, 4), (4, 0)] {
         let empty = Array2::zeros(shape);
-        let (value, gradient) = ssim.value_and_gradient(empty.view(), &SsimTarget::new(&ssim, empty.view()));
+        let (value, gradient) = ssim.value_and_grad(empty.view(), &SsimTarget::new(&ssim, empty.view()));
         assert_eq!((value, gradient.dim()), (1.0, shape));
     }
 }
@@ -115,7 +115,7 @@ fn an_image_after_others_has_the_bits_of_the_first_one() {
         let target = SsimTarget::new(&kept, b.view());
         let [value, _] = kept.compare(a.view(), &target, [1.0, 0.0], Some(&mut gradient));
         let new = Ssim::<f32>::default();
-        let expected = new.value_and_gradient(a.view(), &SsimTarget::new(&new, b.view()));
+        let expected = new.value_and_grad(a.view(), &SsimTarget::new(&new, b.view()));
         assert_eq!((value, &gradient), (expected.0, &expected.1), "{rows}×{columns}");
     }
 }
@@ -125,8 +125,7 @@ fn one_thread_and_three_give_the_same_bits() {
     let (a, b) = images(70, 50);
     let ssim = Ssim::<f32>::default();
     let (a, b) = (a.mapv(|x| x as f32), b.mapv(|x| x as f32));
-    let run = |count| {
-        threads::install(count, || ssim.value_and_gradient(a.view(), &SsimTarget::new(&ssim, b.view()))).unwrap()
-    };
+    let run =
+        |count| threads::install(count, || ssim.value_and_grad(a.view(), &SsimTarget::new(&ssim, b.view()))).unwrap();
     assert_eq!(run(1), run(3));
 }

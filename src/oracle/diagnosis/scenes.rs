@@ -8,7 +8,7 @@ use crate::oracle::answers::answer;
 use crate::oracle::format::Format;
 use crate::oracle::outputs::Outputs;
 use crate::oracle::question::Question;
-use crate::primitives::{Kernel, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
 use crate::scene::{Detector, Scanner};
 use ndarray::{Array1, Array2, Array4, ArrayD, Axis, Ix2};
 use serde_json::json;
@@ -176,7 +176,7 @@ fn variants(q: &Question, format: Format) -> Result<Vec<Suspect>> {
     ];
     let (primitives, scanner, angles) = (q.primitives()?, q.scanner()?, q.angles()?);
     let mut all = Vec::new();
-    if primitives.kernel == Kernel::StudentT {
+    if primitives.kernel == KernelKind::StudentT {
         for (name, profile) in profiles {
             let profile = |delta, nu| profile(delta, nu, format);
             all.push(Suspect::new(name, images(q, &primitives, &scanner, &angles, &profile, &|_| 1.0)));

@@ -83,7 +83,7 @@ pub fn write(path: &Path, parameters: &Parameters) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Kernel;
+    use super::super::KernelKind;
     use super::*;
 
     fn parameters() -> Parameters {
@@ -101,7 +101,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.npz");
         write(&path, &parameters()).unwrap();
-        assert_eq!(read(&path).unwrap(), Primitives { kernel: Kernel::StudentT, parameters: parameters() });
+        assert_eq!(read(&path).unwrap(), Primitives { kernel: KernelKind::StudentT, parameters: parameters() });
     }
 
     #[test]

@@ -17,7 +17,7 @@
 use crate::error::{Error, Result};
 use crate::numeric::elementary::log;
 use crate::output::write_atomically;
-use crate::primitives::{Kernel, Parameters, Primitives};
+use crate::primitives::{KernelKind, Parameters, Primitives};
 use colorous::VIRIDIS;
 use serde::{Deserialize, Serialize};
 use serde_ply::{PlyReader, SerializeOptions};
@@ -130,13 +130,13 @@ pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>) -
     assert!(confidence.is_none_or(|c| c.len() == density.len()), "one confidence for each primitive");
     let (of, place) = match (confidence, primitives.kernel) {
         (Some(confidence), _) => ("confidence, 0 to 1", confidence.to_vec()),
-        (None, Kernel::StudentT) => ("ln nu, smallest to largest", spread(nu.iter().map(|&nu| log(nu)).collect())),
-        (None, Kernel::Gaussian) => ("density, smallest to largest", spread(density.clone())),
+        (None, KernelKind::StudentT) => ("ln nu, smallest to largest", spread(nu.iter().map(|&nu| log(nu)).collect())),
+        (None, KernelKind::Gaussian) => ("density, smallest to largest", spread(density.clone())),
     };
     let vertex = |i: usize| {
         let ([x, y, z], [scale_x, scale_y, scale_z]) = (mean[i], scale[i]);
         let [rotation_w, rotation_x, rotation_y, rotation_z] = quaternion[i];
-        let (nu, confidence) = ((primitives.kernel == Kernel::StudentT).then_some(nu[i]), confidence.map(|c| c[i]));
+        let (nu, confidence) = ((primitives.kernel == KernelKind::StudentT).then_some(nu[i]), confidence.map(|c| c[i]));
         let (red, green, blue) = VIRIDIS.eval_continuous(place[i].clamp(0.0, 1.0)).as_tuple();
         let density = density[i];
         Vertex {
@@ -233,7 +233,7 @@ mod tests {
                     2 0 1\n7 0.5 1 2 3 0.25 0.125 4 1 0 0 -1\n";
         std::fs::write(&path, text).unwrap();
         let (found, confidence) = read(&path).unwrap();
-        assert_eq!((found.kernel, confidence), (Kernel::Gaussian, None));
+        assert_eq!((found.kernel, confidence), (KernelKind::Gaussian, None));
         let p = found.parameters;
         assert_eq!((p.mean[0], p.scale[0]), ([1.0, 2.0, 3.0], [4.0, 0.125, 0.25]));
         assert_eq!((p.quaternion[0], p.density[0]), ([1.0, 0.0, 0.0, -1.0], 0.5));

@@ -13,7 +13,7 @@
 //! R²-Gaussian's. R²-Gaussian itself reads the pickle, which Python makes from the archive:
 //! `pickle.dump(dict(numpy.load("point_cloud.npz")), open("point_cloud.pickle", "wb"))`.
 
-use super::super::{Kernel, Parameters, Primitives};
+use super::super::{KernelKind, Parameters, Primitives};
 use crate::error::{Error, Result};
 use crate::numeric::elementary::{exp, logit, sigmoid, softplus, softplus_inverse};
 use crate::scene::dataset::pickle::{self, Value};
@@ -118,7 +118,7 @@ pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
         ("rotation", entry(&[m, 4], quaternion.as_flattened())),
         ("scale_bound", entry(&[2], &ends)),
     ];
-    if primitives.kernel == Kernel::StudentT {
+    if primitives.kernel == KernelKind::StudentT {
         arrays.push(("nu", entry(&[m], nu)));
     }
     npz::write(path, &arrays)
@@ -181,7 +181,7 @@ mod tests {
         };
         npz::write(&path, &arrays(true)).unwrap();
         let found = read(&path).unwrap();
-        assert_eq!(found.kernel, Kernel::Gaussian);
+        assert_eq!(found.kernel, KernelKind::Gaussian);
         let e = std::f64::consts::E;
         approx::assert_relative_eq!(found.parameters.density[0], std::f64::consts::LN_2, max_relative = 1e-15);
         approx::assert_relative_eq!(found.parameters.scale[0][0], 0.5005, max_relative = 1e-15);

@@ -22,13 +22,13 @@
 //! train, val (or test)               angles in radians and projections [view, v, u], row 0 on top
 //! ```
 
+mod info;
 mod meta;
 mod naf;
 pub(crate) mod pickle;
 mod subsample;
-mod survey;
 
-pub use survey::Survey;
+pub use info::DatasetInfo;
 
 use super::arrays::{Projections, Volume};
 use super::geometry::Scanner;

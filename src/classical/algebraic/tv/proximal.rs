@@ -1,6 +1,6 @@
 //! The proximal step of total variation with a non-negativity constraint. Not in the paper.
 
-use crate::numeric::threads::{chunks, for_each_chunk, for_each_of, map};
+use crate::numeric::threads::{chunks, for_each_chunk, for_each_zip, map};
 use crate::numeric::{Lanes, Real, real, reduce};
 use crate::scene::Grid;
 use std::ops::{Add, Mul};
@@ -107,7 +107,7 @@ impl<R: Real> Proximal<R> {
             (chunks(q0, length), chunks(q1, length), chunks(q2, length)),
             (chunks(r0, length), chunks(r1, length), chunks(r2, length)),
         );
-        for_each_of(all, |chunk, ((q0, q1, q2), (r0, r1, r2))| {
+        for_each_zip(all, |chunk, ((q0, q1, q2), (r0, r1, r2))| {
             for i in 0..q0.len() / nz {
                 let (line, part) = (chunk * lines + i, i * nz..(i + 1) * nz);
                 let at = line * nz;

@@ -1,50 +1,72 @@
 //! One view of the field: the image band by band in primitive order, the gradient primitive by primitive.
 
-use super::column::STRIP;
 use super::footprint::Footprint;
-use super::kernel::Sums;
-use super::kernels::Kernels;
-use super::{Field, FieldGradient, Projection};
+use super::footprint_vjp;
+use super::kernels::ImageKernels;
+use super::placement::PlacedFootprint;
 use crate::numeric::Real;
-use crate::numeric::threads::{self, Lent};
-use crate::numeric::vectors::{EIGHT, lanes};
+use crate::numeric::threads::{self, Pool, PoolGuard};
+use crate::numeric::vectors::{LANES, lane_refs};
+use crate::projector::kernel::buffers::PaddedImage;
+use crate::projector::kernel::columns::STRIP;
+use crate::projector::kernel::{Scratch, Sums};
+use crate::projector::kernels::Kernels;
+use crate::projector::projection::Projection;
+use crate::projector::whitened::{FieldGradient, Whitened};
 use crate::scene::{Beam, Scanner, View};
 use ndarray::{Array2, ArrayView2};
 use std::hint::black_box;
 
-/// Primitives whose gradients one task gathers.
-const GATHER: usize = 64;
-/// Primitives that one task prepares, or sorts into bands; a multiple of [`EIGHT`].
-const BIN: usize = 512;
-/// Footprints that a band fetches at a time: they lie far apart, and the memory answers several as fast as one.
-const FETCH: usize = 16;
+/// Primitives whose gradients one task computes.
+const GRADIENT_CHUNK: usize = 64;
+/// Primitives that one task projects, or bins into bands; a multiple of [`LANES`].
+const BIN_CHUNK: usize = 512;
+/// Footprints that a band fetches at a time: they are scattered in memory, so that cache misses overlap.
+const FETCHED: usize = 16;
 
-/// Those of [`BIN`] primitives that reach each band, in index order.
-pub(super) type Members = Vec<Vec<u32>>;
+/// The primitives among [`BIN_CHUNK`] whose supports reach each band, in index order.
+type Bins = Vec<Vec<u32>>;
 
-/// The footprints of a [`Field`]'s primitives on the detector of one view.
+/// Buffers of views, reused from view to view so that a steady state allocates nothing.
+#[derive(Default)]
+pub(crate) struct Workspace<R: Real> {
+    footprints: Pool<Vec<Footprint>>,
+    bins: Pool<Vec<Bins>>,
+    images: Pool<PaddedImage<R>>,
+    fetched: Pool<Vec<PlacedFootprint>>,
+    scratch: Pool<Scratch<R::Lanes>>,
+}
+
+/// The footprints of a [`Field`](crate::projector::Field)'s primitives on the detector of one view.
 pub struct ViewField<'a, R: Real> {
-    pub(super) field: &'a Field<R>,
-    pub(super) scanner: Scanner,
+    whitened: Whitened<'a>,
+    workspace: &'a Workspace<R>,
+    pub(crate) scanner: Scanner,
     view: View,
-    pub(super) projection: Projection,
-    pub(super) footprints: Lent<'a, Vec<Footprint>>,
+    projection: Projection,
+    pub(crate) footprints: PoolGuard<'a, Vec<Footprint>>,
 }
 
 impl<'a, R: Kernels> ViewField<'a, R> {
-    pub(super) fn new(field: &'a Field<R>, scanner: &Scanner, angle: f64, projection: Projection) -> Self {
+    pub(crate) fn new(
+        whitened: Whitened<'a>,
+        workspace: &'a Workspace<R>,
+        scanner: &Scanner,
+        angle: f64,
+        projection: Projection,
+    ) -> Self {
         let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
-        let mut footprints = field.spaces.footprints.lend();
-        footprints.resize(field.shapes.len(), Footprint::default());
-        threads::for_each_chunk(&mut footprints, BIN, |chunk, footprints| {
-            let shapes = field.shapes[chunk * BIN..].chunks(EIGHT);
-            for (footprints, shapes) in footprints.chunks_mut(EIGHT).zip(shapes) {
-                Footprint::eight(footprints, lanes(shapes, |shape| shape), scanner, &view, projection);
+        let mut footprints = workspace.footprints.take();
+        footprints.resize(whitened.primitives.len(), Footprint::default());
+        threads::for_each_chunk(&mut footprints, BIN_CHUNK, |chunk, footprints| {
+            let primitives = whitened.primitives[chunk * BIN_CHUNK..].chunks(LANES);
+            for (footprints, primitives) in footprints.chunks_mut(LANES).zip(primitives) {
+                Footprint::project(footprints, lane_refs(primitives, |p| p), scanner, &view, projection);
             }
         });
-        Self { field, scanner: *scanner, view, projection, footprints }
+        Self { whitened, workspace, scanner: *scanner, view, projection, footprints }
     }
 
     /// Whether the view sees each primitive: its support holds a pixel.
@@ -61,17 +83,17 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// pixel indices (0 is the centre of the first row or column), not clipped to the detector.
     ///
     /// It bounds the pixels that the field's cutoff ε lets the primitive reach, where its projection has not fallen to
-    /// ε of its peak. `(-∞, ∞, -∞, ∞)` where that set is not an ellipse: it holds the source or passes beside it, or ε
+    /// ε of its peak. `(-∞, ∞, -∞, ∞)` where that set is not an ellipse: it holds the source or passes next to it, or ε
     /// is 0 and it is the whole plane. `(∞, -∞, ∞, -∞)` for a primitive that is left out near or behind the source.
-    /// That a kernel in `R` adds nothing below `2^-R::HORIZON` is a limit of its numbers and no cutoff: it shrinks the
-    /// pixels that are walked, not these boxes.
+    /// That a kernel in `R` adds nothing below `2^-R::HORIZON` is a limit of its number range and no cutoff: it shrinks the
+    /// pixels that are evaluated, not these boxes.
     ///
     /// Tests: `support_boxes_bound_the_pixels_of_each_primitive`, `boxes_know_the_cutoff_alone`.
     pub fn support_boxes(&self) -> Vec<[f64; 4]> {
-        let boxes = self.field.shapes.chunks(EIGHT).flat_map(|some| {
-            let shapes = lanes(some, |shape| shape);
-            let boxes = Footprint::support_boxes(shapes, &self.scanner, &self.view, self.projection);
-            boxes.into_iter().take(some.len())
+        let boxes = self.whitened.primitives.chunks(LANES).flat_map(|group| {
+            let primitives = lane_refs(group, |p| p);
+            let boxes = Footprint::support_boxes(primitives, &self.scanner, &self.view, self.projection);
+            boxes.into_iter().take(group.len())
         });
         boxes.collect()
     }
@@ -83,72 +105,72 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         image
     }
 
-    /// [`Self::image`] in the place of another.
+    /// [`Self::image`] into an existing array.
     pub fn image_into(&self, image: &mut Array2<R>) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         if image.dim() != (rows, columns) {
             *image = Array2::default((rows, columns));
         }
         let image = image.as_slice_mut().expect("images are in standard layout");
-        let members = self.members(rows.div_ceil(STRIP));
-        let kernel = R::kernels(self.field.kernel, self.projection).forward;
-        threads::for_each_chunk_in(image, STRIP * columns, &self.field.spaces.scratch, |band, pixels, scratch| {
+        let bins = self.bins(rows.div_ceil(STRIP));
+        let kernel = self.kernels().forward;
+        threads::for_each_chunk_in(image, STRIP * columns, &self.workspace.scratch, |band, pixels, scratch| {
             let origin = band * STRIP;
             let height = pixels.len() / columns;
-            let (mut canvas, mut fetched) = (self.field.spaces.canvases.lend(), self.field.spaces.fetched.lend());
-            canvas.renew(height, columns);
-            fetched.reserve(FETCH);
-            for some in members.iter().flat_map(|chunk| chunk[band].chunks(FETCH)) {
-                // One wait for all of them: their lines are asked for before any patch is made.
-                black_box(some.iter().fold(0, |bits, &i| bits ^ self.footprints[i as usize].touch()));
+            let (mut buffer, mut fetched) = (self.workspace.images.take(), self.workspace.fetched.take());
+            buffer.reset(height, columns);
+            fetched.reserve(FETCHED);
+            for group in bins.iter().flat_map(|bins| bins[band].chunks(FETCHED)) {
+                // A prefetch: the cache misses of all footprints overlap.
+                black_box(group.iter().fold(0, |bits, &i| bits ^ self.footprints[i as usize].touch()));
                 fetched.clear();
-                fetched.extend(some.iter().map(|&i| {
+                fetched.extend(group.iter().map(|&i| {
                     let footprint = &self.footprints[i as usize];
                     let rows = footprint.rows_in(origin..origin + height);
                     let top = rows.start - origin;
-                    footprint.patch(rows, top, canvas.stride)
+                    footprint.placed(rows, top, buffer.stride)
                 }));
-                for patch in fetched.iter() {
-                    kernel(patch, &mut canvas, scratch);
+                for footprint in fetched.iter() {
+                    kernel(footprint, &mut buffer, scratch);
                 }
             }
             for (row, pixels) in pixels.chunks_exact_mut(columns).enumerate() {
-                pixels.copy_from_slice(canvas.row(row, columns));
+                pixels.copy_from_slice(buffer.row(row, columns));
                 self.times_ray_length(origin + row, pixels);
             }
         });
     }
 
-    /// The primitives that reach each of `bands` bands.
-    fn members(&self, bands: usize) -> Lent<'_, Vec<Members>> {
-        let mut members = self.field.spaces.members.lend();
-        members.resize(self.footprints.len().div_ceil(BIN), Vec::new());
-        threads::for_each_chunk(&mut members, 1, |chunk, members| {
-            let [members] = members else { unreachable!("a chunk of one") };
-            // Room for all of them: what comes with another view needs no more.
-            members.resize_with(bands, || Vec::with_capacity(BIN));
-            members.iter_mut().for_each(Vec::clear);
-            let all = (chunk * BIN..).zip(&self.footprints[chunk * BIN..]).take(BIN);
+    /// The primitives whose supports reach each of `bands` bands.
+    fn bins(&self, bands: usize) -> PoolGuard<'_, Vec<Bins>> {
+        let mut bins = self.workspace.bins.take();
+        bins.resize(self.footprints.len().div_ceil(BIN_CHUNK), Vec::new());
+        threads::for_each_chunk(&mut bins, 1, |chunk, bins| {
+            let [bins] = bins else { unreachable!("a chunk of one") };
+            // Full capacity, so that another view needs no more.
+            bins.resize_with(bands, || Vec::with_capacity(BIN_CHUNK));
+            bins.iter_mut().for_each(Vec::clear);
+            let all = (chunk * BIN_CHUNK..).zip(&self.footprints[chunk * BIN_CHUNK..]).take(BIN_CHUNK);
             for (i, footprint) in all.filter(|(_, footprint)| !footprint.is_empty()) {
-                for band in &mut members[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
+                for band in &mut bins[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
                     band.push(i as u32);
                 }
             }
         });
-        members
+        bins
     }
 
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
     /// of |ρ| · line integral · largest scale · ε. One that is left out near or behind the source has nothing to drop.
     pub fn truncation_bound(&self) -> Array2<f64> {
-        let bound = |i: usize| self.field.shapes[i].truncation_bound(self.field.cutoff);
+        let bound = |i: usize| self.whitened.primitives[i].truncation_bound(self.whitened.cutoff);
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let mut bounds = Array2::from_elem((rows, columns), 0.0);
         for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, footprint)| footprint.seen) {
             bounds += bound(i);
             for row in footprint.rows.clone() {
                 for column in footprint.columns.clone() {
-                    if footprint.plane.reaches(row, column) {
+                    if footprint.conic.contains(row, column) {
                         bounds[[row, column]] -= bound(i);
                     }
                 }
@@ -160,36 +182,37 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// Adds the gradient of `Σ cotangent·image`; `cotangent` is `[v, u]`.
     ///
     /// # Panics
-    /// If the cotangent does not have the detector's shape, or the gradient belongs to another field, or for images of 2^32 pixels.
-    pub fn pull_back(&self, cotangent: ArrayView2<'_, R>, gradient: &mut FieldGradient) {
+    /// If the cotangent does not have the detector's shape, if the gradient belongs to another field, or for images of 2^32
+    /// pixels.
+    pub fn vjp(&self, cotangent: ArrayView2<'_, R>, gradient: &mut FieldGradient) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
-        assert_eq!(gradient.shapes.len(), self.footprints.len(), "primitives of the gradient");
-        let mut canvas = self.field.spaces.canvases.lend();
-        canvas.renew(rows, columns);
-        let stride = canvas.stride;
-        threads::for_each_chunk(&mut canvas.pixels, STRIP * stride, |band, pixels| {
+        assert_eq!(gradient.by_primitive.len(), self.footprints.len(), "primitives of the gradient");
+        let mut buffer = self.workspace.images.take();
+        buffer.reset(rows, columns);
+        let stride = buffer.stride;
+        threads::for_each_chunk(&mut buffer.pixels, STRIP * stride, |band, pixels| {
             for (row, pixels) in (band * STRIP..rows).zip(pixels.chunks_exact_mut(stride)) {
                 let pixels = &mut pixels[..columns];
                 pixels.iter_mut().zip(cotangent.row(row)).for_each(|(pixel, &value)| *pixel = value);
                 self.times_ray_length(row, pixels);
             }
         });
-        let kernel = R::kernels(self.field.kernel, self.projection).backward;
-        let scratch = &self.field.spaces.scratch;
-        threads::for_each_chunk_in(&mut gradient.shapes, GATHER, scratch, |chunk, gradients, scratch| {
-            let here = chunk * GATHER..chunk * GATHER + gradients.len();
-            let (footprints, shapes) = (&self.footprints[here.clone()], &self.field.shapes[here]);
-            let groups = footprints.chunks(EIGHT).zip(shapes.chunks(EIGHT));
-            for ((footprints, shapes), gradients) in groups.zip(gradients.chunks_mut(EIGHT)) {
-                let mut sums = [Sums::default(); EIGHT];
+        let kernel = self.kernels().vjp;
+        let (gradients, scratch) = (&mut gradient.by_primitive, &self.workspace.scratch);
+        threads::for_each_chunk_in(gradients, GRADIENT_CHUNK, scratch, |chunk, gradients, scratch| {
+            let here = chunk * GRADIENT_CHUNK..chunk * GRADIENT_CHUNK + gradients.len();
+            let (footprints, primitives) = (&self.footprints[here.clone()], &self.whitened.primitives[here]);
+            let groups = footprints.chunks(LANES).zip(primitives.chunks(LANES));
+            for ((footprints, primitives), gradients) in groups.zip(gradients.chunks_mut(LANES)) {
+                let mut sums = [Sums::default(); LANES];
                 for (sums, footprint) in sums.iter_mut().zip(footprints).filter(|(_, f)| !f.is_empty()) {
                     let rows = footprint.rows.clone();
                     let top = rows.start;
-                    *sums = kernel(&footprint.patch(rows, top, canvas.stride), &canvas, scratch);
+                    *sums = kernel(&footprint.placed(rows, top, buffer.stride), &buffer, scratch);
                 }
-                let (all, shapes) = (lanes(footprints, |f| f), lanes(shapes, |shape| shape));
-                let parts = Footprint::pull_back(all, shapes, &self.view, self.projection, &sums);
+                let (all, primitives) = (lane_refs(footprints, |f| f), lane_refs(primitives, |p| p));
+                let parts = footprint_vjp::vjp(all, primitives, &self.view, self.projection, &sums);
                 for ((gradient, part), footprint) in gradients.iter_mut().zip(&parts).zip(footprints) {
                     if !footprint.is_empty() {
                         gradient.add(part);
@@ -197,6 +220,11 @@ impl<'a, R: Kernels> ViewField<'a, R> {
                 }
             }
         });
+    }
+
+    /// The kernels of this view.
+    pub(crate) fn kernels(&self) -> ImageKernels<R> {
+        R::image_kernels(self.whitened.kernel, self.projection)
     }
 
     /// Multiplies a row of pixels by the lengths of their rays.
@@ -207,9 +235,10 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         }
     }
 
-    /// The length |d| of the ray of each column of a row, between planes of unit distance `[X1]`. `None` if it is 1, or
-    /// in a footprint's weight: the affine projection has the length of the centre's ray there.
-    pub(super) fn ray_lengths(&self, row: usize) -> Option<impl Fn(usize) -> R + use<R>> {
+    /// The length |d| of the ray of each column of a row, between planes of unit distance `[X1]`.
+    ///
+    /// `None` if it is 1, or if the footprints' weights contain it, as in the affine projection.
+    pub(crate) fn ray_lengths(&self, row: usize) -> Option<impl Fn(usize) -> R + use<R>> {
         let Beam::Cone { dsd, .. } = self.scanner.beam else { return None };
         if self.projection == Projection::Affine {
             return None;
@@ -227,6 +256,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
 mod tests {
     use super::*;
     use crate::primitives::{Parameters, Primitives};
+    use crate::projector::Field;
     use crate::scene::{Detector, Grid};
     use std::ops::Range;
 
@@ -242,12 +272,13 @@ mod tests {
                 mean: range.clone().map(|i| [at(i, 0.819), at(i, 0.671), 0.7 * at(i, 0.549)]).collect(),
                 scale: vec![[0.04, 0.05, 0.06]; range.len()],
                 quaternion: vec![[1.0, 0.2, -0.1, 0.3]; range.len()],
-                density: range.clone().map(|i| 0.1 + (i % 7) as f64 + (i / BIN) as f64).collect(),
+                density: range.clone().map(|i| 0.1 + (i % 7) as f64 + (i / BIN_CHUNK) as f64).collect(),
                 nu: vec![8.0; range.len()],
             });
             Field::<f64>::new(&primitives.unwrap(), 1e-3).view(&scanner, 0.4, Projection::Exact).image()
         };
-        let (whole, sum) = (some(0..2 * BIN + 100), some(0..200) + some(200..BIN) + some(BIN..2 * BIN + 100));
+        let (whole, sum) =
+            (some(0..2 * BIN_CHUNK + 100), some(0..200) + some(200..BIN_CHUNK) + some(BIN_CHUNK..2 * BIN_CHUNK + 100));
         let peak = whole.fold(0.0, |peak: f64, &value| peak.max(value));
         assert!(whole.indexed_iter().all(|(place, value)| (value - sum[place]).abs() < 1e-12 * peak), "{peak}");
         assert!(whole.row(30).sum() > 0.0 && whole.row(40).sum() > 0.0);

@@ -1,12 +1,12 @@
-//! The kernel as a function of the distance alone, in the arithmetic of the images.
+//! The profile as a function of the distance alone, computed by the kernel of the images.
 
-use super::Projection;
-use super::canvas::Canvas;
-use super::kernel::Scratch;
-use super::kernels::Kernels;
-use super::patch::Patch;
-use super::plane::Plane;
-use crate::primitives::{Kernel, gaussian, student_t};
+use super::placement::PlacedFootprint;
+use crate::primitives::{KernelKind, gaussian, student_t};
+use crate::projector::kernel::Scratch;
+use crate::projector::kernel::buffers::PaddedImage;
+use crate::projector::kernel::conic::Conic;
+use crate::projector::kernels::Kernels;
+use crate::projector::projection::Projection;
 
 /// The kernels `T(δ; ν)` at squared Mahalanobis distances δ `[Eq. 2]`, `[X3]`; `[N]`.
 ///
@@ -25,20 +25,26 @@ use crate::primitives::{Kernel, gaussian, student_t};
 /// If there are not as many ν as δ.
 pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
     assert_eq!(delta.len(), nu.len(), "numbers of distances and of degrees of freedom");
-    let mut canvas = Canvas::<R>::new(1, 1);
+    let mut image = PaddedImage::<R>::new(1, 1);
     let mut scratch = Scratch::default();
     let one = |(&delta, &nu): (&f64, &f64)| {
-        let (kernel, unit, limit) = if nu == f64::INFINITY {
-            (Kernel::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())
+        let (kernel, unit, max_x) = if nu == f64::INFINITY {
+            (KernelKind::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())
         } else {
-            (Kernel::StudentT, nu, student_t::horizon::<R>(nu))
+            (KernelKind::StudentT, nu, student_t::horizon::<R>(nu))
         };
-        let plane =
-            Plane { floor: delta / unit, q: (nu + 3.0) / 2.0, weight: 1.0, limit, most: limit, ..Plane::default() };
-        canvas.clear(0..1);
-        let patch = Patch::new(&plane, 0..1, 0..1, 0, canvas.stride);
-        (R::kernels(kernel, Projection::Affine).forward)(&patch, &mut canvas, &mut scratch);
-        canvas.row(0, 1)[0]
+        let conic = Conic {
+            floor: delta / unit,
+            q: (nu + 3.0) / 2.0,
+            weight: 1.0,
+            max_x,
+            max_delta: max_x,
+            ..Conic::default()
+        };
+        image.clear(0..1);
+        let footprint = PlacedFootprint::new(&conic, 0..1, 0..1, 0, image.stride);
+        (R::image_kernels(kernel, Projection::Affine).forward)(&footprint, &mut image, &mut scratch);
+        image.row(0, 1)[0]
     };
     delta.iter().zip(nu).map(one).collect()
 }
@@ -98,7 +104,7 @@ mod tests {
                 density: vec![1.0],
                 nu: vec![nu],
             });
-            let volume = super::super::voxelize::<f64>(&primitives.unwrap(), &grid, 0.0);
+            let volume = crate::projector::voxelize::<f64>(&primitives.unwrap(), &grid, 0.0);
             let value = profile::<f64>(&[delta], &[nu])[0];
             assert!((volume[[0, 0, 0]] - value).abs() <= 4.0 * f64::EPSILON * value, "δ = {delta}, ν = {nu}");
         }

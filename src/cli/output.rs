@@ -11,14 +11,14 @@ use trgs::{Error, Result};
 const LONGEST_LIST: usize = 6;
 
 /// A result in both forms.
-pub(super) struct Answer {
+pub(super) struct Output {
     json: Value,
     text: String,
     /// Whether the check passed; true for commands that check nothing.
     approves: bool,
 }
 
-impl Answer {
+impl Output {
     /// A result whose table has one line per value.
     pub(super) fn list(result: &impl Serialize) -> Self {
         let json = to_json(result);

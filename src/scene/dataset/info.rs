@@ -12,7 +12,7 @@ const POINT: u64 = 16;
 
 /// The sizes of a scan.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Survey {
+pub struct DatasetInfo {
     /// Detector and grid.
     pub scanner: Scanner,
     /// Training views.
@@ -25,7 +25,7 @@ pub struct Survey {
     pub points: usize,
 }
 
-impl Survey {
+impl DatasetInfo {
     /// The sizes of a dataset in memory.
     pub fn of(dataset: &Dataset) -> Self {
         Self {
