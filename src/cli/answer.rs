@@ -49,6 +49,7 @@ impl Answer {
     }
 
     /// The outcome of a check, with a text of its own.
+    #[cfg(feature = "oracle")]
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
         Self { json: to_json(result), text: text.trim_end().to_owned(), approves }
     }

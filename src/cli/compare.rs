@@ -1,7 +1,7 @@
 //! `trgs compare`: how two arrays differ, and what the difference looks like.
 
 use super::Answer;
-use super::arguments::finite;
+use super::arguments::{choice, finite};
 use clap::Args;
 use std::path::PathBuf;
 use trgs::Result;
@@ -24,7 +24,7 @@ pub(super) struct Compare {
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     axes: Vec<String>,
     /// What an ulp is
-    #[arg(long, value_enum, default_value_t = Format::F64)]
+    #[arg(long, default_value = "f64", value_parser = choice(&Format::ALL))]
     precision: Format,
     /// Exit with code 1 if an error is larger than this part of the peak
     #[arg(long, value_name = "EPS", value_parser = finite)]

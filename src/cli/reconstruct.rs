@@ -1,6 +1,6 @@
 //! `trgs reconstruct`: from the projections of a dataset to a volume, with everything that belongs to a run.
 
-use super::arguments::{positive, seed};
+use super::arguments::{choice, positive, seed};
 use super::evaluate::answer;
 use super::messages::ProgressBar;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
@@ -16,7 +16,7 @@ use trgs::memory::Estimate;
 use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
+use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::Survey;
 use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
@@ -50,7 +50,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
     /// How to find the volume
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&Method::ALL))]
     method: Option<Method>,
     /// Use only so many of the training views, evenly spaced
     #[arg(long, value_name = "N")]
@@ -62,10 +62,10 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = positive)]
     points: Option<usize>,
     /// Rays through a primitive: exact, or affine as in the paper
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&[Projection::Exact, Projection::Affine]))]
     projection: Option<Projection>,
     /// Arithmetic of the pixel kernels
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&Precision::ALL))]
     precision: Option<Precision>,
     /// Find the number of passes of sart, os-sart and cgls on views held out, up to ten times the usual or --iterations
     #[arg(long)]
@@ -74,7 +74,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
     /// Settings of a comparison that sart, os-sart and asd-pocs start from
-    #[arg(long, value_enum, conflicts_with = "config")]
+    #[arg(long, value_parser = choice(&Preset::ALL), conflicts_with = "config")]
     preset: Option<Preset>,
     /// Configuration to start from
     #[arg(long, value_name = "FILE.toml")]
@@ -204,7 +204,7 @@ pub(super) fn reconstruct(
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
         let (mut passes, mut pace) = (Vec::new(), Pace::default());
-        let mut observe = |step: Progress| match step {
+        let run = Run::new(dataset, config).observe(|step| match step {
             Progress::Iteration(iteration, record) => {
                 pace.tell(iteration, config);
                 bar.observe(iteration, record)
@@ -216,9 +216,12 @@ pub(super) fn reconstruct(
                 passes.push(TimedPass { pass: pass.clone(), seconds });
                 bar.pass(pass, seconds)
             }
+        });
+        let run = match checkpoints {
+            Some(checkpoints) => run.checkpoints(checkpoints),
+            None => run,
         };
-        let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = found;
+        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = run.reconstruct()?;
         drop(bar);
         if let Some(unit) = unit {
             tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");

@@ -11,6 +11,7 @@
 mod case;
 mod cell;
 mod page;
+#[cfg(feature = "plots")]
 mod plot;
 mod runner;
 mod scale;

@@ -1,6 +1,7 @@
 //! A summary as one HTML file that needs nothing but itself.
 
 use super::case::Case;
+#[cfg(feature = "plots")]
 use super::plot::plot;
 use super::store::Store;
 use super::summary::Summary;
@@ -18,6 +19,7 @@ impl Summary {
         for block in &self.blocks {
             content += &self.block(block);
         }
+        #[cfg(feature = "plots")]
         for metric in &self.table.metrics {
             if let Some(svg) = plot(self, metric) {
                 let _ = write!(content, "<section>\n<h2>{}</h2>\n{svg}\n", title(metric));

@@ -2,6 +2,7 @@
 //! results come back in index order: the number of threads cannot change a bit.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use rayon::prelude::*;
 use rayon::slice::ChunksMut;
 use std::fmt;
@@ -20,7 +21,7 @@ impl Pool {
         let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         built.map(Self).map_err(|source| {
             let got = format!("{threads} ({source})");
-            Error::invalid("--threads", got, "as many as the system can start", "ask for fewer threads")
+            Error::invalid(Setting::Threads, got, "as many as the system can start", "ask for fewer threads")
         })
     }
 

@@ -5,6 +5,7 @@ use crate::output::{create_folder, stage_folder, write_atomically};
 use crate::provenance::digest_bytes;
 use crate::scene::npy;
 use crate::scene::npz::Npz;
+use documented::DocumentedVariants;
 use ndarray::ArrayD;
 use rust_embed::RustEmbed;
 use serde::{Deserialize, Serialize};
@@ -20,7 +21,7 @@ pub const SCHEMA_VERSION: u32 = 2;
 const MANIFEST: &str = "manifest.json";
 
 /// How much is asked of an implementation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     /// What every implementation of the method should meet.
@@ -29,6 +30,11 @@ pub enum Level {
     Optional,
     /// Ill-conditioned, far skirts, subnormal numbers.
     Stress,
+}
+
+impl Level {
+    /// All levels, from the least.
+    pub const ALL: [Self; 3] = [Self::Core, Self::Optional, Self::Stress];
 }
 
 /// A file of the vectors.

@@ -357,7 +357,7 @@ impl FromStr for Air {
             }
             _ => {
                 let expected = "ROW0,COLUMN0,ROW1,COLUMN1, the first below the last";
-                Err(Error::invalid("air", text, expected, "for example --air 0,0,40,20: the ends are excluded"))
+                Err(Error::invalid("air", text, expected, "for example 0,0,40,20: the ends are excluded"))
             }
         }
     }

@@ -53,7 +53,7 @@ impl SideFile {
         let wrong = |got: String| {
             let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …) and perhaps byte_order, spacing, \
                             origin, skip_bytes";
-            Error::format(path, "side file", got, expected, "compare it with the one in `trgs convert --help`")
+            Error::format(path, "side file", got, expected, "compare it with the one in `trgs help convert`")
         };
         let side: Self = serde_json::from_slice(text).map_err(|error| wrong(error.to_string()))?;
         if Number::named(&side.kind).is_none() {
