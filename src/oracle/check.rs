@@ -10,11 +10,11 @@ use super::waivers::Waiver;
 use crate::error::{Error, Result};
 use crate::provenance;
 use crate::setting::Setting;
-use jiff::civil::Date;
 use ndarray::ArrayD;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
+use toml::value::Date;
 
 /// What a backend may say of itself, in the folder of its answers.
 pub const BACKEND: &str = "backend.json";

@@ -7,7 +7,6 @@ use crate::scene::npy;
 use crate::scene::npz::Npz;
 use documented::DocumentedVariants;
 use ndarray::ArrayD;
-use rust_embed::RustEmbed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
@@ -90,10 +89,8 @@ pub struct Manifest {
 /// The arrays of one file: one without a name, or those of an archive by name.
 pub type Arrays = BTreeMap<String, ArrayD<f64>>;
 
-/// Those that were built into the program.
-#[derive(RustEmbed)]
-#[folder = "reference/vectors"]
-struct Embedded;
+/// Those that were built into the program, by `src/build.rs`: path below `reference/vectors` and content, in order.
+static EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/vectors.rs"));
 
 /// Conformance vectors, in a folder or built in.
 #[derive(Clone, Debug)]
@@ -227,10 +224,13 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
             let path = root.join(file);
             std::fs::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
         }
-        None => Embedded::get(file).map(|file| file.data).ok_or_else(|| {
-            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the built-in vectors");
-            Error::read(Path::new(file), missing)
-        }),
+        None => match EMBEDDED.binary_search_by_key(&file, |(path, _)| path) {
+            Ok(index) => Ok(EMBEDDED[index].1.into()),
+            Err(_) => {
+                let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the built-in vectors");
+                Err(Error::read(Path::new(file), missing))
+            }
+        },
     }
 }
 

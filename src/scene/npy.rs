@@ -1,21 +1,21 @@
 //! NumPy's `.npy` files: one array of numbers, header and values.
 //!
-//! The format itself is left to npyz; here its numbers become arrays. Only arrays that occur here are understood: little-
-//! or big-endian floats, integers and booleans, in C or Fortran order. Sizes are checked against the length of the file
-//! before memory is asked for, so a damaged header cannot ask for more than the file holds.
+//! Only arrays that occur here are understood: little- or big-endian floats, integers and booleans, in C or Fortran order.
+//! Sizes are checked against the length of the file before memory is asked for, so a damaged header cannot ask for more than
+//! the file holds.
+
+mod header;
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
+use header::Header;
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
-use npyz::{DType, Deserialize, NpyFile, NpyHeader, Order, WriteOptions, WriterBuilder};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
-/// What every file begins with.
-const MAGIC: &[u8] = b"\x93NUMPY";
-/// Headers of plain arrays have about 100 bytes; NumPy itself refuses more than this.
-const LONGEST_HEADER: usize = 10_000;
+/// Numbers that are read or written at once.
+const BLOCK: usize = 8192;
 
 /// An array as it was stored: integers of up to 16 bits become single precision, longer ones double (exact up to 2⁵³).
 #[derive(Clone, Debug, PartialEq)]
@@ -109,33 +109,47 @@ pub fn write<T: Element, D: Dimension>(path: &Path, array: ArrayView<'_, T, D>) 
 }
 
 /// A number that can be written: f32 or f64.
-pub trait Element: npyz::Serialize + Copy {
+pub trait Element: Copy {
     /// NumPy's name of the type, little-endian on every machine.
     const DESCRIPTION: &'static str;
+
+    /// Appends its bytes, the lowest first.
+    fn append_to(self, bytes: &mut Vec<u8>);
 }
 
 impl Element for f32 {
     const DESCRIPTION: &'static str = "<f4";
+
+    fn append_to(self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.to_le_bytes());
+    }
 }
 
 impl Element for f64 {
     const DESCRIPTION: &'static str = "<f8";
+
+    fn append_to(self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.to_le_bytes());
+    }
 }
 
 /// Writes header and values.
-pub(crate) fn encode<T: Element, D: Dimension>(file: impl Write, array: ArrayView<'_, T, D>) -> io::Result<()> {
-    let shape: Vec<u64> = array.shape().iter().map(|&n| n as u64).collect();
-    let description = DType::Plain(T::DESCRIPTION.parse().map_err(io::Error::other)?);
-    let mut writer = WriteOptions::new().dtype(description).shape(&shape).writer(file).begin_nd()?;
-    writer.extend(array.iter().copied())?;
-    writer.finish()
+pub(crate) fn encode<T: Element, D: Dimension>(mut file: impl Write, array: ArrayView<'_, T, D>) -> io::Result<()> {
+    let mut block = header::bytes(T::DESCRIPTION, array.shape());
+    for (i, value) in array.iter().enumerate() {
+        if i.is_multiple_of(BLOCK) {
+            file.write_all(&block)?;
+            block.clear();
+        }
+        value.append_to(&mut block);
+    }
+    file.write_all(&block)
 }
 
 /// Reads `length` bytes of header and values; `what` and `path` name the source in errors.
 pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) -> Result<Npy> {
     let mut source = BufReader::new(source);
-    let header = header_bytes(&mut source).map_err(|source| unreadable(source, path, what))?;
-    let text = String::from_utf8_lossy(&header[10..]);
+    let (start, text) = header::read(&mut source).map_err(|source| unreadable(source, path, what))?;
     let text = text.trim_matches(['\0', ' ', '\n']);
     let wrong = |reason: &str| {
         let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
@@ -146,79 +160,93 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
         let remedy = "it is truncated or damaged: copy or make it again";
         Error::format(path, what, format!("{length} bytes"), expected, remedy)
     };
-    // npyz nests calls as deeply as the header nests brackets, adds up sums and multiplies the shape unchecked.
-    if text.matches(['(', '[', '{']).count() > 2 || text.contains(['+', '-']) {
-        return Err(wrong("not that of a plain array"));
-    }
-    let numbers =
-        text.split(['(', '[', ',', ']', ')']).map(str::trim).filter(|n| n.starts_with(|c: char| c.is_ascii_digit()));
-    if numbers.map(|n| n.parse().unwrap_or(u64::MAX).max(1)).try_fold(1, u64::checked_mul).is_none() {
+    let header = Header::parse(text).map_err(wrong)?;
+    let Some(count) = header.numbers() else {
         return Err(incomplete(format!("more bytes than any file has for the header {text:?}")));
-    }
-
-    let parsed = NpyHeader::from_reader(&header[..]);
-    let parsed = parsed.map_err(|error| wrong(error.to_string().lines().next().unwrap_or_default()))?;
-    let npy = NpyFile::with_header(parsed, source);
-    let other = |dtype: DType| wrong(&format!("values of type {}", dtype.descr()));
-    let (DType::Plain(kind), Some(item)) = (npy.dtype(), npy.dtype().num_bytes()) else {
-        return Err(other(npy.dtype()));
     };
-    let bytes = npy.len().checked_mul(item as u64).and_then(|bytes| bytes.checked_add(header.len() as u64));
+    let other = || wrong(&format!("values of type '{}'", header.descr));
+    let (order, kind) = header.descr.split_at_checked(1).ok_or_else(other)?;
+    let item = match (order, kind) {
+        ("<" | ">" | "|", "b1" | "u1" | "i1") => 1,
+        ("<" | ">", "f2" | "u2" | "i2") => 2,
+        ("<" | ">", "f4" | "u4" | "i4") => 4,
+        ("<" | ">", "f8" | "u8" | "i8") => 8,
+        _ => return Err(other()),
+    };
+    let bytes = count.checked_mul(item).and_then(|bytes| bytes.checked_add(start));
     if bytes != Some(length) {
         let size = bytes.map_or_else(|| "more bytes than any file has".into(), |bytes| format!("{bytes} bytes"));
-        return Err(incomplete(format!("{size} for shape {:?} of '{kind}'", npy.shape())));
+        return Err(incomplete(format!("{size} for shape {:?} of '{}'", header.shape, header.descr)));
     }
-    let (numbers, full_scale) = match &kind.to_string()[1..] {
-        "f2" => (values(npy, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
-        "f4" => (values(npy, |v: f32| v).map(Numbers::F32), None),
-        "f8" => (values(npy, |v: f64| v).map(Numbers::F64), None),
-        "b1" => (values(npy, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),
-        "u1" => (values(npy, |v: u8| f32::from(v)).map(Numbers::F32), Some(f64::from(u8::MAX))),
-        "i1" => (values(npy, |v: i8| f32::from(v)).map(Numbers::F32), Some(f64::from(i8::MAX))),
-        "u2" => (values(npy, |v: u16| f32::from(v)).map(Numbers::F32), Some(f64::from(u16::MAX))),
-        "i2" => (values(npy, |v: i16| f32::from(v)).map(Numbers::F32), Some(f64::from(i16::MAX))),
-        "u4" => (values(npy, |v: u32| f64::from(v)).map(Numbers::F64), Some(f64::from(u32::MAX))),
-        "i4" => (values(npy, |v: i32| f64::from(v)).map(Numbers::F64), Some(f64::from(i32::MAX))),
-        "u8" => (values(npy, |v: u64| v as f64).map(Numbers::F64), Some(u64::MAX as f64)),
-        "i8" => (values(npy, |v: i64| v as f64).map(Numbers::F64), Some(i64::MAX as f64)),
-        _ => return Err(other(npy.dtype())),
+    macro_rules! numbers {
+        ($stored:ty, $variant:path, $number:expr) => {
+            match order {
+                ">" => values(&header, source, |bytes| $number(<$stored>::from_be_bytes(bytes))).map($variant),
+                _ => values(&header, source, |bytes| $number(<$stored>::from_le_bytes(bytes))).map($variant),
+            }
+        };
+    }
+    let (numbers, full_scale) = match kind {
+        "f2" => (numbers!(u16, Numbers::F32, from_half), None),
+        "f4" => (numbers!(f32, Numbers::F32, |v| v), None),
+        "f8" => (numbers!(f64, Numbers::F64, |v| v), None),
+        "b1" => (numbers!(u8, Numbers::F32, f32::from).and_then(only_booleans), Some(1.0)),
+        "u1" => (numbers!(u8, Numbers::F32, f32::from), Some(f64::from(u8::MAX))),
+        "i1" => (numbers!(i8, Numbers::F32, f32::from), Some(f64::from(i8::MAX))),
+        "u2" => (numbers!(u16, Numbers::F32, f32::from), Some(f64::from(u16::MAX))),
+        "i2" => (numbers!(i16, Numbers::F32, f32::from), Some(f64::from(i16::MAX))),
+        "u4" => (numbers!(u32, Numbers::F64, f64::from), Some(f64::from(u32::MAX))),
+        "i4" => (numbers!(i32, Numbers::F64, f64::from), Some(f64::from(i32::MAX))),
+        "u8" => (numbers!(u64, Numbers::F64, |v| v as f64), Some(u64::MAX as f64)),
+        _ => (numbers!(i64, Numbers::F64, |v| v as f64), Some(i64::MAX as f64)),
     };
     Ok(Npy { numbers: numbers.map_err(|source| unreadable(source, path, what))?, full_scale })
 }
 
-/// Magic, version, length and text, as they stand in the file.
-fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
-    let mut header = vec![0; 10];
-    source.read_exact(&mut header)?;
-    if !header.starts_with(MAGIC) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "a file that does not begin like a NumPy array (.npy)"));
+/// All values in C order, each made of its bytes by `number`.
+fn values<const N: usize, T: Clone>(
+    header: &Header,
+    mut source: impl Read,
+    number: impl Fn([u8; N]) -> T,
+) -> io::Result<ArrayD<T>> {
+    let shape: Vec<usize> = header.shape.iter().map(|&n| n as usize).collect();
+    let count = shape.iter().product();
+    let mut values = Vec::with_capacity(count);
+    let mut block = vec![0; BLOCK * N];
+    while values.len() < count {
+        let bytes = &mut block[..(count - values.len()).min(BLOCK) * N];
+        source.read_exact(bytes)?;
+        values.extend(bytes.as_chunks().0.iter().map(|bytes| number(*bytes)));
     }
-    // From version 2 on the length has 4 bytes.
-    let start = if header[6] > 1 { 12 } else { 10 };
-    header.resize(start, 0);
-    source.read_exact(&mut header[10..])?;
-    let length = header[8..].iter().rfold(0, |length, &byte| length << 8 | usize::from(byte));
-    if length > LONGEST_HEADER {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("a header of {length} bytes")));
-    }
-    header.resize(start + length, 0);
-    source.read_exact(&mut header[start..])?;
-    // Python 2 wrote long integers as 3L.
-    header[start..].iter_mut().filter(|byte| **byte == b'L').for_each(|byte| *byte = b' ');
-    Ok(header)
+    let array = ArrayD::from_shape_vec(IxDyn(&shape).set_f(header.fortran_order), values)
+        .map_err(|error| invalid(format!("shape {shape:?}: {error}")))?;
+    Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
 }
 
-/// All values in C order, each converted by `number`.
-fn values<S: Deserialize, T: Clone>(npy: NpyFile<impl Read>, number: impl Fn(S) -> T) -> io::Result<ArrayD<T>> {
-    let invalid = |error: String| io::Error::new(io::ErrorKind::InvalidData, error);
-    let shape: Vec<usize> = npy.shape().iter().map(|&n| n as usize).collect();
-    let layout = IxDyn(&shape).set_f(npy.order() == Order::Fortran);
-    let mut values = Vec::with_capacity(npy.len() as usize);
-    for value in npy.data().map_err(|error| invalid(error.to_string()))? {
-        values.push(number(value?));
+/// Refuses booleans that are neither 0 nor 1.
+fn only_booleans(numbers: Numbers) -> io::Result<Numbers> {
+    match &numbers {
+        Numbers::F32(values) if values.iter().any(|&value| value > 1.0) => {
+            Err(invalid("a boolean that is neither 0 nor 1".into()))
+        }
+        _ => Ok(numbers),
     }
-    let array = ArrayD::from_shape_vec(layout, values).map_err(|error| invalid(format!("shape {shape:?}: {error}")))?;
-    Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
+}
+
+fn invalid(what: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, what)
+}
+
+/// A number in half precision, exactly.
+fn from_half(bits: u16) -> f32 {
+    let (sign, exponent, fraction) = (u32::from(bits & 0x8000) << 16, bits >> 10 & 0x1F, u32::from(bits & 0x3FF));
+    let magnitude = match exponent {
+        // Subnormal numbers are multiples of 2⁻²⁴.
+        0 => (fraction as f32 / 16_777_216.0).to_bits(),
+        0x1F => 0x7F80_0000 | fraction << 13,
+        _ => (u32::from(exponent) + 112) << 23 | fraction << 13,
+    };
+    f32::from_bits(sign | magnitude)
 }
 
 /// Converts to a fixed number of axes, or says which were expected.
@@ -241,6 +269,7 @@ pub(crate) fn unreadable(source: io::Error, path: &Path, what: &str) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use super::header::MAGIC;
     use super::*;
     use ndarray::{Array2, Array3, Ix2, Ix3, arr0};
 
@@ -316,6 +345,14 @@ mod tests {
         let array = npy.numbers.into_f32();
         assert!(array.is_standard_layout());
         assert_eq!(array, ndarray::arr2(&[[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]).into_dyn());
+    }
+
+    #[test]
+    fn half_precision_is_read_as_the_hardware_type() {
+        for bits in 0..=u16::MAX {
+            let (ours, expected) = (from_half(bits), half::f16::from_bits(bits).to_f32());
+            assert!(ours.to_bits() == expected.to_bits() || ours.is_nan() && expected.is_nan(), "{bits:x}");
+        }
     }
 
     #[test]
