@@ -67,6 +67,8 @@ pub fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> 
 
 /// `[f(0), f(1), … f(n-1)]`, computed in parallel, in index order.
 pub fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    // Here and below: a pointer, so that rayon's part is compiled once for all functions.
+    let f: &(dyn Fn(usize) -> T + Sync) = &f;
     (0..n).into_par_iter().with_max_len(1).map(f).collect()
 }
 
@@ -82,6 +84,7 @@ pub fn map_many_into<T: Send>(values: &mut Vec<T>, n: usize, f: impl Fn(usize) -
 
 /// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).
 pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
+    let f: &(dyn Fn(usize, &mut [T]) + Sync) = &f;
     values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
 }
 
@@ -95,6 +98,7 @@ pub fn for_each_of<C: IntoParallelIterator<Iter: IndexedParallelIterator>>(
     chunks: C,
     f: impl Fn(usize, C::Item) + Sync + Send,
 ) {
+    let f: &(dyn Fn(usize, C::Item) + Sync) = &f;
     chunks.into_par_iter().with_max_len(1).enumerate().for_each(|(index, chunks)| f(index, chunks));
 }
 

@@ -149,7 +149,12 @@ pub(crate) fn encode<T: Element, D: Dimension>(mut file: impl Write, array: Arra
 /// Reads `length` bytes of header and values; `what` and `path` name the source in errors.
 pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) -> Result<Npy> {
     let mut source = BufReader::new(source);
-    let (start, text) = header::read(&mut source).map_err(|source| unreadable(source, path, what))?;
+    decode_dyn(&mut source, length, path, what)
+}
+
+/// [`decode`], compiled once for all sources.
+fn decode_dyn(source: &mut dyn Read, length: u64, path: &Path, what: &str) -> Result<Npy> {
+    let (start, text) = header::read(source).map_err(|source| unreadable(source, path, what))?;
     let text = text.trim_matches(['\0', ' ', '\n']);
     let wrong = |reason: &str| {
         let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
@@ -206,7 +211,7 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
 /// All values in C order, each made of its bytes by `number`.
 fn values<const N: usize, T: Clone>(
     header: &Header,
-    mut source: impl Read,
+    source: &mut dyn Read,
     number: impl Fn([u8; N]) -> T,
 ) -> io::Result<ArrayD<T>> {
     let shape: Vec<usize> = header.shape.iter().map(|&n| n as usize).collect();

@@ -64,7 +64,7 @@ pub(super) fn bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
 }
 
 /// Reads a header: the number of its bytes, and its text.
-pub(super) fn read(source: &mut impl Read) -> io::Result<(u64, String)> {
+pub(super) fn read(source: &mut dyn Read) -> io::Result<(u64, String)> {
     let invalid = |what: String| Err(io::Error::new(io::ErrorKind::InvalidData, what));
     let mut start = [0; 8];
     source.read_exact(&mut start)?;
