@@ -43,7 +43,10 @@ fn main() {
     // Files that are added are built in, too.
     println!("cargo:rerun-if-changed=reference/vectors");
     // The log of HEAD grows with every commit and checkout.
-    println!("cargo:rerun-if-changed=.git/logs/HEAD");
+    // A file that does not exist would build everything anew each time, and that of a worktree lies elsewhere.
+    if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]).filter(|log| Path::new(log).exists()) {
+        println!("cargo:rerun-if-changed={log}");
+    }
     println!("cargo:rerun-if-changed=src");
     if let Some(commit) = git(&["rev-parse", "HEAD"]) {
         // What is changed since tells two programs of one commit apart, and so the cells of their tables.
