@@ -1,5 +1,6 @@
 //! The one error type. Each message says what was wrong, what was found and expected, and the remedy.
 
+use crate::setting::Setting;
 use std::path::{Path, PathBuf};
 
 /// Every error that the library reports at its borders.
@@ -111,6 +112,20 @@ impl Error {
         }
     }
 
+    /// An [`Error::Invalid`] about a run that is not the checkpoint's: `what` differs from what it was.
+    pub(crate) fn other_run(what: impl ToString, got: impl ToString, expected: impl Into<String>) -> Self {
+        Self::invalid(what, got, expected, format!("go on with the same settings and data, or {}", start_again()))
+    }
+
+    /// An [`Error::Interrupted`] after iteration `step` of a run that keeps a checkpoint or none.
+    pub(crate) fn interrupted(step: usize, is_saved: bool) -> Self {
+        let remedy = match is_saved {
+            true => format!("its state is saved; the same run with {} goes on from there", Setting::Resume),
+            false => "nothing was written; start it again".into(),
+        };
+        Self::Interrupted { step, remedy }
+    }
+
     /// Builds an [`Error::Read`] for `path`.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
         Self::Read { path: path.into(), source }
@@ -120,6 +135,11 @@ impl Error {
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::Write { path: path.into(), source }
     }
+}
+
+/// The remedy for a checkpoint that cannot be used.
+pub(crate) fn start_again() -> String {
+    format!("start again without {}", Setting::Resume)
 }
 
 /// Escapes control characters, so that a message stays on one line whatever a file or a flag holds.

@@ -1,34 +1,96 @@
 //! **trgs** reconstructs a CT volume from few X-ray projections, as a sum of Student's t-kernels. It is a reference
 //! implementation of TR-GS (*High-Fidelity Sparse-View CT Volumetric Rendering via t-Distribution Gaussian Splatting
-//! and Ray-Confidence Modeling*, MM '26, doi 10.1145/3767308.3835527): on the CPU, with SIMD, and with the same bits
-//! for the same input on every build and any number of threads.
+//! and Ray-Confidence Modeling*, MM '26, doi 10.1145/3767308.3835527) for the CPU, with SIMD. The same input gives the
+//! same bits on every build and any number of threads.
 //!
-//! # Where to find what, in reading order
+//! # Usage
 //!
-//! | module | what it holds | paper |
+//! From a scan on disk to a volume, with the settings and the result of the bare command `trgs reconstruct`:
+//!
+//! ```no_run
+//! # fn main() -> trgs::Result<()> {
+//! let scan = trgs::Dataset::read("scan")?;
+//! let result = trgs::reconstruct(&scan, &trgs::Config::default())?;
+//! trgs::write_volume("volume.nii.gz", &result.volume)?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A simulated scan, a short run that reports its progress, and its quality:
+//!
+//! ```
+//! use std::ops::ControlFlow;
+//! use trgs::scene::simulate::{Object, Plan, simulate};
+//! use trgs::scene::{Noise, Phantom};
+//! use trgs::{Config, Run, Scanner};
+//!
+//! let phantom = Phantom::by_name("torso", 0)?;
+//! let plan = Plan { views: 6, test_views: 0, noise: Noise::None, seed: 0 };
+//! let scan = simulate("torso", Object::Phantom(&phantom), &Scanner::synthetic(16, 24), &plan)?;
+//!
+//! let mut config = Config::default();
+//! config.iterations = 20;
+//! config.set("model.points=200")?;
+//! let mut steps = 0;
+//! let run = Run::new(&scan, &config).observe(|_progress| {
+//!     steps += 1;
+//!     ControlFlow::Continue(())
+//! });
+//! let result = run.reconstruct()?;
+//!
+//! let quality = trgs::evaluate(&scan, &result.volume, result.primitives.as_ref(), &config)?;
+//! assert!(steps > 20 && quality.metrics.psnr_3d.unwrap().value > 15.0);
+//! # Ok::<(), trgs::Error>(())
+//! ```
+//!
+//! [`Dataset::read`] takes a dataset folder of R²-Gaussian or a pickle of NAF; [`scene::stack`] turns raw detector frames
+//! into projections. [`Config`] documents every setting. Images and gradients of given primitives come from
+//! [`projector::forward`] and [`projector::vjp`]. The programs in `reference/examples` show reconstruction, rendering with
+//! gradients, and FDK.
+//!
+//! # Features
+//!
+//! All are on by default except `dicom`; `default-features = false` leaves the library alone.
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `cli` | the program `trgs` |
+//! | `oracle` | the module `oracle`: conformance vectors for other implementations |
+//! | `plots` | plots on the pages of the paper's tables |
+//! | `dicom` | the reader of DICOM series |
+//!
+//! # Limits
+//!
+//! - A scan is a circular orbit of a cone beam or a parallel beam with a flat detector.
+//! - Everything runs on the CPU, in f32 or f64. A run at the paper's size takes about half an hour on two cores.
+//! - The library uses the global thread pool of rayon; [`numeric::threads`] sets the number of threads.
+//!
+//! # Modules, in reading order
+//!
+//! | module | content | paper |
 //! |---|---|---|
 //! | [`scene::geometry`] | **the conventions**: every axis, sign, unit and index order | |
 //! | [`scene`] | volumes, projections, phantoms with exact line integrals, noise, files | Sec. 4.1 |
-//! | [`primitives`] | the kernels, raw and physical parameters, where they start | Sec. 3.1, Eq. 1–3 |
+//! | [`primitives`] | the kernels, raw and physical parameters, initialisation | Sec. 3.1, Eq. 1–3 |
 //! | [`projector`] | primitives → images and volumes, and the gradients back | Sec. 3.1, Eq. 4–5, appendix A |
 //! | [`projector::naive`] | the same equations as plainly as they can be written | |
-//! | [`confidence`] | how well the rays cover a primitive, and the ν that this entitles it to | Eq. 6–10 |
+//! | [`confidence`] | how well the rays cover a primitive, and the ν that follows from it | Eq. 6–10 |
 //! | [`loss`] | L1, D-SSIM, total variation | |
 //! | [`wavelet`] | Haar transform of a block, confident neighbours, the loss on its detail | Sec. 3.3, Eq. 11–15 |
 //! | [`optim`] | Adam, SGHMC, learning rates | Sec. 4.5 |
-//! | [`density`] | how primitives come and go: ADC, adding & recycling | Sec. 4.5 |
-//! | [`train`](mod@train) | the loop | Fig. 2 |
-//! | [`classical`] | the projector of voxels and its adjoint; FDK, SART, ASD-POCS, CGLS | Sec. 4.1 |
+//! | [`density`] | density control: ADC, adding and recycling | Sec. 4.5 |
+//! | [`train`](mod@train) | the training loop | Fig. 2 |
+//! | [`classical`] | the projector of voxels and its adjoint; FDK, SART, ASD-POCS, CGLS, total variation | Sec. 4.1 |
 //! | [`reconstruction`] | any method on any dataset | Sec. 4.1 |
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
-//! | [`oracle`] | conformance vectors for other implementations: handed out, and answers judged | |
+//! | `oracle` | conformance vectors for other implementations, and the judge of their answers | |
 //! | [`experiments`] | the paper's tables as data, run and set beside the paper's figures | Sec. 4, appendix |
-//! | [`config`], [`report`], [`provenance`], [`output`] | what a run is told, shows and leaves behind | |
-//! | [`memory`] | what a run will need, before it starts | |
-//! | [`numeric`] | the ground: scalars, lanes, sums, random numbers, threads | |
+//! | [`config`], [`setting`] | settings of a run, and those besides the configuration | |
+//! | [`report`], [`provenance`], [`output`] | the page and the files of a run | |
+//! | [`memory`] | an upper bound on the memory of a run | |
+//! | [`numeric`] | scalars, lanes, sums, random numbers, threads | |
 //!
-//! Images, volumes and losses that are made again and again have a twin of their function, `…_into`, which fills an array that
-//! is there and asks for no memory the second time.
+//! Functions ending in `_into` write to an array of the caller and allocate nothing once it has the right size.
 //!
 //! Equation tags: `[Eq. n]` are the paper's; `[X1]` is the exact cone-beam projection, `[X2]` the support of a
 //! primitive, `[X3]` the precision of its power, all three ours and explained in [`projector`].
@@ -44,6 +106,7 @@ pub mod loss;
 pub mod memory;
 pub mod numeric;
 pub mod optim;
+#[cfg(feature = "oracle")]
 pub mod oracle;
 pub mod output;
 pub mod primitives;
@@ -52,6 +115,7 @@ pub mod provenance;
 pub mod reconstruction;
 pub mod report;
 pub mod scene;
+pub mod setting;
 pub mod train;
 pub mod wavelet;
 
@@ -59,5 +123,7 @@ pub use config::{Config, Method};
 pub use error::{Error, Result};
 pub use primitives::Primitives;
 pub use projector::{Field, Projection};
-pub use reconstruction::{evaluate, reconstruct};
+pub use reconstruction::{Run, evaluate, reconstruct};
+pub use scene::volume_file::write_volume;
 pub use scene::{Dataset, Grid, Projections, Scanner, Volume};
+pub use setting::Setting;

@@ -10,6 +10,7 @@ use crate::config::{Config, DensityControl, Finish, Method, Precision, Sampling,
 use crate::error::{Error, Result};
 use crate::projector;
 use crate::scene::dataset::DatasetInfo;
+use crate::setting::Setting;
 use bytesize::ByteSize;
 use std::fmt;
 
@@ -126,9 +127,10 @@ impl Estimate {
         if self.peak() <= limit {
             return Ok(());
         }
-        let remedy = "lower the number of primitives (--points, density_control.cap) or views (--views), \
-                      or use a smaller detector or grid";
-        Err(Error::invalid("--max-memory", ByteSize(limit), format!("at least {self}"), remedy))
+        let [points, views] = [Setting::Points, Setting::Views];
+        let remedy =
+            format!("take fewer primitives ({points}, density_control.cap), views ({views}), pixels or voxels");
+        Err(Error::invalid(Setting::MaxMemory, ByteSize(limit), format!("at least {self}"), remedy))
     }
 }
 
@@ -432,7 +434,7 @@ mod tests {
         estimate.check(estimate.peak()).unwrap();
         let message = estimate.check(estimate.peak() - 1).unwrap_err().to_string();
         assert!(
-            message.contains("--max-memory") && message.contains("iB (") && message.contains("--points"),
+            message.contains("`max_memory`") && message.contains("iB (") && message.contains("`points`"),
             "{message}"
         );
     }

@@ -17,10 +17,13 @@ use tempfile::{Builder, TempDir};
 /// [`Error::Write`] with the error of the operating system or of `content`; the temporary file is removed.
 pub fn write_atomically(path: &Path, content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.into());
-    replace(&target, content).map_err(|source| Error::write(path, source))
+    let mut content = Some(content);
+    let mut once = |file: &mut BufWriter<File>| content.take().expect("called once")(file);
+    replace(&target, &mut once).map_err(|source| Error::write(path, source))
 }
 
-fn replace(target: &Path, content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
+/// [`write_atomically`], compiled once for all contents.
+fn replace(target: &Path, content: &mut dyn FnMut(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     if fs::metadata(target).is_ok_and(|m| !m.is_file() && !m.is_dir()) {
         let mut device = BufWriter::new(fs::OpenOptions::new().write(true).open(target)?);
         content(&mut device)?;

@@ -2,16 +2,18 @@
 
 mod checkpoint;
 mod finish;
+mod run;
 mod sampling;
 mod voxels;
 
 pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+pub use run::Run;
 pub use sampling::{Evidence, Sampled};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
 use crate::config::{Config, Finish, Method, Precision};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
 use crate::projector::forward;
@@ -65,12 +67,25 @@ pub struct Evaluation {
     pub absent: BTreeMap<&'static str, &'static str>,
 }
 
-/// Reconstructs a dataset with the method and the settings of `config`. Without `checkpoints` a run that is stopped
-/// leaves nothing; methods on voxels but tv have none.
+/// Reconstructs a dataset with the method and the settings of `config`.
+///
+/// `Config::default()` gives the result of the bare command `trgs reconstruct`. [`Run`] adds checkpoints and progress.
+///
+/// ```no_run
+/// let scan = trgs::Dataset::read("scan")?;
+/// let result = trgs::reconstruct(&scan, &trgs::Config::default())?;
+/// trgs::write_volume("volume.nii.gz", &result.volume)?;
+/// # Ok::<(), trgs::Error>(())
+/// ```
 ///
 /// # Errors
-/// Those of the method, and [`crate::Error::Interrupted`] when `observe` breaks.
-pub fn reconstruct(
+/// For a setting out of its range, and those of the method.
+pub fn reconstruct(dataset: &Dataset, config: &Config) -> Result<Reconstruction> {
+    Run::new(dataset, config).reconstruct()
+}
+
+/// The method of `config`, whose keys are valid and complete.
+fn reconstruct_with(
     dataset: &Dataset,
     config: &Config,
     checkpoints: Option<Checkpoints>,
@@ -82,7 +97,10 @@ pub fn reconstruct(
             let checkpoints = checkpoints.map(of_training).transpose()?;
             let mut watch = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
             let found = train(dataset, config, checkpoints, &mut watch)?;
-            return after_training(found, dataset, config, observe).map_err(|error| say_how_to_go_on(error, keeps));
+            return after_training(found, dataset, config, observe).map_err(|error| match error {
+                Error::Interrupted { step, .. } => Error::interrupted(step, keeps),
+                other => other,
+            });
         }
         (Method::Fdk, _) => {
             let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;
@@ -117,26 +135,13 @@ fn after_training(
     Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice })
 }
 
-/// The error of a run that was stopped after its training.
-fn say_how_to_go_on(error: Error, keeps: bool) -> Error {
-    let remedy = match keeps {
-        true => "the primitives are saved; the same command with --resume goes on from there",
-        false => "nothing was written; start it again",
-    };
-    match error {
-        Error::Interrupted { step, .. } => Error::Interrupted { step, remedy: remedy.into() },
-        other => other,
-    }
-}
-
 /// The checkpoints as training takes them.
 fn of_training(Checkpoints { file, from }: Checkpoints) -> Result<train::Checkpoints> {
     let from = match from {
         Some(Checkpoint::Primitives(from)) => Some(*from),
         None => None,
         Some(Checkpoint::Voxels(_)) => {
-            let remedy = "start again without --resume";
-            return Err(Error::invalid("checkpoint", "one of voxels", "one of primitives", remedy));
+            return Err(Error::invalid("checkpoint", "one of voxels", "one of primitives", start_again()));
         }
     };
     Ok(train::Checkpoints { file, from })

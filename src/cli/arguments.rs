@@ -1,6 +1,27 @@
 //! Argument parsers that several commands share.
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use documented::DocumentedVariants;
+use serde::Serialize;
 use std::str::FromStr;
+
+/// Parses the name of one of the library's variants: the name that files have, explained by its documentation.
+pub(super) fn choice<T>(variants: &'static [T]) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Serialize + DocumentedVariants + Send + Sync + 'static,
+{
+    let values = variants.iter().map(|variant| {
+        let docs = variant.get_variant_docs();
+        PossibleValue::new(word(variant)).help(docs.strip_suffix('.').unwrap_or(docs))
+    });
+    PossibleValuesParser::new(values)
+        .map(|text| *variants.iter().find(|variant| word(variant) == text).expect("clap accepts no other value"))
+}
+
+/// The name of a variant without fields.
+pub(super) fn word(variant: &impl Serialize) -> String {
+    serde_json::to_value(variant).ok().and_then(|name| name.as_str().map(Into::into)).unwrap_or_default()
+}
 
 /// Parses `N` values separated by commas.
 pub(super) fn list<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {

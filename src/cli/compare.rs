@@ -1,7 +1,7 @@
 //! `trgs compare`: the difference of two arrays, and the mistake that explains it.
 
 use super::Output;
-use super::arguments::finite;
+use super::arguments::{choice, finite};
 use clap::Args;
 use std::path::PathBuf;
 use trgs::Result;
@@ -24,7 +24,7 @@ pub(super) struct Compare {
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     axes: Vec<String>,
     /// Floating-point format that defines an ulp
-    #[arg(long, value_enum, default_value_t = Format::F64)]
+    #[arg(long, default_value = "f64", value_parser = choice(&Format::ALL))]
     precision: Format,
     /// Exit with code 1 if an error exceeds this fraction of the largest expected value
     #[arg(long, value_name = "EPS", value_parser = finite)]

@@ -13,7 +13,7 @@ use trgs::evaluation::Metrics;
 use trgs::experiments::Scale;
 use trgs::reconstruction::Evaluation;
 use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
+use trgs::scene::{Dataset, Noise, Phantom, Scanner};
 
 /// The paper's experiment at a quarter of its size in every direction.
 const SCALE: Scale = Scale { size: 64 };
@@ -75,11 +75,7 @@ impl Demo {
     }
 
     fn scan(&self) -> Result<Dataset> {
-        let pixels = SCALE.detector();
-        let side = 4.0 / pixels as f64;
-        let detector =
-            Detector { rows: pixels, columns: pixels, pitch_v: side, pitch_u: side, offset_u: 0.0, offset_v: 0.0 };
-        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(SCALE.size) };
+        let scanner = Scanner::synthetic(SCALE.size, SCALE.detector());
         let plan = Plan { views: 18, test_views: 50, noise: Noise::LOW, seed: self.seed };
         let phantom = Phantom::by_name("torso", self.seed)?;
         simulate("torso", Object::Phantom(&phantom), &scanner, &plan)

@@ -1,5 +1,6 @@
 //! Messages and progress on standard error.
 
+use super::flags::with_flags;
 use super::{Global, LogFormat, interrupt};
 use indicatif::{ProgressState, ProgressStyle};
 use std::fmt;
@@ -31,7 +32,7 @@ pub(super) fn install(global: &Global) {
 /// Reports in one line the error that ended the program.
 pub(super) fn error(error: &Error) {
     let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
-    tracing::error!("{}", lines.join(" "));
+    tracing::error!("{}", with_flags(&lines.join(" ")));
 }
 
 /// Progress of a training run.

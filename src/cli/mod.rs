@@ -4,16 +4,19 @@
 //! Exit codes: 0 success, 1 a check failed, 2 bad input or usage, 130 interrupted.
 
 mod arguments;
+#[cfg(feature = "oracle")]
 mod compare;
 mod confidence;
 mod convert;
 mod demo;
 mod evaluate;
 mod explain;
+mod flags;
 mod geometry_check;
 mod inspect;
 mod interrupt;
 mod messages;
+#[cfg(feature = "oracle")]
 mod oracle;
 mod output;
 mod reconstruct;
@@ -86,9 +89,11 @@ enum Command {
     Render(render::Render),
     Voxelize(voxelize::Voxelize),
     Confidence(confidence::Confidence),
+    #[cfg(feature = "oracle")]
     Oracle(oracle::Oracle),
     Table(table::Table),
     Report(report::Report),
+    #[cfg(feature = "oracle")]
     Compare(compare::Compare),
     Inspect(inspect::Inspect),
     Convert(convert::Convert),
@@ -127,9 +132,11 @@ impl Command {
             Self::Render(command) => command.run(),
             Self::Voxelize(command) => command.run(),
             Self::Confidence(command) => command.run(),
+            #[cfg(feature = "oracle")]
             Self::Oracle(command) => command.run(),
             Self::Table(command) => command.run(global),
             Self::Report(command) => command.run(),
+            #[cfg(feature = "oracle")]
             Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(global),
             Self::Convert(command) => command.run(),

@@ -1,5 +1,6 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
+use super::arguments::{choice, word};
 use super::{Output, interrupt};
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -34,7 +35,7 @@ enum Command {
 #[derive(Args)]
 struct Selection {
     /// Highest level of cases to include
-    #[arg(long, value_enum, default_value_t = Level::Stress)]
+    #[arg(long, default_value = "stress", value_parser = choice(&Level::ALL))]
     level: Level,
     /// Include only these stages
     #[arg(long, value_name = "STAGE,..", value_delimiter = ',')]
@@ -74,7 +75,7 @@ struct AnswerArgs {
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Arithmetic of the answers
-    #[arg(long, value_enum, default_value_t = Precision::F64)]
+    #[arg(long, default_value = "f64", value_parser = choice(&Precision::ALL))]
     precision: Precision,
     #[command(flatten)]
     selection: Selection,
@@ -95,7 +96,7 @@ struct Check {
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Arithmetic of the backend; selects tolerances and the ulp
-    #[arg(long, value_enum, default_value_t = Format::F32)]
+    #[arg(long, default_value = "f32", value_parser = choice(&Format::ALL))]
     precision: Format,
     /// Report to write: FILE.json, FILE.md and FILE.xml (JUnit)
     #[arg(long, value_name = "FILE.json")]
@@ -129,7 +130,7 @@ impl List {
         let vectors = self.selection.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
         let rows = cases.iter().map(|case| {
-            [case.id.clone(), word(case.level), case.equations.join(", "), case.flags.join(" "), case.title.clone()]
+            [case.id.clone(), word(&case.level), case.equations.join(", "), case.flags.join(" "), case.title.clone()]
         });
         let result = json!({ "flags": vectors.manifest.flags, "cases": cases });
         Ok(Output::table(&result, ["case", "level", "equations", "flags", ""], rows))
@@ -190,8 +191,4 @@ impl Check {
         }
         Ok(Output::verdict(&report, report::markdown(&report), report.passed()))
     }
-}
-
-fn word(level: Level) -> String {
-    serde_json::to_value(level).ok().and_then(|v| v.as_str().map(Into::into)).unwrap_or_default()
 }

@@ -49,6 +49,7 @@ impl Output {
     }
 
     /// The outcome of a check, with its own text.
+    #[cfg(feature = "oracle")]
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
         Self { json: to_json(result), text: text.trim_end().to_owned(), approves }
     }

@@ -1,6 +1,6 @@
 //! `trgs reconstruct`: reconstructs a volume from a dataset and writes the folder of a run.
 
-use super::arguments::{positive, seed};
+use super::arguments::{choice, positive, seed};
 use super::evaluate::answer;
 use super::messages::ProgressBar;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
@@ -16,7 +16,7 @@ use trgs::memory::Estimate;
 use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{self, Checkpoint, Checkpoints, Progress, Reconstruction, evaluate};
+use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
@@ -50,7 +50,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
     /// Reconstruction method
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&Method::ALL))]
     method: Option<Method>,
     /// Use only this number of training views, evenly spaced
     #[arg(long, value_name = "N")]
@@ -62,10 +62,10 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = positive)]
     points: Option<usize>,
     /// Projection of primitives: exact, or affine as in the paper
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&[Projection::Exact, Projection::Affine]))]
     projection: Option<Projection>,
     /// Arithmetic of the pixel kernels
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice(&Precision::ALL))]
     precision: Option<Precision>,
     /// Choose the passes of sart, os-sart, cgls on held-out views, up to --iterations or 10 times the default
     #[arg(long)]
@@ -74,7 +74,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
     /// Published settings that sart, os-sart or asd-pocs start from
-    #[arg(long, value_enum, conflicts_with = "config")]
+    #[arg(long, value_parser = choice(&Preset::ALL), conflicts_with = "config")]
     preset: Option<Preset>,
     /// Configuration file to start from
     #[arg(long, value_name = "FILE.toml")]
@@ -209,7 +209,7 @@ pub(super) fn reconstruct(
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
         let (mut passes, mut pace) = (Vec::new(), Pace::default());
-        let mut observe = |step: Progress| match step {
+        let run = Run::new(dataset, config).observe(|step| match step {
             Progress::Iteration(iteration, record) => {
                 pace.tell(iteration, config);
                 bar.observe(iteration, record)
@@ -221,9 +221,12 @@ pub(super) fn reconstruct(
                 passes.push(TimedPass { pass: pass.clone(), seconds });
                 bar.pass(pass, seconds)
             }
+        });
+        let run = match checkpoints {
+            Some(checkpoints) => run.checkpoints(checkpoints),
+            None => run,
         };
-        let found = reconstruction::reconstruct(dataset, config, checkpoints, &mut observe)?;
-        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = found;
+        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = run.reconstruct()?;
         drop(bar);
         if let Some(unit) = unit {
             tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");

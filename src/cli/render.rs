@@ -1,6 +1,6 @@
 //! `trgs render`: projections of a model, and the gradient of a function of them.
 
-use super::arguments::{cutoff, list};
+use super::arguments::{choice, cutoff, list};
 use super::explain::{self, Written};
 use super::views::ViewArgs;
 use super::{Output, check_size, interrupt};
@@ -33,7 +33,7 @@ pub(super) struct Render {
     #[command(flatten)]
     views: ViewArgs,
     /// Projection of primitives: exact, or affine as in the paper
-    #[arg(long, value_enum, default_value_t = Projection::Exact)]
+    #[arg(long, default_value = "exact", value_parser = choice(&[Projection::Exact, Projection::Affine]))]
     projection: Projection,
     /// File to write: projections [view, v, u]
     #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]
@@ -49,7 +49,7 @@ pub(super) struct Render {
 #[derive(Args)]
 pub(super) struct KernelArgs {
     /// Arithmetic, and number type of the output
-    #[arg(long, value_enum, default_value_t = Precision::F64)]
+    #[arg(long, default_value = "f64", value_parser = choice(&Precision::ALL))]
     pub(super) precision: Precision,
     /// Truncate each primitive where its projection falls below this fraction of its peak; 0: no truncation
     #[arg(long, value_name = "EPS", default_value_t = 0.0, value_parser = cutoff)]

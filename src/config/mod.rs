@@ -18,12 +18,12 @@ use crate::density::Relocation;
 use crate::primitives::KernelKind;
 use crate::projector::Projection;
 use crate::wavelet;
-use documented::{Documented, DocumentedFields};
+use documented::{Documented, DocumentedFields, DocumentedVariants};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 
 /// How the volume is found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, DocumentedVariants)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Student's t-kernels, this project's subject.
@@ -45,7 +45,8 @@ pub enum Method {
 }
 
 /// Whose settings the classical methods start from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, DocumentedVariants)]
+#[serde(rename_all = "kebab-case")]
 pub enum Preset {
     /// Those of R²-Gaussian's comparison, the defaults.
     R2Gaussian,
@@ -54,7 +55,7 @@ pub enum Preset {
 }
 
 /// Arithmetic of the pixel kernels. Parameters and optimisers are always f64.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, DocumentedVariants)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// Single.
@@ -506,10 +507,24 @@ impl WaveletConfig {
 }
 
 impl Method {
+    /// All methods.
+    pub const ALL: [Self; 8] =
+        [Self::TrGs, Self::R2Gaussian, Self::Fdk, Self::Sart, Self::OsSart, Self::AsdPocs, Self::Cgls, Self::Tv];
+
     /// Whether it fits primitives, and not voxels.
     pub fn fits_primitives(self) -> bool {
         matches!(self, Self::TrGs | Self::R2Gaussian)
     }
+}
+
+impl Preset {
+    /// All presets.
+    pub const ALL: [Self; 2] = [Self::R2Gaussian, Self::SaxNerf];
+}
+
+impl Precision {
+    /// Both precisions.
+    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
 }
 
 impl Config {

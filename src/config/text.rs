@@ -66,7 +66,8 @@ impl Config {
     /// # Errors
     /// A sentence on the first thing that does not fit.
     pub fn from_toml(text: &str) -> std::result::Result<Self, String> {
-        toml::from_str(text).map_err(|error| error.message().into())
+        // By way of a table, as in `read`: one deserialiser of a configuration is compiled.
+        text.parse::<Table>().and_then(Table::try_into).map_err(|error| error.message().into())
     }
 
     /// The first key that has another value in `other`, with both values.

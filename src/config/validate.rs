@@ -175,14 +175,13 @@ fn require(key: &str, got: impl Debug, holds: bool, expected: &str) -> Result<()
 mod tests {
     use super::*;
     use crate::config::Preset;
-    use clap::ValueEnum;
 
     #[test]
     fn the_defaults_of_all_methods_are_valid() {
-        for &method in Method::value_variants() {
+        for method in Method::ALL {
             let mut config = Config::of(method);
             config.validate().unwrap();
-            for &preset in Preset::value_variants() {
+            for preset in Preset::ALL {
                 config.apply(preset);
                 config.validate().unwrap();
             }

@@ -5,7 +5,8 @@ use crate::error::{Error, Result};
 use crate::provenance::{digest_bytes, digest_file, digests};
 use crate::scene::phantom::PHANTOMS;
 use crate::scene::simulate::{Object, Plan, simulate};
-use crate::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume, volume_file};
+use crate::scene::{Dataset, Grid, Noise, Phantom, Scanner, Volume, volume_file};
+use crate::setting::Setting;
 use ndarray::Array3;
 use std::path::{Path, PathBuf};
 
@@ -81,7 +82,8 @@ impl Case {
         if cases.is_empty() {
             let got = format!("{}, which holds none", folder.display());
             let expected = format!("a folder with scans, or with volumes whose longest side is a multiple of {size}");
-            return Err(Error::invalid("--data", got, expected, "choose another folder or another --size"));
+            let remedy = format!("choose another folder or another {}", Setting::Size);
+            return Err(Error::invalid(Setting::Data, got, expected, remedy));
         }
         Ok(cases)
     }
@@ -121,11 +123,7 @@ impl Case {
 }
 
 fn scanner(scale: Scale, grid: Grid) -> Scanner {
-    let pixels = scale.detector();
-    let pitch = 4.0 / pixels as f64;
-    let detector =
-        Detector { rows: pixels, columns: pixels, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
-    Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid }
+    Scanner { grid, ..Scanner::synthetic(scale.size, scale.detector()) }
 }
 
 /// A volume with cubic voxels, averaged over blocks, and densities scaled to at most 1.

@@ -6,7 +6,7 @@ use super::table::{Table, TableRow, noise};
 use crate::config::{Config, Method};
 use crate::error::Result;
 use crate::provenance::{commit, digest_bytes};
-use crate::reconstruction::{self, Progress, Reconstruction};
+use crate::reconstruction::{self, Reconstruction, Run};
 use crate::report::slice::{Cut, Picture, Window};
 use crate::scene::{Dataset, Volume};
 use serde::{Deserialize, Serialize};
@@ -130,9 +130,8 @@ impl Cell {
         dataset: &Dataset,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(Finding, Vec<u8>)> {
-        let mut observe = |_: Progress<'_>| go_on();
         let Reconstruction { primitives, volume, log, .. } =
-            reconstruction::reconstruct(dataset, &self.config, None, &mut observe)?;
+            Run::new(dataset, &self.config).observe(|_| go_on()).reconstruct()?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
         let mut metrics: BTreeMap<String, f64> = names

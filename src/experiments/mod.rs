@@ -12,6 +12,7 @@
 mod case;
 mod cell;
 mod page;
+#[cfg(feature = "plots")]
 mod plot;
 mod runner;
 mod scale;

@@ -1,6 +1,7 @@
 //! A summary as one self-contained HTML file.
 
 use super::case::Case;
+#[cfg(feature = "plots")]
 use super::plot::plot;
 use super::store::Store;
 use super::summary::Summary;
@@ -19,6 +20,7 @@ impl Summary {
         for block in &self.blocks {
             content += &self.block(block);
         }
+        #[cfg(feature = "plots")]
         for metric in &self.table.metrics {
             if let Some(svg) = plot(self, metric) {
                 let _ = write!(content, "<section>\n<h2>{}</h2>\n{svg}\n", title(metric));

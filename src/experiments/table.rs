@@ -3,21 +3,24 @@
 use crate::config::{Config, Method};
 use crate::error::{Error, Result};
 use crate::scene::Noise;
-use rust_embed::Embed;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// The tables in the order of the paper.
-pub const NAMES: [&str; 8] =
-    ["volume", "projection", "noise", "ablation", "temperature", "optimiser", "threshold", "enhancement"];
+macro_rules! tables {
+    ($($name:literal),*) => {
+        /// The tables in the order of the paper.
+        pub const NAMES: [&str; TABLES.len()] = [$($name),*];
 
-#[derive(Embed)]
-#[folder = "src/experiments/tables"]
-struct Definitions;
+        /// Name, definition and printed figures of each.
+        const TABLES: &[(&str, &str, &str)] = &[$((
+            $name,
+            include_str!(concat!("tables/", $name, ".toml")),
+            include_str!(concat!("../../reference/paper/", $name, ".csv")),
+        )),*];
+    };
+}
 
-#[derive(Embed)]
-#[folder = "reference/paper"]
-struct Printed;
+tables!("volume", "projection", "noise", "ablation", "temperature", "optimiser", "threshold", "enhancement");
 
 /// A table: every row for every number of views and every level of noise.
 #[derive(Clone, Debug, Deserialize)]
@@ -61,7 +64,7 @@ pub struct TableRow {
     pub paper: BTreeMap<String, String>,
     /// The method to run. `None` if only the paper has the row.
     pub method: Option<Method>,
-    /// Settings in the form of `--set`.
+    /// Settings, in the form that [`Config::set`] takes.
     #[serde(default)]
     pub set: Vec<String>,
 }
@@ -72,7 +75,7 @@ impl Table {
     /// # Errors
     /// For an unknown name.
     pub fn by_name(name: &str) -> Result<Self> {
-        let known = NAMES.into_iter().find(|known| *known == name);
+        let known = TABLES.iter().find(|(known, ..)| *known == name);
         known.map(Self::load).ok_or_else(|| {
             Error::invalid(
                 "table",
@@ -93,16 +96,11 @@ impl Table {
 
     /// All tables.
     pub fn all() -> Vec<Self> {
-        NAMES.into_iter().map(Self::load).collect()
+        TABLES.iter().map(Self::load).collect()
     }
 
-    fn load(name: &'static str) -> Self {
-        let text = |content: Option<rust_embed::EmbeddedFile>| {
-            String::from_utf8(content.expect("a file per table").data.into_owned()).expect("text")
-        };
-        let definition = text(Definitions::get(&format!("{name}.toml")));
-        let mut table: Self = toml::from_str(&definition).unwrap_or_else(|error| panic!("table {name}: {error}"));
-        let printed = text(Printed::get(&format!("{name}.csv")));
+    fn load(&(name, definition, printed): &(&'static str, &str, &str)) -> Self {
+        let mut table: Self = toml::from_str(definition).unwrap_or_else(|error| panic!("table {name}: {error}"));
         let mut reader = csv::Reader::from_reader(printed.as_bytes());
         table.printed = reader.deserialize().collect::<csv::Result<_>>().expect("the paper's tables are rectangular");
         table.name = name;

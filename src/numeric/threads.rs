@@ -4,6 +4,7 @@
 //! threads therefore cannot change a bit.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use rayon::prelude::*;
 use rayon::slice::ChunksMut;
 use std::fmt;
@@ -22,7 +23,7 @@ impl WorkerPool {
         let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         built.map(Self).map_err(|source| {
             let got = format!("{threads} ({source})");
-            Error::invalid("--threads", got, "as many as the system can start", "ask for fewer threads")
+            Error::invalid(Setting::Threads, got, "as many as the system can start", "ask for fewer threads")
         })
     }
 
@@ -67,6 +68,8 @@ pub fn join<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> 
 
 /// `[f(0), f(1), … f(n-1)]`, computed in parallel, in index order.
 pub fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    // Here and below: a pointer, so that rayon's part is compiled once for all functions.
+    let f: &(dyn Fn(usize) -> T + Sync) = &f;
     (0..n).into_par_iter().with_max_len(1).map(f).collect()
 }
 
@@ -82,6 +85,7 @@ pub fn map_fine_into<T: Send>(values: &mut Vec<T>, n: usize, f: impl Fn(usize) -
 
 /// Calls `f(index, chunk)` for consecutive chunks of `length` elements (the last may be shorter).
 pub fn for_each_chunk<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
+    let f: &(dyn Fn(usize, &mut [T]) + Sync) = &f;
     values.par_chunks_mut(length).with_max_len(1).enumerate().for_each(|(index, chunk)| f(index, chunk));
 }
 
@@ -95,6 +99,7 @@ pub fn for_each_zip<C: IntoParallelIterator<Iter: IndexedParallelIterator>>(
     chunks: C,
     f: impl Fn(usize, C::Item) + Sync + Send,
 ) {
+    let f: &(dyn Fn(usize, C::Item) + Sync) = &f;
     chunks.into_par_iter().with_max_len(1).enumerate().for_each(|(index, chunks)| f(index, chunks));
 }
 

@@ -9,6 +9,7 @@ use super::tolerances::{Excess, Tolerances};
 use super::waivers::Waiver;
 use crate::error::{Error, Result};
 use crate::provenance;
+use crate::setting::Setting;
 use jiff::civil::Date;
 use ndarray::ArrayD;
 use serde::Serialize;
@@ -137,7 +138,7 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
         let mut known: Vec<&str> = cases.iter().map(|case| case.stage.as_str()).collect();
         known.dedup();
         return Err(Error::invalid(
-            "--stage",
+            Setting::Stage,
             unknown,
             format!("one of {}", known.join(", ")),
             "take a name that `trgs oracle list` prints",
@@ -147,7 +148,8 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
     let selected: Vec<&Case> = cases.iter().filter(wanted).collect();
     if selected.is_empty() {
         let got = format!("no case of {stages:?} up to this level");
-        return Err(Error::invalid("selection", got, "at least one case", "raise --level or name another --stage"));
+        let remedy = format!("raise {} or name another {}", Setting::Level, Setting::Stage);
+        return Err(Error::invalid("selection", got, "at least one case", remedy));
     }
     Ok(selected)
 }

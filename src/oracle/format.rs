@@ -1,9 +1,10 @@
 //! Floating-point formats of backends, and their units in the last place.
 
+use documented::DocumentedVariants;
 use serde::{Deserialize, Serialize};
 
 /// A binary floating-point format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
     /// IEEE 754 double precision.

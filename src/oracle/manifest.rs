@@ -5,8 +5,8 @@ use crate::output::{create_folder, stage_folder, write_atomically};
 use crate::provenance::digest_bytes;
 use crate::scene::npy;
 use crate::scene::npz::Npz;
+use documented::DocumentedVariants;
 use ndarray::ArrayD;
-use rust_embed::RustEmbed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
@@ -20,7 +20,7 @@ pub const SCHEMA_VERSION: u32 = 2;
 const MANIFEST: &str = "manifest.json";
 
 /// How demanding a case is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     /// Required of every implementation of the method.
@@ -29,6 +29,11 @@ pub enum Level {
     Optional,
     /// Ill-conditioned scenes, distant kernel tails, subnormal numbers.
     Stress,
+}
+
+impl Level {
+    /// All levels, from the least.
+    pub const ALL: [Self; 3] = [Self::Core, Self::Optional, Self::Stress];
 }
 
 /// A file of the conformance vectors.
@@ -86,9 +91,7 @@ pub struct Manifest {
 pub type Arrays = BTreeMap<String, ArrayD<f64>>;
 
 /// The vectors built into the program.
-#[derive(RustEmbed)]
-#[folder = "reference/vectors"]
-struct Embedded;
+static EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/vectors.rs"));
 
 /// Conformance vectors from a folder or built in.
 #[derive(Clone, Debug)]
@@ -223,10 +226,13 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
             let path = root.join(file);
             std::fs::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
         }
-        None => Embedded::get(file).map(|file| file.data).ok_or_else(|| {
-            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the built-in vectors");
-            Error::read(Path::new(file), missing)
-        }),
+        None => match EMBEDDED.binary_search_by_key(&file, |(path, _)| path) {
+            Ok(index) => Ok(EMBEDDED[index].1.into()),
+            Err(_) => {
+                let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the built-in vectors");
+                Err(Error::read(Path::new(file), missing))
+            }
+        },
     }
 }
 

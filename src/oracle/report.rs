@@ -3,6 +3,7 @@
 use super::check::{CaseResult, PartResult, Report, Status};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
+use crate::setting::Setting;
 use quick_junit::{NonSuccessKind, TestCase, TestCaseStatus, TestSuite};
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -18,7 +19,7 @@ const LONGEST_LIST: usize = 60;
 pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
     if path.extension().is_none_or(|extension| extension != "json") {
         return Err(Error::invalid(
-            "--report",
+            Setting::Report,
             path.display(),
             "a file ending in .json",
             "end the name with .json: the .md and .xml are written beside it",

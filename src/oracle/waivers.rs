@@ -47,7 +47,7 @@ struct WaiverEntry {
 pub fn read(path: &Path, cases: &[Case]) -> Result<Vec<Waiver>> {
     let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
     let wrong = |got: String, expected: &str| {
-        Error::format(path, "waivers", got, expected, "see `trgs oracle check --help` for an example")
+        Error::format(path, "waivers", got, expected, "`trgs help oracle check` has an example")
     };
     let expected = "a list of [[waiver]] with case, reason and expires = YYYY-MM-DD";
     let file: File = toml::from_str(&text).map_err(|error| wrong(error.message().to_owned(), expected))?;

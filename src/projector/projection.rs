@@ -1,7 +1,7 @@
 //! The projection model that the fast path and [`naive`](super::naive) share.
 
 /// How a cone beam's rays are taken through a primitive. In a parallel beam both are the same.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, documented::DocumentedVariants)]
 #[serde(rename_all = "lowercase")]
 pub enum Projection {
     /// The line integral along every pixel's own ray `[X1]`.

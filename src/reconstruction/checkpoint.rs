@@ -13,8 +13,6 @@ use std::path::{Path, PathBuf};
 
 /// Changes with the meaning of the file.
 const FORMAT: u32 = 1;
-/// What to do about a checkpoint of something else.
-const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 
 /// Where a run keeps its state, and what it goes on from.
 #[derive(Debug)]
@@ -23,6 +21,23 @@ pub struct Checkpoints {
     pub file: PathBuf,
     /// What was read from it.
     pub from: Option<Checkpoint>,
+}
+
+impl Checkpoints {
+    /// Checkpoints of a run that starts from the beginning.
+    pub fn new(file: impl Into<PathBuf>) -> Self {
+        Self { file: file.into(), from: None }
+    }
+
+    /// Checkpoints of a run that goes on from the state in the file, or starts from the beginning if there is no file.
+    ///
+    /// # Errors
+    /// Those of [`Checkpoint::read`].
+    pub fn resume(file: impl Into<PathBuf>) -> Result<Self> {
+        let file = file.into();
+        let from = if file.exists() { Some(Checkpoint::read(&file)?) } else { None };
+        Ok(Self { file, from })
+    }
 }
 
 /// The state of a run of any method that has one.
@@ -118,14 +133,14 @@ impl VoxelCheckpoint {
 
     fn check_config(&self, config: &Config) -> Result<()> {
         let Some((key, now, then)) = config.difference(&self.config()?) else { return Ok(()) };
-        Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
+        Err(Error::other_run(key, now, format!("{then}, as in the checkpoint")))
     }
 
     /// Refuses another configuration and other data.
     pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
         self.check_config(config)?;
         if self.data != digest(dataset) {
-            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", GO_ON));
+            return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
         }
         Ok(())
     }

@@ -100,7 +100,6 @@ mod tests {
     use crate::reconstruction::reconstruct;
     use crate::scene::simulate::{Object, Plan, simulate};
     use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
-    use std::ops::ControlFlow;
 
     #[test]
     fn voxels_have_the_residual_of_the_primitives_to_begin_with() {
@@ -111,7 +110,7 @@ mod tests {
         let scan = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap();
         let mut config = Config { iterations: 20, sampling: Sampling::Point, ..Config::of(Method::TrGs) };
         (config.model.points, config.initialisation.from) = (200, Start::Sart);
-        let found = reconstruct(&scan, &config, None, &mut |_| ControlFlow::Continue(())).unwrap();
+        let found = reconstruct(&scan, &config).unwrap();
         let (primitives, volume) = (found.primitives.unwrap(), found.unfinished.unwrap());
         let projector = VoxelProjector::new(&scanner, RayModel::Joseph).unwrap();
         let target = corrected(&scan, &primitives, &volume, &projector, &config).unwrap();

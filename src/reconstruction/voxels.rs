@@ -7,7 +7,7 @@ use crate::classical::algebraic::{
 };
 use crate::classical::{VoxelProjector, density_unit};
 use crate::config::{Auto, Config, Method};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, start_again};
 use crate::numeric::Real;
 use crate::scene::{Dataset, Volume};
 
@@ -86,7 +86,7 @@ fn total_variation<R: Real>(
         }
         Some(Checkpoint::Primitives(_)) => {
             let expected = "one of the method tv";
-            return Err(Error::invalid("checkpoint", "one of primitives", expected, "start again without --resume"));
+            return Err(Error::invalid("checkpoint", "one of primitives", expected, start_again()));
         }
         None => {
             let choice = match config.tv.weight.fixed() {
@@ -117,9 +117,5 @@ fn total_variation<R: Real>(
 
 /// The error of a run that is stopped.
 fn stop(is_wanted: bool, step: usize, is_saved: bool) -> Result<()> {
-    let remedy = match is_saved {
-        true => "its state is saved; the same command with --resume goes on from there",
-        false => "nothing was written; start it again",
-    };
-    if is_wanted { Err(Error::Interrupted { step, remedy: remedy.into() }) } else { Ok(()) }
+    if is_wanted { Err(Error::interrupted(step, is_saved)) } else { Ok(()) }
 }

@@ -2,6 +2,7 @@
 
 use super::geometry::Grid;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use ndarray::{Array3, ArrayView2, Axis};
 
 /// Density per voxel: attenuation per scene unit of length.
@@ -91,12 +92,8 @@ impl Projections {
     pub fn evenly_spaced(&self, n: usize) -> Result<Self> {
         let len = self.len();
         if n == 0 || n > len {
-            return Err(Error::invalid(
-                "--views",
-                n,
-                format!("1 to {len}, the dataset's training views"),
-                "give a number in that range",
-            ));
+            let expected = format!("1 to {len}, the dataset's training views");
+            return Err(Error::invalid(Setting::Views, n, expected, "choose a number in this range"));
         }
         Ok(self.select(&(0..n).map(|i| i * len / n).collect::<Vec<_>>()))
     }

@@ -228,6 +228,17 @@ impl View {
 }
 
 impl Scanner {
+    /// The scanner of R²-Gaussian's synthetic scans: a cone beam, `pixels`² pixels and `voxels`³ voxels.
+    ///
+    /// The volume is the cube from -1 to 1. The source is 5 from the rotation axis and 7 from the detector, a square with
+    /// sides of 4.
+    pub fn synthetic(voxels: usize, pixels: usize) -> Self {
+        let pitch = 4.0 / pixels as f64;
+        let detector =
+            Detector { rows: pixels, columns: pixels, pitch_v: pitch, pitch_u: pitch, offset_u: 0.0, offset_v: 0.0 };
+        Self { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(voxels) }
+    }
+
     /// `n` angles from `start`, evenly spaced over `span` (radians), end excluded.
     pub fn uniform_angles(n: usize, start: f64, span: f64) -> Vec<f64> {
         (0..n).map(|i| start + span * i as f64 / n as f64).collect()

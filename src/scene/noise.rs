@@ -165,7 +165,7 @@ impl FromStr for Noise {
                 "noise",
                 text,
                 "none, low, medium, high or I0,SIGMA with I0 > 0 photons and SIGMA ≥ 0 counts",
-                "for example --noise low or --noise 1e5,10",
+                "for example low or 1e5,10",
             )),
         }
     }

@@ -190,11 +190,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 Checkpoint::new(self.config, data.clone(), self.state.clone()).write(file)?;
             }
             if stop {
-                let remedy = match self.checkpoint {
-                    Some(_) => "its state is saved; the same command with --resume goes on from there",
-                    None => "nothing was written; start it again",
-                };
-                return Err(Error::Interrupted { step: iteration, remedy: remedy.into() });
+                return Err(Error::interrupted(iteration, self.checkpoint.is_some()));
             }
         }
         drop(self.current);

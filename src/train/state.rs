@@ -4,7 +4,7 @@ use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
 use crate::config::Config;
 use crate::density::{NextPrimitive, next_parameters};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, start_again};
 use crate::output::{create_folder, write_atomically};
 use crate::primitives::{Activation, Parameters};
 use crate::provenance::digest_parts;
@@ -15,8 +15,6 @@ use std::path::{Path, PathBuf};
 
 /// Version of the file format.
 const FORMAT: u32 = 2;
-/// Remedy for a checkpoint of another run.
-const GO_ON: &str = "go on with the same settings and data, or start again without --resume";
 
 /// The state of a run after an iteration.
 ///
@@ -157,11 +155,10 @@ impl Checkpoint {
     /// [`Error::Read`], or [`Error::Format`] for what is none.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        let remedy = "start the run again without --resume";
         let checkpoint: Self = rmp_serde::from_slice(&bytes)
-            .map_err(|error| Error::format(path, "content", error, "a checkpoint of trgs", remedy))?;
+            .map_err(|error| Error::format(path, "content", error, "a checkpoint of trgs", start_again()))?;
         if checkpoint.format != FORMAT {
-            return Err(Error::format(path, "format", checkpoint.format, FORMAT.to_string(), remedy));
+            return Err(Error::format(path, "format", checkpoint.format, FORMAT.to_string(), start_again()));
         }
         Ok(checkpoint)
     }
@@ -209,14 +206,14 @@ impl Checkpoint {
         let mut saved = self.config()?;
         (saved.sampling, saved.finish, saved.tv) = afterwards;
         let Some((key, now, then)) = config.difference(&saved) else { return Ok(()) };
-        Err(Error::invalid(key, now, format!("{then}, as in the checkpoint"), GO_ON))
+        Err(Error::other_run(key, now, format!("{then}, as in the checkpoint")))
     }
 
     /// Rejects another configuration and other data.
     pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
         if self.data != data {
-            return Err(Error::invalid("dataset", "other projections", "those of the checkpoint", GO_ON));
+            return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
         }
         Ok(())
     }

@@ -93,7 +93,7 @@ fn a_build_without_dicom_says_how_to_get_it() {
     sandbox.write("series/a.dcm", "");
     for path in ["series/a.dcm", "series"] {
         let message = sandbox.refused(&format!("convert {path} v.nii.gz"));
-        assert!(message.contains("--features dicom"), "{message}");
+        assert!(message.contains("-F dicom"), "{message}");
     }
 }
 

@@ -33,7 +33,7 @@ fn the_file_has_what_the_library_computes_and_the_settings_it_was_computed_with(
     let found = sandbox.done(&format!("confidence m.npz --scanner scan --out c.npz {flags}"));
 
     let settings = Settings { sphere_points: 200, r_max: 0.6, kappa: 0.8, temperature: 0.5 };
-    let dataset = Dataset::read(&sandbox.path("scan")).unwrap();
+    let dataset = Dataset::read(sandbox.path("scan")).unwrap();
     let primitives = model::read(&sandbox.path("m.npz")).unwrap();
     let c = Coverage::new(settings).confidence(&primitives, &dataset.scanner, &dataset.train.angles);
     assert!(c[0] > 0.0 && c[0] < c[1] && c[2] == 0.0, "{c:?}");

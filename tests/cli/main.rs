@@ -24,6 +24,8 @@ mod memory;
 mod oracle_cli;
 // Stopped and resumed runs.
 mod resume;
+// Settings of the library are flags of the program.
+mod settings;
 // Stand-ins are named as such.
 mod stand_ins;
 // Units of density.

@@ -1,14 +1,13 @@
 //! Any unit of density: projections times k give densities times k, bit-exact for powers of two.
 
 use crate::program::Sandbox;
-use clap::ValueEnum;
 use ndarray::{Array2, Array3};
 use std::ops::ControlFlow;
 use trgs::classical::density_unit;
 use trgs::config::{Auto, Config, Method, Start};
 use trgs::evaluation::{psnr_3d_range, range};
 use trgs::primitives::Group;
-use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, reconstruct};
+use trgs::reconstruction::{Checkpoints, Progress, Reconstruction, Run, reconstruct};
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 
@@ -50,7 +49,7 @@ fn times(dataset: &Dataset, k: f64) -> Dataset {
 
 fn found(dataset: &Dataset, config: &Config) -> Reconstruction {
     config.validate().unwrap();
-    reconstruct(dataset, config, None, &mut |_| ControlFlow::Continue(())).unwrap()
+    reconstruct(dataset, config).unwrap()
 }
 
 /// Bits of the volume and of each group of parameters, divided by k where they scale.
@@ -75,7 +74,7 @@ fn quality(found: &Reconstruction, dataset: &Dataset, k: f64) -> f64 {
 #[test]
 fn every_method_gives_k_times_the_volume_of_k_times_the_scan() {
     let scan = scan();
-    for &method in Method::value_variants() {
+    for method in Method::ALL {
         let config = config(method);
         let once = found(&scan, &config);
         for k in EXACT {
@@ -92,7 +91,7 @@ fn every_method_gives_k_times_the_volume_of_k_times_the_scan() {
 #[test]
 fn factors_that_round_the_pixels_move_no_method_by_a_hundredth_of_a_decibel() {
     let scan = scan();
-    for &method in Method::value_variants() {
+    for method in Method::ALL {
         let mut config = config(method);
         config.optimiser.horizon = 600;
         if method == Method::Cgls {
@@ -132,17 +131,16 @@ fn a_run_that_was_stopped_goes_on_in_its_unit() {
     let config = config(Method::TrGs);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("checkpoint");
-    let checkpoints = |from| Some(Checkpoints { file: file.clone(), from });
-    let mut stop = |progress: Progress| match progress {
+    let stop = |progress: Progress| match progress {
         Progress::Iteration(70, _) => ControlFlow::Break(()),
         _ => ControlFlow::Continue(()),
     };
-    reconstruct(&scan, &config, checkpoints(None), &mut stop).unwrap_err();
-    let kept = || Some(Checkpoint::read(&file).unwrap());
-    let message = reconstruct(&times(&scan, 2.0), &config, checkpoints(kept()), &mut stop).unwrap_err().to_string();
+    Run::new(&scan, &config).checkpoints(Checkpoints::new(&file)).observe(stop).reconstruct().unwrap_err();
+    let resumed =
+        |scan: &Dataset| Run::new(scan, &config).checkpoints(Checkpoints::resume(&file).unwrap()).reconstruct();
+    let message = resumed(&times(&scan, 2.0)).unwrap_err().to_string();
     assert!(message.contains("other projections"), "{message}");
-    let resumed = reconstruct(&scan, &config, checkpoints(kept()), &mut |_| ControlFlow::Continue(())).unwrap();
-    assert!(bits(&resumed, 1.0) == bits(&found(&scan, &config), 1.0));
+    assert!(bits(&resumed(&scan).unwrap(), 1.0) == bits(&found(&scan, &config), 1.0));
 }
 
 #[test]
@@ -169,7 +167,7 @@ fn a_unit_that_is_set_is_the_unit() {
 #[test]
 fn the_program_takes_scans_in_any_unit_and_judges_them_by_the_range_of_the_truth() {
     let sandbox = Sandbox::with_scan();
-    let scan = Dataset::read(&sandbox.path("scan")).unwrap();
+    let scan = Dataset::read(sandbox.path("scan")).unwrap();
     for (name, k) in [("water", 0.02), ("half", 1.0 / 64.0)] {
         let mut scaled = times(&scan, k);
         scaled.truth.as_mut().unwrap().values *= k as f32;

@@ -4,7 +4,6 @@
 //! --iterations 500`.
 //! Bits may change with the method. A change of more than 0.1 dB must be intended, and is then written here.
 
-use std::ops::ControlFlow;
 use trgs::config::{Config, Method, Sampling};
 use trgs::evaluation::psnr_3d;
 use trgs::reconstruction::reconstruct;
@@ -46,7 +45,7 @@ fn default_runs_are_as_good_as_they_were() {
             scan = simulate(phantom, Object::Volume(&volume), &scanner, &plan).unwrap();
         }
         let config = Config { iterations: ITERATIONS, ..Config::of(Method::TrGs) };
-        let found = reconstruct(&scan, &config, None, &mut |_| ControlFlow::Continue(())).unwrap();
+        let found = reconstruct(&scan, &config).unwrap();
         let truth = scan.truth.as_ref().unwrap().values.view();
         let volumes = [&found.volume, found.unfinished.as_ref().expect("a default run is finished on voxels")];
         let psnr = volumes.map(|volume| psnr_3d(truth, volume.values.view()).value);

@@ -278,7 +278,7 @@ fn a_waiver_excuses_until_its_day_and_is_reported_when_it_is_not_needed() {
     let text = |case: &str, day: &str| format!("[[waiver]]\ncase = \"{case}\"\nreason = \"known\"\nexpires = {day}\n");
     fs::write(&file, text(&cases[0].id, "2031-05-07") + &text(&cases[1].id, "2031-05-07")).unwrap();
     let waivers = waivers::read(&file, &vectors.manifest.cases).unwrap();
-    let on = |year: i16, month: i8, day: i8| {
+    let on = |year, month, day| {
         let today = jiff::civil::date(year, month, day);
         let options = Options { format: Format::F64, level: Level::Stress, stages: &stages, waivers: &waivers, today };
         check(&vectors, &Tolerances::embedded().unwrap(), folder.path(), &options).unwrap()

@@ -96,7 +96,7 @@ impl RayWeights {
                     "at least {needed:.1}°, half a turn and the fan of the volume: filtered back projection needs every ray"
                 );
                 let remedy =
-                    "use the method tr-gs, sart, asd-pocs, cgls or tv, or --set fdk.turn=full, which ignores the gap";
+                    "use the method tr-gs, sart, asd-pocs, cgls or tv, or `fdk.turn=full`, which ignores the gap";
                 return Err(Error::invalid("arc of the views", format!("{got:.1}°"), expected, remedy));
             }
             if circle == TAU {

@@ -30,10 +30,10 @@
 //!
 //! What the data distinguish:
 //!
-//! - **Columns reversed alone**, or rotation alone. In the plane of the source the ray (φ, u) has the direction `θ = φ
-//!   + γ` and the distance `s = dso·sin γ` from the axis, `tan γ = u/dsd`. With reversed columns its value is that of
-//!   the ray (θ - 2γ, -s), which is the ray (θ - 2γ, s) of the object after half a turn: a sinogram sheared by `2γ ≈
-//!   2s/dso`. A point at distance r from the axis then traces a sine with a second harmonic of `r²/dso`, which no real
+//! - **Columns reversed alone**, or rotation alone. In the plane of the source the ray (φ, u) has the direction
+//!   `θ = φ + γ` and the distance `s = dso·sin γ` from the axis, `tan γ = u/dsd`. With reversed columns its value is that of
+//!   the ray (θ - 2γ, -s), which is the ray (θ - 2γ, s) of the object after half a turn: a sinogram sheared by
+//!   `2γ ≈ 2s/dso`. A point at distance r from the axis then traces a sine with a second harmonic of `r²/dso`, which no real
 //!   point does. The effect vanishes for narrow fans: when `r²/dso` is below a pixel, or for a body of revolution, the
 //!   data do not decide, and the check says so.
 //! - **In a parallel beam** γ is 0, and the view of φ + π is that of φ with columns reversed. Then reversed columns

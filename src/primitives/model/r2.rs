@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::numeric::elementary::{exp, logit, sigmoid, softplus, softplus_inverse};
 use crate::scene::dataset::pickle::{self, Value};
 use crate::scene::npz::{self, Entry, Npz};
+use crate::setting::Setting;
 use ndarray::{ArrayView, IxDyn};
 use std::path::Path;
 
@@ -96,8 +97,8 @@ fn interpret(path: &Path, array: impl Fn(&str) -> Found, bound: Option<Vec<f64>>
 pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     if let Some(i) = density.iter().position(|density| *density <= 0.0) {
-        let (expected, remedy) =
-            ("a positive number, as R²-Gaussian has no other", "write a .ply, or a .npz without --r2");
+        let expected = "a positive number, as R²-Gaussian has no other";
+        let remedy = format!("write a .ply, or a .npz without {}", Setting::R2);
         return Err(Error::invalid(format!("density of primitive {i}"), density[i], expected, remedy));
     }
     let ends = scale

@@ -150,7 +150,11 @@ impl Dataset {
     /// # Errors
     /// [`Error::Read`] or [`Error::Format`] for the first file that is missing, damaged or does not fit the scanner, and
     /// for values that are not finite.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        Self::read_path(path.as_ref())
+    }
+
+    fn read_path(path: &Path) -> Result<Self> {
         if naf::is_pickle(path) {
             return naf::read(path);
         }

@@ -28,6 +28,7 @@ use super::arrays::check_finite;
 use crate::error::{Error, Result};
 use crate::numeric::elementary::log;
 use crate::numeric::{reduce, threads};
+use crate::setting::Setting;
 use ndarray::{Array2, Array3};
 use std::ops::Range;
 use std::str::FromStr;
@@ -277,7 +278,8 @@ fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
     if value > 0.0 {
         return Ok(value);
     }
-    let remedy = "give the dark field of this scan, or --line-integrals if the data are no intensities";
+    let already = Setting::LineIntegrals;
+    let remedy = format!("give the dark field of this scan, or {already} if the data are no intensities");
     Err(Error::invalid("brightest reading", value, "more than the dark field", remedy))
 }
 
@@ -361,7 +363,7 @@ impl FromStr for Air {
             }
             _ => {
                 let expected = "ROW0,COLUMN0,ROW1,COLUMN1, the first below the last";
-                Err(Error::invalid("air", text, expected, "for example --air 0,0,40,20: the ends are excluded"))
+                Err(Error::invalid("air", text, expected, "for example 0,0,40,20: the ends are excluded"))
             }
         }
     }

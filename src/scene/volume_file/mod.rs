@@ -41,7 +41,7 @@ mod tiff;
 pub(super) use folder::{files, with_extension};
 pub use raw::SideFile;
 
-use super::npy;
+use super::{Volume, npy};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
@@ -210,11 +210,21 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     })
 }
 
+/// Writes a volume with the spacing and the origin of its grid; the format follows from the name.
+///
+/// # Errors
+/// Those of [`write()`].
+pub fn write_volume(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
+    let Volume { grid, values } = volume;
+    let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
+    write(path.as_ref(), &VolumeFile { values: values.clone(), spacing, origin, ..VolumeFile::default() })
+}
+
 /// The error of a build without the feature.
 #[cfg(not(any(feature = "dicom", test)))]
 fn no_dicom(path: &Path) -> Error {
     let expected = "a build that reads DICOM";
-    Error::invalid("DICOM", path.display(), expected, "build with `cargo build --release --features dicom`")
+    Error::invalid("DICOM", path.display(), expected, "build with the feature dicom: `cargo build -r -F dicom`")
 }
 
 impl VolumeFile {

@@ -51,9 +51,9 @@ impl SideFile {
     /// [`Error::Format`] for anything but the fields above.
     pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
         let wrong = |got: String| {
-            let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …), optionally byte_order, \
-                            spacing, origin, skip_bytes";
-            Error::format(path, "side file", got, expected, "write it like the example in `trgs convert --help`")
+            let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …) and perhaps byte_order, spacing, \
+                            origin, skip_bytes";
+            Error::format(path, "side file", got, expected, "compare it with the one in `trgs help convert`")
         };
         let side: Self = serde_json::from_slice(text).map_err(|error| wrong(error.to_string()))?;
         if Number::named(&side.kind).is_none() {

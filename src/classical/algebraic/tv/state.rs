@@ -2,7 +2,7 @@
 
 use super::{TvRun, TvSettings};
 use crate::classical::VoxelProjector;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, start_again};
 use crate::numeric::{Real, real};
 use crate::scene::Projections;
 use serde::{Deserialize, Serialize};
@@ -78,7 +78,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         let [x, before, q0, q1, q2] = state.arrays.each_ref().map(Numbers::get::<R>);
         if let Some(other) = [&x, &before, &q0, &q1, &q2].iter().find(|values| values.len() != run.x.len()) {
             let (got, expected) = (format!("{} voxels", other.len()), run.x.len().to_string());
-            return Err(Error::invalid("checkpoint", got, expected, "start again without --resume"));
+            return Err(Error::invalid("checkpoint", got, expected, start_again()));
         }
         (run.seen, run.seen_before) = (run.project(&x), run.project(&before));
         (run.x, run.before) = (x, before);

@@ -44,7 +44,7 @@ pub(super) fn check(content: &[u8]) -> Parsed<()> {
         "1.2.840.10008.1.2.1" => true,
         other => {
             return Err(format!(
-                "the transfer syntax {other:?} instead of plain little-endian pixels (convert with gdcmconv --raw or dcmdjpeg)"
+                "the transfer syntax {other:?} instead of plain little-endian pixels (convert with gdcmconv -w or dcmdjpeg)"
             ));
         }
     };

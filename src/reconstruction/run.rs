@@ -1,0 +1,69 @@
+//! A reconstruction that is set up step by step.
+
+use super::{Checkpoints, Observe, Progress, Reconstruction, reconstruct_with};
+use crate::config::Config;
+use crate::error::Result;
+use crate::scene::Dataset;
+use std::fmt;
+use std::ops::ControlFlow;
+
+/// [`reconstruct`](super::reconstruct()) with checkpoints and an observer.
+///
+/// ```no_run
+/// use std::ops::ControlFlow;
+/// use trgs::reconstruction::{Checkpoints, Progress, Run};
+///
+/// let scan = trgs::Dataset::read("scan")?;
+/// let result = Run::new(&scan, &trgs::Config::default())
+///     .checkpoints(Checkpoints::resume("state.msgpack")?)
+///     .observe(|progress| {
+///         if let Progress::Iteration(iteration, Some(record)) = progress {
+///             eprintln!("{iteration}: loss {:.5}", record.loss);
+///         }
+///         ControlFlow::Continue(())
+///     })
+///     .reconstruct()?;
+/// # Ok::<(), trgs::Error>(())
+/// ```
+#[must_use = "a run does nothing until `reconstruct` is called"]
+pub struct Run<'a> {
+    dataset: &'a Dataset,
+    config: &'a Config,
+    checkpoints: Option<Checkpoints>,
+    observe: Box<Observe<'a>>,
+}
+
+impl<'a> Run<'a> {
+    /// A run with the method and the settings of `config`, without checkpoints and observer.
+    pub fn new(dataset: &'a Dataset, config: &'a Config) -> Self {
+        Self { dataset, config, checkpoints: None, observe: Box::new(|_| ControlFlow::Continue(())) }
+    }
+
+    /// Keeps the state of the run in a file; going on from it leads to the same bits. Without checkpoints a run that is
+    /// stopped leaves nothing. Methods on voxels other than tv have no state to keep.
+    pub fn checkpoints(self, checkpoints: Checkpoints) -> Self {
+        Self { checkpoints: Some(checkpoints), ..self }
+    }
+
+    /// Calls `observe` after every step; `Break` stops the run.
+    pub fn observe(self, observe: impl FnMut(Progress<'_>) -> ControlFlow<()> + 'a) -> Self {
+        Self { observe: Box::new(observe), ..self }
+    }
+
+    /// Runs the method.
+    ///
+    /// # Errors
+    /// For a setting out of its range, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
+    /// the observer breaks.
+    pub fn reconstruct(mut self) -> Result<Reconstruction> {
+        self.config.validate()?;
+        let config = self.config.resolved(&self.dataset.scanner, self.dataset.train.len());
+        reconstruct_with(self.dataset, &config, self.checkpoints, &mut *self.observe)
+    }
+}
+
+impl fmt::Debug for Run<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Run").field("dataset", &self.dataset.name).field("config", &self.config).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,57 @@
+//! Settings besides the configuration that errors name.
+
+use std::fmt;
+
+macro_rules! settings {
+    ($($(#[$docs:meta])* $variant:ident = $name:literal,)*) => {
+        /// A setting that is no key of [`Config`](crate::Config): an argument of a function or of a command.
+        ///
+        /// Errors print its name between backticks, as in `` `max_memory` ``. A front end can replace that by its own word:
+        /// the program puts the flag there.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Setting { $($(#[$docs])* $variant,)* }
+
+        impl Setting {
+            /// All settings.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// Its name: letters and underscores.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+        }
+    };
+}
+
+settings! {
+    /// The folder whose scans and volumes are the cases of an experiment.
+    Data = "data",
+    /// The highest level of the conformance vectors that is asked of a backend.
+    Level = "level",
+    /// Whether the data are line integrals already.
+    LineIntegrals = "line_integrals",
+    /// The limit of [`Estimate::check`](crate::memory::Estimate::check).
+    MaxMemory = "max_memory",
+    /// Primitives at the start: the key `model.points`.
+    Points = "points",
+    /// Whether a model is written with the keys of R²-Gaussian.
+    R2 = "r2",
+    /// The file of a conformance report.
+    Report = "report",
+    /// Whether a run starts from its checkpoint.
+    Resume = "resume",
+    /// Voxels along each side of an experiment's volumes.
+    Size = "size",
+    /// Stages of the conformance vectors.
+    Stage = "stage",
+    /// Worker threads.
+    Threads = "threads",
+    /// The number of training views.
+    Views = "views",
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}`", self.name())
+    }
+}
