@@ -184,7 +184,7 @@ impl Footprint {
         }
     }
 
-    /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::ViewField::support_boxes) has them.
+    /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::view::ViewField::support_boxes) returns them.
     pub(crate) fn support_boxes(
         primitives: [&WhitenedPrimitive; LANES],
         scanner: &Scanner,
