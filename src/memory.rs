@@ -286,6 +286,14 @@ impl Sizes {
             allocations.push(allocation("corrected projections", self.pixels, F32));
             phases.push(Phase { name: "finish", allocations });
         }
+        if config.has_pilot() {
+            let pilot = [
+                allocation("volume of the run, and its interpolant as it is solved for", self.voxels, F64 + 2 * F32),
+                allocation("primitives of the run", m, NUMBERS * F64),
+                allocation("views of the pilot run and those held out", self.pixels, 2 * F32),
+            ];
+            phases.push(working("pilot run", &pilot));
+        }
         if config.density_control.method != DensityControl::None {
             // The next population coexists with the last one: successors, raw and physical values, moments.
             let next = allocation("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);

@@ -2,22 +2,24 @@
 
 mod checkpoint;
 mod finish;
+mod pilot;
 mod run;
 mod sampling;
 mod voxels;
 
 pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+pub use pilot::PILOT_PART;
 pub use run::Run;
 pub use sampling::{Evidence, Sampled};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Config, Finish, Method, Precision};
+use crate::config::{Auto, Config, Finish, Method, Precision};
 use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
 use crate::projector::forward;
-use crate::scene::{Dataset, Projections, Volume, trilinear};
+use crate::scene::{Dataset, Projections, Scanner, Volume, trilinear};
 use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -124,6 +126,8 @@ fn after_training(
     let (mut volume, sampled) = sampling::volume(&primitives, volume, dataset, config, &mut watch)?;
     let (mut unfinished, mut choice) = (None, None);
     if config.finish == Finish::Tv {
+        // The pilot run has fewer views, which would make another unit.
+        let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
         let (finished, chosen) = match config.precision {
             Precision::F32 => finish::finish::<f32>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
             Precision::F64 => finish::finish::<f64>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
@@ -165,7 +169,7 @@ pub fn evaluate(
     let projections = match &dataset.test {
         Some(test) => {
             let seen = match primitives {
-                Some(primitives) => project(primitives, dataset, &test.angles, config)?,
+                Some(primitives) => project(primitives, &dataset.scanner, &test.angles, config)?,
                 None => trilinear::project(volume, &dataset.scanner, &test.angles)?,
             };
             Some((test, seen))
@@ -180,8 +184,8 @@ pub fn evaluate(
 }
 
 /// Projections of primitives as they were fitted.
-fn project(primitives: &Primitives, dataset: &Dataset, angles: &[f64], config: &Config) -> Result<Projections> {
-    let (scanner, projection, cutoff) = (&dataset.scanner, config.projection, config.cutoff);
+fn project(primitives: &Primitives, scanner: &Scanner, angles: &[f64], config: &Config) -> Result<Projections> {
+    let (projection, cutoff) = (config.projection, config.cutoff);
     let images = match config.precision {
         Precision::F32 => forward::<f32>(primitives, scanner, angles, projection, cutoff),
         Precision::F64 => forward::<f64>(primitives, scanner, angles, projection, cutoff).mapv(|value| value as f32),

@@ -16,7 +16,7 @@ use trgs::memory::Estimate;
 use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
+use trgs::reconstruction::{Checkpoint, Checkpoints, PILOT_PART, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume};
 use trgs::{Error, Result};
@@ -268,7 +268,12 @@ impl Pace {
         let points = config.model.points as f64;
         let growth = pow(config.mean_population(config.model.points) / points, Self::POWER);
         let seconds = began.elapsed().as_secs_f64() / (to - from) as f64 * growth * config.iterations as f64;
-        tracing::info!(seconds, "{} iterations will take about {seconds:.0} s", config.iterations);
+        let (pilot, also) = match config.has_pilot() {
+            true => (PILOT_PART * seconds, format!(", the pilot run {:.0} s", PILOT_PART * seconds)),
+            false => (0.0, String::new()),
+        };
+        let text = format!("{} iterations will take about {seconds:.0} s{also}", config.iterations);
+        tracing::info!(seconds = seconds + pilot, "{text}");
     }
 }
 

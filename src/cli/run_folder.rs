@@ -220,7 +220,8 @@ fn page(
             0 => "too few views for cross-validation".into(),
             _ => format!("chosen on held-out views at the cost of {:.0} iterations over all views", choice.cost),
         };
-        facts.push((choice.key.clone(), format!("{:.3e}, {how}", choice.value)));
+        let iterations = choice.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
+        facts.push((choice.key.clone(), format!("{:.3e}{iterations}, {how}", choice.value)));
     }
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));

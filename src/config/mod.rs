@@ -486,8 +486,11 @@ pub struct TvConfig {
     /// Steps of the total variation in each iteration.
     #[default(TvSettings::default().steps)]
     pub steps: usize,
-    /// Iterations where finish = tv; auto: 20, or as few as 10 where point samples gain no more by them.
+    /// Iterations where finish = tv; auto: chosen with the weight on the pilot run, otherwise 10 to 20.
     pub finish_iterations: Auto<usize>,
+    /// Whether a pilot run, half as long and without a sixth of the views, chooses what is auto of the finish.
+    #[default = true]
+    pub pilot: bool,
 }
 
 impl ConfidenceConfig {
@@ -587,6 +590,13 @@ impl Config {
     pub fn tv(&self) -> TvSettings {
         let TvConfig { weight, tolerance, steps, .. } = self.tv;
         TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
+    }
+
+    /// Whether a pilot run chooses settings of the finish.
+    pub fn has_pilot(&self) -> bool {
+        let TvConfig { weight, finish_iterations, pilot, .. } = self.tv;
+        let is_open = weight.fixed().is_none() || finish_iterations.fixed().is_none();
+        self.method.fits_primitives() && self.finish == Finish::Tv && pilot && is_open
     }
 
     /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.

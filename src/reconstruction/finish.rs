@@ -12,57 +12,55 @@
 //! so that the residual of x₀ is that of the primitives, `p' - A x₀ = p - F`. The correction holds near x₀ alone, which is
 //! why the steps are few.
 
-use super::{Observe, Progress, project};
+use super::{Observe, Progress, pilot, project};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, Trial, TvRun, TvSettings, choose_weight};
 use crate::config::{Config, Sampling};
 use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::primitives::Primitives;
-use crate::scene::{Dataset, Projections, Volume};
+use crate::scene::{Dataset, Projections, Scanner, Volume};
+use std::borrow::Cow;
 
-/// Part of the weight that views held out ask for where the volume is an interpolant: the start is regularised already, and
+/// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant: the start is regularised already, and
 /// the volume fits the projections to their noise.
 const PART: f64 = 0.25;
 /// Least weight where the projections are corrected: views held out are judged without the correction, and ask for too little.
-const LEAST: f64 = 2e-3;
-/// Iterations at most.
+pub(super) const LEAST: f64 = 2e-3;
+/// Without a pilot run: iterations at most.
 const ITERATIONS: usize = 20;
 /// Where the projections are corrected, it ends after so many iterations when the last [`WINDOW`] of them have brought the
 /// residual down by less than [`FALL`], which stands for the correction being used up.
-const SHORTEST: usize = 10;
+pub(super) const SHORTEST: usize = 10;
 const WINDOW: usize = 5;
 const FALL: f64 = 0.01;
 
-/// The finished volume, and the weight of the total variation if it was found on views held out.
+/// The finished volume, and the weight of the total variation if it was chosen on held-out views.
 ///
 /// # Errors
-/// As [`crate::classical::algebraic::tv()`], and [`Error::Interrupted`] when `observe` breaks.
+/// As [`crate::classical::algebraic::tv()`], those of the pilot run, and [`Error::Interrupted`] when `observe` breaks.
 pub(super) fn finish<R: Real>(
     dataset: &Dataset,
     primitives: &Primitives,
     volume: &Volume,
-    sampled: Sampling,
+    sampling: Sampling,
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<(Volume, Option<Choice>)> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    let interpolated = sampled == Sampling::Interpolant;
-    let iterations = config.tv.finish_iterations.or(ITERATIONS);
-    let (mut settings, mut choice) = (TvSettings { iterations, ..config.tv() }, None);
-    if config.tv.weight.fixed().is_none() {
-        let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
-        let chosen = choose_weight::<R>(&projector, &dataset.train, &config.tv(), &mut watch)?;
-        settings.weight = if interpolated { PART * chosen.value } else { chosen.value.max(LEAST) };
-        choice = Some(chosen);
-    }
-    let corrected = match interpolated {
-        true => None,
-        false => Some(corrected(dataset, primitives, volume, &projector, config)?),
+    let piloted = match config.has_pilot() {
+        true => pilot::choose::<R>(dataset, sampling, config, observe)?,
+        false => None,
     };
-    let may_end = !interpolated && config.tv.finish_iterations.fixed().is_none();
-    let target = corrected.as_ref().unwrap_or(&dataset.train);
-    let mut run = TvRun::<R>::new(&projector, target, &settings, Some(volume))?;
+    let (settings, choice, may_end) = match piloted {
+        Some(choice) => {
+            let iterations = choice.iterations.unwrap_or(ITERATIONS);
+            (TvSettings { weight: choice.value, iterations, ..config.tv() }, Some(choice), false)
+        }
+        None => by_rule::<R>(dataset, &projector, sampling, config, observe)?,
+    };
+    let target = target(&dataset.train, &dataset.scanner, primitives, volume, sampling, &projector, config)?;
+    let mut run = TvRun::<R>::new(&projector, &target, &settings, Some(volume))?;
     let mut residuals = Vec::new();
     while !run.is_finished() {
         let pass = run.step()?;
@@ -78,18 +76,44 @@ pub(super) fn finish<R: Real>(
     Ok((run.volume()?, choice))
 }
 
-/// The projections p' of the [module's](self) formula.
-fn corrected(
+/// Settings without a pilot run, the choice of the weight, and whether the finish may end by its residual.
+fn by_rule<R: Real>(
     dataset: &Dataset,
+    projector: &VoxelProjector,
+    sampling: Sampling,
+    config: &Config,
+    observe: &mut Observe<'_>,
+) -> Result<(TvSettings, Option<Choice>, bool)> {
+    let interpolated = sampling == Sampling::Interpolant;
+    let iterations = config.tv.finish_iterations.or(ITERATIONS);
+    let mut settings = TvSettings { iterations, ..config.tv() };
+    let may_end = !interpolated && config.tv.finish_iterations.fixed().is_none();
+    if config.tv.weight.fixed().is_some() {
+        return Ok((settings, None, may_end));
+    }
+    let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
+    let chosen = choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch)?;
+    settings.weight = if interpolated { PART * chosen.value } else { chosen.value.max(LEAST) };
+    Ok((settings, Some(chosen), may_end))
+}
+
+/// What voxels are fitted to, which start at `volume`: the views as measured, or the projections p' of the [module](self).
+pub(super) fn target<'a>(
+    views: &'a Projections,
+    scanner: &Scanner,
     primitives: &Primitives,
     volume: &Volume,
+    sampling: Sampling,
     projector: &VoxelProjector,
     config: &Config,
-) -> Result<Projections> {
-    let train = &dataset.train;
-    let of_primitives = project(primitives, dataset, &train.angles, config)?;
-    let of_voxels = projector.forward::<f32>(&train.angles, volume.values.view())?;
-    Projections::new(train.angles.clone(), &train.images - &of_primitives.images + &of_voxels)
+) -> Result<Cow<'a, Projections>> {
+    if sampling == Sampling::Interpolant {
+        return Ok(Cow::Borrowed(views));
+    }
+    let of_primitives = project(primitives, scanner, &views.angles, config)?;
+    let of_voxels = projector.forward::<f32>(&views.angles, volume.values.view())?;
+    let images = &views.images - &of_primitives.images + &of_voxels;
+    Projections::new(views.angles.clone(), images).map(Cow::Owned)
 }
 
 #[cfg(test)]
@@ -113,9 +137,10 @@ mod tests {
         let found = reconstruct(&scan, &config).unwrap();
         let (primitives, volume) = (found.primitives.unwrap(), found.unfinished.unwrap());
         let projector = VoxelProjector::new(&scanner, RayModel::Joseph).unwrap();
-        let target = corrected(&scan, &primitives, &volume, &projector, &config).unwrap();
+        let sampling = Sampling::Point;
+        let target = target(&scan.train, &scanner, &primitives, &volume, sampling, &projector, &config).unwrap();
         let of_voxels = projector.forward::<f32>(&scan.train.angles, volume.values.view()).unwrap();
-        let of_primitives = project(&primitives, &scan, &scan.train.angles, &config).unwrap();
+        let of_primitives = project(&primitives, &scanner, &scan.train.angles, &config).unwrap();
         let size = scan.train.images.iter().fold(0.0, |most: f32, value| most.max(value.abs()));
         let (voxels, fitted) = (&target.images - &of_voxels, &scan.train.images - &of_primitives.images);
         assert!((&voxels - &fitted).iter().all(|value| value.abs() < 1e-6 * size));

@@ -12,7 +12,7 @@ use crate::classical::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::numeric::elementary::{log, pow};
-use crate::scene::{Beam, Projections, View};
+use crate::scene::{Beam, Projections, View, Volume};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -30,6 +30,13 @@ const MOST_NEIGHBOURS: i32 = 5;
 const ITERATIONS: usize = 50;
 /// Number of folds for a number of passes; one of them is held out.
 const PASS_FOLDS: usize = 4;
+/// Number of folds of a pilot run; one of them is held out.
+const PILOT_FOLDS: usize = 6;
+/// A finish is judged after every so many iterations, and ends so many iterations after its least error.
+const JUDGED_EVERY: usize = 5;
+const IN_VAIN: usize = 40;
+/// Of the iterations whose error is above the least by no more than this fraction, the first are chosen.
+const NEAR: f64 = 0.005;
 /// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
 
@@ -55,6 +62,9 @@ pub struct Choice {
     pub folds: usize,
     /// Cost of the choice, in iterations or passes over all views.
     pub cost: f64,
+    /// Number of iterations that belongs to the value, where it was chosen with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
 }
 
 /// Observer of a choice: gets the setting's name and each trial; breaking ends it with an error.
@@ -88,7 +98,14 @@ pub fn choose_weight<R: Real>(
     const KEY: &str = "tv.weight";
     let used = weight_folds(projector, projections);
     if used.is_empty() {
-        return Ok(Choice { key: KEY.into(), value: settings.weight, curve: Vec::new(), folds: 0, cost: 0.0 });
+        return Ok(Choice {
+            key: KEY.into(),
+            value: settings.weight,
+            curve: Vec::new(),
+            folds: 0,
+            cost: 0.0,
+            iterations: None,
+        });
     }
     // Power of the factor → sums over the folds of the squared residual and of the squared measured values.
     let mut sums: BTreeMap<i32, [f64; 2]> = BTreeMap::new();
@@ -135,7 +152,14 @@ pub fn choose_weight<R: Real>(
         .map(|(&power, [error, size])| Trial { value: weight(power), error: (error / size).sqrt() })
         .collect();
     let value = least(&curve);
-    Ok(Choice { key: KEY.into(), value, curve, folds: used.len(), cost: work as f64 / projections.len() as f64 })
+    Ok(Choice {
+        key: KEY.into(),
+        value,
+        curve,
+        folds: used.len(),
+        cost: work as f64 / projections.len() as f64,
+        iterations: None,
+    })
 }
 
 /// The number of passes with the least error on held-out views, a quarter of all views.
@@ -160,7 +184,14 @@ pub fn choose_passes<R: Real>(
     };
     let folds = folds(projector, projections, PASS_FOLDS);
     let Some([train, held]) = folds.get(1).filter(|_| projections.len() > 2) else {
-        return Ok(Choice { key: KEY.into(), value: most as f64, curve: Vec::new(), folds: 0, cost: 0.0 });
+        return Ok(Choice {
+            key: KEY.into(),
+            value: most as f64,
+            curve: Vec::new(),
+            folds: 0,
+            cost: 0.0,
+            iterations: None,
+        });
     };
     let (train, held) = (projections.select(train), projections.select(held));
     let share = train.len() as f64 / projections.len() as f64;
@@ -183,7 +214,95 @@ pub fn choose_passes<R: Real>(
         Passes::Cgls(most) => cgls_seen::<R>(projector, &train, most, &mut see)?,
     };
     let cost = curve.len() as f64 * share;
-    Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost })
+    Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost, iterations: None })
+}
+
+/// What is searched for a finish from a given volume.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FinishSearch {
+    /// The weight, if it is not to be chosen.
+    pub(crate) weight: Option<f64>,
+    /// The number of iterations, if it is not to be chosen.
+    pub(crate) iterations: Option<usize>,
+    /// Smallest and largest number of iterations otherwise.
+    pub(crate) range: [usize; 2],
+    /// The smallest weight that is tried otherwise.
+    pub(crate) first: f64,
+}
+
+/// Weight and number of iterations of [`super::tv()`] from the volume `start` with the least error of the held-out views.
+///
+/// `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
+/// until the error rises. The curve has the least error of each weight.
+///
+/// # Errors
+/// As [`super::tv()`].
+pub(crate) fn choose_finish<R: Real>(
+    projector: &VoxelProjector,
+    views: [&Projections; 2],
+    start: &Volume,
+    settings: &TvSettings,
+    search: &FinishSearch,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "tv.weight";
+    let [train, held] = views;
+    let held = Held::<R>::new(projector, held)?;
+    let error = |x: &[R]| {
+        let [error, size] = held.error(x);
+        (error / size).sqrt()
+    };
+    let mut steps = 0;
+    // The least error with a weight, and the fewest iterations that come near it.
+    let mut least = |weight: f64| {
+        let [fewest, most] = search.iterations.map_or(search.range, |iterations| [iterations; 2]);
+        let settings = TvSettings { weight, iterations: most, ..*settings };
+        let mut run = TvRun::<R>::new(projector, train, &settings, Some(start))?;
+        let (mut best, mut judged) = ((0, f64::INFINITY), Vec::new());
+        let mut iteration = 0;
+        loop {
+            let ends = run.is_finished();
+            let is_judged = iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
+            if is_judged || ends {
+                let error = error(run.values());
+                judged.push((iteration, error));
+                if error < best.1 {
+                    best = (iteration, error);
+                }
+            }
+            if ends || iteration >= best.0.max(fewest) + IN_VAIN {
+                break;
+            }
+            run.step()?;
+            go_on(observe(KEY, None))?;
+            iteration += 1;
+            steps += 1;
+        }
+        go_on(observe(KEY, Some(&Trial { value: weight, error: best.1 })))?;
+        let near = judged.iter().find(|(_, error)| *error <= (1.0 + NEAR) * best.1).map_or(best.0, |judged| judged.0);
+        Ok::<_, Error>((weight, near, best.1))
+    };
+    let first = search.weight.unwrap_or(search.first);
+    let mut tried = vec![least(first)?];
+    for power in (1..=MOST_NEIGHBOURS).filter(|_| search.weight.is_none()) {
+        let trial = least(first * pow(FACTOR, f64::from(power)))?;
+        let before = tried[tried.len() - 1].2;
+        tried.push(trial);
+        if trial.2 >= before {
+            break;
+        }
+    }
+    let (value, iterations, _) =
+        tried.iter().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
+    let curve = tried.iter().map(|&(value, _, error)| Trial { value, error }).collect();
+    let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.angles.len()) as f64;
+    Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
+}
+
+/// The views that a pilot run fits and those that it leaves out; none where there are too few views.
+pub(crate) fn pilot_folds(projector: &VoxelProjector, projections: &Projections) -> Option<[Vec<usize>; 2]> {
+    let folds = folds(projector, projections, PILOT_FOLDS);
+    folds.into_iter().nth(1).filter(|[train, _]| train.len() >= PILOT_FOLDS - 1)
 }
 
 pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
@@ -271,7 +390,7 @@ fn least(curve: &[Trial]) -> f64 {
 mod tests {
     use super::*;
     use crate::classical::RayModel;
-    use crate::classical::algebraic::{sart, tv};
+    use crate::classical::algebraic::{Pass, sart, tv};
     use crate::evaluation::psnr_3d;
     use crate::scene::simulate::{Object, Plan, simulate};
     use crate::scene::{Dataset, Detector, Grid, Noise, Phantom, Scanner};
@@ -333,6 +452,44 @@ mod tests {
     }
 
     #[test]
+    fn a_finish_is_chosen_where_the_volume_is_good() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let [fitted, held] = pilot_folds(&projector, &scan.train).unwrap();
+        assert_eq!((fitted.len(), held.len()), (10, 2));
+        let [fitted, held] = [fitted, held].map(|views| scan.train.select(&views));
+        let settings = SartSettings { iterations: 3, ..SartSettings::default() };
+        let start = sart::<f32>(&projector, &fitted, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let finished = |weight: f64, iterations: usize| {
+            let settings = TvSettings { weight, iterations, tolerance: 0.0, ..TvSettings::default() };
+            let mut quiet = |_: &Pass| ControlFlow::Continue(());
+            let volume = tv::<f32>(&projector, &fitted, &settings, Some(&start), &mut quiet).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4 };
+        let choose = |search: &FinishSearch| {
+            let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+            let views = [&fitted, &held];
+            choose_finish::<f32>(&projector, views, &start, &TvSettings::default(), search, &mut quiet).unwrap()
+        };
+        let choice = choose(&free);
+        let found = finished(choice.value, choice.iterations.unwrap());
+        let weights = [1e-4, 4e-4, 1.6e-3, 6.4e-3, 2.56e-2];
+        let all = weights.map(|weight| [5, 20, 60].map(|iterations| finished(weight, iterations)));
+        let best = all.iter().flatten().copied().fold(0.0, f64::max);
+        let start = psnr_3d(truth, start.values.view()).value;
+        eprintln!("{found:.2} dB by {choice:?}; start {start:.2}, grid {all:.2?}");
+        assert!(found > best - 0.5 && found > start + 1.0, "{found} dB, best {best} dB, start {start} dB");
+        assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.curve.len() >= 2);
+        // A fixed weight and a fixed number are not varied.
+        let fixed = choose(&FinishSearch { weight: Some(0.01), iterations: Some(7), ..free });
+        assert_eq!((fixed.value, fixed.iterations, fixed.curve.len()), (0.01, Some(7), 1));
+        let most = choose(&FinishSearch { range: [10, 60], first: 2e-3, ..free });
+        assert!(most.curve[0].value == 2e-3 && most.iterations.unwrap() >= 10);
+    }
+
+    #[test]
     fn two_views_are_too_few_to_choose() {
         let scan = scan(2, CONE);
         let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
@@ -341,6 +498,7 @@ mod tests {
         assert!(weight.curve.is_empty() && weight.value == TvSettings::default().weight);
         let passes = choose_passes::<f32>(&projector, &scan.train, Passes::Cgls(7), &mut quiet).unwrap();
         assert!(passes.curve.is_empty() && passes.value == 7.0);
+        assert_eq!(pilot_folds(&projector, &scan.train), None);
     }
 
     #[test]

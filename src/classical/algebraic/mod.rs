@@ -34,6 +34,8 @@ pub use order::Order;
 pub use sart::{SartSettings, sart};
 pub use tv::{TvRun, TvSettings, TvState, tv};
 
+pub(crate) use held_out::{FinishSearch, choose_finish, pilot_folds};
+
 use cgls::cgls_seen;
 use sart::sart_seen;
 
