@@ -153,7 +153,7 @@ pub struct Config {
     /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
-    /// What is done to the volume of the primitives: tv (a few steps of the method tv on its voxels), none, as in the paper, or auto (tv where it is an interpolant).
+    /// What is done to the volume of the primitives: tv (iterations of the method tv on its voxels), or none, as in the paper.
     #[default(Finish::Tv)]
     pub finish: Finish,
     /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
@@ -313,8 +313,7 @@ pub struct WaveletConfig {
     pub enhance: f64,
 }
 
-/// How it is minimised. Learning rates fall exponentially from the first number to the second over the run. They and the
-/// frictions of SGHMC are stated for a run of `horizon` iterations.
+/// How it is minimised. Learning rates fall exponentially over a run; they and frictions are stated for `horizon` iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct OptimiserConfig {
@@ -590,13 +589,6 @@ impl Config {
     pub fn tv(&self) -> TvSettings {
         let TvConfig { weight, tolerance, steps, .. } = self.tv;
         TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
-    }
-
-    /// Whether a pilot run chooses settings of the finish.
-    pub fn has_pilot(&self) -> bool {
-        let TvConfig { weight, finish_iterations, pilot, .. } = self.tv;
-        let is_open = weight.fixed().is_none() || finish_iterations.fixed().is_none();
-        self.method.fits_primitives() && self.finish == Finish::Tv && pilot && is_open
     }
 
     /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.
