@@ -1,4 +1,4 @@
-//! From the volume of fitted primitives to one that its own projections fit to the scan: a few steps of least squares with
+//! From the volume of fitted primitives to one that its own projections fit to the scan: iterations of least squares with
 //! total variation on voxels. Not in the paper.
 //!
 //! Voxels of an interpolated volume project as the scan does, so the scan is what they are fitted to. No voxels project as a
@@ -9,8 +9,8 @@
 //! p' = p - F + A x₀      p: the scan, F: projections of the primitives, x₀: their volume, A: projections of voxels
 //! ```
 //!
-//! so that the residual of x₀ is that of the primitives, `p' - A x₀ = p - F`. The correction holds near x₀ alone, which is
-//! why the steps are few.
+//! so that the residual of x₀ is that of the primitives, `p' - A x₀ = p - F`. The correction holds near x₀ alone,
+//! so the weight has a lower bound. `super::pilot` chooses weight and iterations; without it fixed rules do.
 
 use super::{Observe, Progress, pilot, project};
 use crate::classical::VoxelProjector;
@@ -22,14 +22,14 @@ use crate::primitives::Primitives;
 use crate::scene::{Dataset, Projections, Scanner, Volume};
 use std::borrow::Cow;
 
-/// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant: the start is regularised already, and
-/// the volume fits the projections to their noise.
+/// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant. Its start is
+/// smooth already.
 const PART: f64 = 0.25;
 /// Least weight where the projections are corrected: views held out are judged without the correction, and ask for too little.
 pub(super) const LEAST: f64 = 2e-3;
 /// Without a pilot run: iterations at most.
 const ITERATIONS: usize = 20;
-/// Where the projections are corrected, it ends after so many iterations when the last [`WINDOW`] of them have brought the
+/// Fewest iterations where the projections are corrected. Without a pilot run the finish ends after so many when the last [`WINDOW`] of them have brought the
 /// residual down by less than [`FALL`], which stands for the correction being used up.
 pub(super) const SHORTEST: usize = 10;
 const WINDOW: usize = 5;

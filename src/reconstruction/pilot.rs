@@ -1,8 +1,8 @@
 //! The pilot run: a shorter training without some of the views, on which the finish is chosen. Not in the paper.
 //!
 //! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is finished as that of the run is
-//! (`super::finish`), with weights of the total variation a factor of four apart. The weight and the number of
-//! iterations with the least error in the views held out are those of the run:
+//! (`super::finish`), with weights of the total variation a factor of four apart. The run takes the weight with
+//! the least error in the views held out, and the first number of iterations that comes near that error:
 //!
 //! ```text
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
