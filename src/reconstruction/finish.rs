@@ -29,8 +29,8 @@ const PART: f64 = 0.25;
 pub(super) const LEAST: f64 = 2e-3;
 /// Without a pilot run: iterations at most.
 const ITERATIONS: usize = 20;
-/// Fewest iterations where the projections are corrected. Without a pilot run the finish ends after so many when the last [`WINDOW`] of them have brought the
-/// residual down by less than [`FALL`], which stands for the correction being used up.
+/// Fewest iterations where the projections are corrected. Without a pilot run the finish may end from then on, when the
+/// last [`WINDOW`] iterations have lowered the residual by less than [`FALL`]: the correction is used up.
 pub(super) const SHORTEST: usize = 10;
 const WINDOW: usize = 5;
 const FALL: f64 = 0.01;
