@@ -19,7 +19,7 @@ use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
 use crate::projector::forward;
-use crate::scene::{Dataset, Projections, Scanner, Volume, trilinear};
+use crate::scene::{Dataset, Projections, Scanner, Trajectory, Volume, trilinear};
 use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -169,8 +169,8 @@ pub fn evaluate(
     let projections = match &dataset.test {
         Some(test) => {
             let seen = match primitives {
-                Some(primitives) => project(primitives, &dataset.scanner, &test.angles, config)?,
-                None => trilinear::project(volume, &dataset.scanner, &test.angles)?,
+                Some(primitives) => project(primitives, &dataset.scanner, test.trajectory(), config)?,
+                None => trilinear::project(volume, &dataset.scanner, test)?,
             };
             Some((test, seen))
         }
@@ -184,11 +184,11 @@ pub fn evaluate(
 }
 
 /// Projections of primitives as they were fitted.
-fn project(primitives: &Primitives, scanner: &Scanner, angles: &[f64], config: &Config) -> Result<Projections> {
+fn project(primitives: &Primitives, scanner: &Scanner, views: Trajectory<'_>, config: &Config) -> Result<Projections> {
     let (projection, cutoff) = (config.projection, config.cutoff);
     let images = match config.precision {
-        Precision::F32 => forward::<f32>(primitives, scanner, angles, projection, cutoff),
-        Precision::F64 => forward::<f64>(primitives, scanner, angles, projection, cutoff).mapv(|value| value as f32),
+        Precision::F32 => forward::<f32>(primitives, scanner, views, projection, cutoff),
+        Precision::F64 => forward::<f64>(primitives, scanner, views, projection, cutoff).mapv(|value| value as f32),
     };
-    Projections::new(angles.to_vec(), images)
+    Projections::along(views, images)
 }

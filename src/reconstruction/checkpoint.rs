@@ -149,6 +149,7 @@ impl VoxelCheckpoint {
 /// Digest of all that a run takes from its dataset.
 fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
-    let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
+    let description =
+        format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
     digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }

@@ -102,8 +102,8 @@ pub(super) fn volume(
 /// The part of what interpolation changes that is found in the projections; 0 where it changes nothing.
 fn confirmed(primitives: &Primitives, interpolant: &Volume, dataset: &Dataset, config: &Config) -> Result<f64> {
     let train = &dataset.train;
-    let fitted = project(primitives, &dataset.scanner, &train.angles, config)?;
-    let interpolated = trilinear::project(interpolant, &dataset.scanner, &train.angles)?;
+    let fitted = project(primitives, &dataset.scanner, train.trajectory(), config)?;
+    let interpolated = trilinear::project(interpolant, &dataset.scanner, train)?;
     let sums = threads::map(train.len(), |view| {
         let [p, f, c] = [train, &fitted, &interpolated].map(|of| of.image(view));
         // A value of 0 is one that noise has taken below 0.
@@ -150,7 +150,7 @@ mod tests {
         let interpolant = interpolant(&samples);
         let angles = dataset.train.angles.clone();
         let interpolated = trilinear::project(&interpolant, &scanner, &angles).unwrap();
-        let fitted = project(&primitives, &scanner, &angles, &config).unwrap();
+        let fitted = project(&primitives, &scanner, (&angles).into(), &config).unwrap();
         for part in [0.8, 0.0, -0.3] {
             let images = &fitted.images + &(&interpolated.images - &fitted.images).mapv(|value| value * part as f32);
             dataset.train = Projections::new(angles.clone(), images).unwrap();

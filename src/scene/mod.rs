@@ -18,7 +18,7 @@ pub mod volume_file;
 
 pub use arrays::{Projections, Volume};
 pub use dataset::Dataset;
-pub use geometry::{Beam, Detector, Grid, Ray, Scanner, View};
+pub use geometry::{Beam, Detector, Deviation, Grid, Pose, Ray, Scanner, Trajectory, View};
 pub use interpolant::interpolant;
 pub use noise::Noise;
 pub use phantom::Phantom;

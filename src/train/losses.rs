@@ -11,6 +11,7 @@ use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::{Real, real};
 use crate::primitives::{Activation, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
+use crate::scene::View;
 use crate::scene::dataset::Dataset;
 use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
 use ndarray::{Array2, Array3};
@@ -59,9 +60,9 @@ pub(super) struct LossInputs<'a, R: Kernels> {
     pub(super) dataset: &'a Dataset,
     pub(super) config: &'a Config,
     pub(super) ssim: &'a Ssim<R>,
-    /// The measured projection of the iteration's view, and its angle.
+    /// The measured projection of the iteration's view, and that view.
     pub(super) image: &'a SsimTarget<R>,
-    pub(super) angle: f64,
+    pub(super) view: View,
     /// ν_target `[Eq. 9]` and c `[Eq. 8]` of each primitive.
     pub(super) nu_targets: &'a [f64],
     pub(super) confidence: &'a [f64],
@@ -109,7 +110,7 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
 
     /// L1 and D-SSIM of the iteration's view.
     fn data_loss(&self) -> DataTerm<'a, R> {
-        let view = self.field.view(&self.dataset.scanner, self.angle, self.config.projection);
+        let view = self.field.seen_in(&self.view, self.config.projection);
         let (mut image, mut cotangent) = (self.workspace.images.take(), self.workspace.images.take());
         view.image_into(&mut image);
         let weight = self.config.loss.d_ssim;

@@ -229,7 +229,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             config,
             ssim,
             image: &images[view],
-            angle: dataset.train.angles[view],
+            view: dataset.train.trajectory().view(&dataset.scanner, view),
             nu_targets: targets,
             confidence: &state.confidence,
             physical,
@@ -304,9 +304,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             return;
         }
         let physical = self.activation.forward(&self.state.raw);
-        let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
+        let (scanner, views) = (&self.dataset.scanner, &self.dataset.train);
         let fresh: Vec<usize> = (0..next.len()).filter(|&row| next[row].fresh).collect();
-        let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, angles);
+        let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, views);
         let mut confidence: Vec<f64> = next.iter().map(|s| self.state.confidence[s.parent]).collect();
         fresh.into_iter().zip(of_fresh).for_each(|(row, c)| confidence[row] = c);
         self.state.confidence = confidence;
@@ -317,8 +317,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn refresh_confidence(&mut self) {
         if self.config.confidence.enabled || self.config.wavelet.enabled {
             let physical = self.activation.forward(&self.state.raw);
-            let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
-            self.state.confidence = self.coverage.confidence(&physical, scanner, angles);
+            let (scanner, views) = (&self.dataset.scanner, &self.dataset.train);
+            self.state.confidence = self.coverage.confidence(&physical, scanner, views);
             self.find_targets();
         }
     }

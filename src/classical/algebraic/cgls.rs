@@ -36,7 +36,7 @@ pub(super) fn cgls_seen<R: Real>(
     see: &mut See<'_, R>,
 ) -> Result<Volume> {
     let system = System::<R>::new(projector, projections)?;
-    let views = projector.views(system.angles)?;
+    let views = projector.views(system.trajectory)?;
     let adjoint = |values: &[R]| {
         let mut out = system.empty();
         projector.adjoin(&views, [values], &mut out, |out, [value]| *out = value);

@@ -43,7 +43,7 @@ use super::columns::Columns;
 use super::voxel_projector::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, View, Volume};
+use crate::scene::{Projections, Trajectory, View, Volume};
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -79,7 +79,7 @@ type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 /// The linear system to be solved.
 struct System<'a, R> {
     projector: &'a VoxelProjector,
-    angles: &'a [f64],
+    trajectory: Trajectory<'a>,
     /// p in the projector's order.
     measured: Vec<R>,
     /// Pixels of a view.
@@ -89,13 +89,13 @@ struct System<'a, R> {
 impl<'a, R: Real> System<'a, R> {
     fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
         let detector = &projector.scanner().detector;
-        let (got, expected) = (projections.images.dim(), (projections.angles.len(), detector.rows, detector.columns));
+        let (got, expected) = (projections.images.dim(), (projections.len(), detector.rows, detector.columns));
         if got != expected {
             let remedy = "give projections [view, v, u] of this scanner";
             return Err(Error::invalid("projections", format!("shape {got:?}"), format!("{expected:?}"), remedy));
         }
         let measured = Columns::from_images(projections.images.mapv(|value| real(f64::from(value))).view()).values;
-        Ok(Self { projector, angles: &projections.angles, measured, pixels: detector.pixels() })
+        Ok(Self { projector, trajectory: projections.trajectory(), measured, pixels: detector.pixels() })
     }
 
     /// A volume of zeros.
@@ -113,7 +113,7 @@ impl<'a, R: Real> System<'a, R> {
 
     /// `p - A x`.
     fn residual(&self, x: &[R]) -> Result<Vec<R>> {
-        let views = self.projector.views(self.angles)?;
+        let views = self.projector.views(self.trajectory)?;
         let mut values = self.projector.project(&views, x).values;
         values.iter_mut().zip(&self.measured).for_each(|(value, &measured)| *value = measured - *value);
         Ok(values)

@@ -110,12 +110,12 @@ pub(super) struct Sweeps<'a, R> {
 
 impl<'a, R: Real> Sweeps<'a, R> {
     pub(super) fn new(system: &'a System<'a, R>, settings: &SartSettings) -> Result<Self> {
-        let views = system.projector.views(system.angles)?;
+        let views = system.projector.views(system.trajectory)?;
         let grid = &system.projector.scanner().grid;
         let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
         let least = real(0.5 * grid.spacing.min_element());
         let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
-        let order = settings.order.of(system.angles, settings.seed);
+        let order = settings.order.of(system.trajectory.angles, settings.seed);
         let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
         Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
     }

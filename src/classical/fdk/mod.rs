@@ -12,8 +12,14 @@
 //! neighbours of a view, so the views of a full turn may be uneven. A parallel view equals its opposite view, so half a
 //! turn suffices. [`Turn`] treats short scans of a cone beam and displaced detectors. Nothing is clipped: values may be
 //! negative.
+//!
+//! Poses are accepted if they make one circle: detectors parallel to the axis, and the same distances, offsets, heights
+//! and axis shift τ in all views. The distance of a ray from the axis is then `s = dso·sin γ + τ·cos γ`, `tan γ = u/dsd`,
+//! so that `ds/dγ` has the factor `1 - τ·u/(dso·dsd)` on that of the plain circle, and angles from the ray through the
+//! axis are `γ + atan(τ/dso)`. Both are exact. All other poses are refused.
 
 mod backproject;
+mod circle;
 mod filter;
 mod redundancy;
 
@@ -23,6 +29,7 @@ use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
 use crate::scene::{Projections, Scanner, Volume};
 use backproject::voxels;
+use circle::Circle;
 use filter::filtered;
 use ndarray::{Array3, ArrayView3};
 use redundancy::RayWeights;
@@ -89,16 +96,18 @@ pub enum Turn {
 /// source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
-/// When the scanner is invalid, the projections do not have its detector's size, or the views cover too short an arc.
+/// When the scanner is invalid, the projections do not have its detector's size, the views cover too short an arc, or
+/// their poses make no circle.
 ///
 /// Tests: known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
 pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
-    let (angles, images) = (&projections.angles, projections.images.view());
-    check(scanner, angles, images.shape())?;
-    let weights = RayWeights::new(scanner, angles, turn)?;
-    let volume = match weights.widen(scanner, images) {
-        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, angles),
-        None => voxels(&filtered(scanner, &weights, images, window), scanner, angles),
+    let images = projections.images.view();
+    check(scanner, &projections.angles, images.shape())?;
+    let Circle { scanner: circle, angles, shift } = Circle::of(scanner, projections)?;
+    let weights = RayWeights::new(&circle, &angles, turn, shift)?;
+    let volume = match weights.widen(&circle, images) {
+        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, &angles, shift),
+        None => voxels(&filtered(&circle, &weights, images, window), &circle, &angles, shift),
     };
     Volume::new(scanner.grid, volume)
 }
@@ -131,7 +140,7 @@ pub fn filter<R: Sample>(
     window: Window,
 ) -> Result<Array3<R>> {
     check(scanner, angles, projections.shape())?;
-    let weights = RayWeights::new(scanner, angles, Turn::Full)?;
+    let weights = RayWeights::new(scanner, angles, Turn::Full, 0.0)?;
     Ok(filtered(scanner, &weights, projections, window).images())
 }
 
@@ -148,7 +157,7 @@ pub fn filter<R: Sample>(
 /// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
     check(scanner, angles, filtered.shape())?;
-    Ok(voxels(&Columns::from_images(filtered), scanner, angles))
+    Ok(voxels(&Columns::from_images(filtered), scanner, angles, 0.0))
 }
 
 /// Rejects an invalid scanner, and projections that do not fit it.

@@ -31,6 +31,8 @@ pub(super) struct RayWeights {
     columns: usize,
     /// Columns of zeros to add left and right: they keep the filter's spread beyond a displaced detector.
     padding: [usize; 2],
+    /// Shift of source and detector along u, scene units.
+    shift: f64,
 }
 
 /// The views as an arc: sorted, starting after the widest gap.
@@ -77,11 +79,11 @@ impl Arc {
 }
 
 impl RayWeights {
-    /// Weights of the views at `angles`.
+    /// Weights of the views at `angles`; `shift` of source and detector along u.
     ///
     /// # Errors
     /// With [`Turn::Measured`], when the views cover less than half a turn plus, in a cone beam, the fan of the volume.
-    pub(super) fn new(scanner: &Scanner, angles: &[f64], turn: Turn) -> Result<Self> {
+    pub(super) fn new(scanner: &Scanner, angles: &[f64], turn: Turn, shift: f64) -> Result<Self> {
         let columns = scanner.detector.columns;
         let circle = match scanner.beam {
             Beam::Cone { .. } => TAU,
@@ -100,35 +102,36 @@ impl RayWeights {
                 return Err(Error::invalid("arc of the views", format!("{got:.1}°"), expected, remedy));
             }
             if circle == TAU {
-                return Ok(Self::short_scan(scanner, &arc));
+                return Ok(Self::short_scan(scanner, &arc, shift));
             }
         }
         // On the full turn of a cone beam every ray is measured about twice.
         let share = if circle == TAU { 0.5 } else { 1.0 };
         let views: Vec<f64> = angular_weights(angles, circle).into_iter().map(|weight| share * weight).collect();
-        match displaced(scanner) {
+        match displaced(scanner, shift) {
             Some((of_column, padding)) if turn == Turn::Measured && !Arc::of(angles, TAU).ends => {
                 let rays =
                     views.iter().flat_map(|view| of_column.iter().map(move |share| 2.0 * view * share)).collect();
-                Ok(Self { views: Vec::new(), rays, columns, padding })
+                Ok(Self { views: Vec::new(), rays, columns, padding, shift })
             }
-            _ => Ok(Self { views, rays: Vec::new(), columns, padding: [0, 0] }),
+            _ => Ok(Self { views, rays: Vec::new(), columns, padding: [0, 0], shift }),
         }
     }
 
     /// Parker's weights times the angle that each view covers.
-    fn short_scan(scanner: &Scanner, arc: &Arc) -> Self {
+    fn short_scan(scanner: &Scanner, arc: &Arc, shift: f64) -> Self {
+        let aside = axis_angle(scanner, shift);
         let columns = scanner.detector.columns;
         let mut rays = vec![0.0; arc.order.len() * columns];
         let step = arc.coverage / arc.order.len() as f64;
         for ((&view, from_first), width) in arc.order.iter().zip(&arc.from_first).zip(arc.steps()) {
             for column in 0..columns {
                 // The opposite ray is half a turn and twice this angle further on, at minus this angle.
-                let gamma = -fan_angle(scanner, scanner.detector.position(0.0, column as f64).0);
+                let gamma = -(fan_angle(scanner, scanner.detector.position(0.0, column as f64).0) + aside);
                 rays[view * columns + column] = width * parker(from_first + step / 2.0, gamma, arc.coverage);
             }
         }
-        Self { views: Vec::new(), rays, columns, padding: [0, 0] }
+        Self { views: Vec::new(), rays, columns, padding: [0, 0], shift }
     }
 
     /// The weight of a ray, radians; columns are those of the detector from [`Self::widen`].
@@ -142,6 +145,14 @@ impl RayWeights {
                 }
             }
             _ => 0.0,
+        }
+    }
+
+    /// The factor on `ds/dγ` of the shift at column position u.
+    pub(super) fn shifted(&self, scanner: &Scanner, u: f64) -> f64 {
+        match scanner.beam {
+            Beam::Cone { dso, dsd } => 1.0 - self.shift * u / (dso * dsd),
+            Beam::Parallel { .. } => 1.0,
         }
     }
 
@@ -188,18 +199,30 @@ fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
 /// detector on both sides, or on neither.
 ///
 /// Tests: `columns_at_both_sides_of_the_axis_add_up_to_one`.
-fn displaced(scanner: &Scanner) -> Option<(Vec<f64>, [usize; 2])> {
+fn displaced(scanner: &Scanner, shift: f64) -> Option<(Vec<f64>, [usize; 2])> {
     let detector = &scanner.detector;
     let half = detector.columns as f64 * detector.pitch_u / 2.0;
-    let (low, high) = (half - detector.offset_u, half + detector.offset_u);
+    // The axis is seen at this angle and position.
+    let aside = axis_angle(scanner, shift);
+    let axis = match scanner.beam {
+        Beam::Cone { dso, dsd } => -shift * dsd / dso,
+        Beam::Parallel { .. } => 0.0,
+    };
+    let offset = detector.offset_u - axis;
+    let (low, high) = (half - offset, half + offset);
     let (overlap, far) = (low.min(high), low.max(high));
     if overlap <= 0.0 || overlap >= shadow(scanner) || far < 1.05 * overlap {
         return None;
     }
     let side = if high > low { 1.0 } else { -1.0 };
-    let angle = |u: f64| if matches!(scanner.beam, Beam::Cone { .. }) { fan_angle(scanner, u) } else { u };
+    // From the ray through the axis, positive on the far side.
+    let angle = |u: f64| match scanner.beam {
+        Beam::Cone { .. } => fan_angle(scanner, side * u) + side * aside,
+        Beam::Parallel { .. } => side * u,
+    };
+    let edge = -angle(axis - side * overlap);
     let weight = |column: usize| {
-        let part = angle(side * detector.position(0.0, column as f64).0) / angle(overlap);
+        let part = angle(detector.position(0.0, column as f64).0) / edge;
         0.5 + 0.5 * sin(FRAC_PI_2 * part.clamp(-1.0, 1.0))
     };
     let missing = ((far - overlap) / detector.pitch_u).ceil() as usize;
@@ -211,6 +234,14 @@ fn displaced(scanner: &Scanner) -> Option<(Vec<f64>, [usize; 2])> {
 fn fan_angle(scanner: &Scanner, u: f64) -> f64 {
     match scanner.beam {
         Beam::Cone { dsd, .. } => atan(u / dsd),
+        Beam::Parallel { .. } => 0.0,
+    }
+}
+
+/// Angle of the middle of the fan from the ray through the axis, where source and detector are shifted along u, radians.
+fn axis_angle(scanner: &Scanner, shift: f64) -> f64 {
+    match scanner.beam {
+        Beam::Cone { dso, .. } => atan(shift / dso),
         Beam::Parallel { .. } => 0.0,
     }
 }
@@ -297,18 +328,18 @@ mod tests {
 
     #[test]
     fn columns_at_both_sides_of_the_axis_add_up_to_one() {
-        let (weights, padding) = displaced(&scanner(0.5, 30)).unwrap();
+        let (weights, padding) = displaced(&scanner(0.5, 30), 0.0).unwrap();
         assert_eq!(padding, [10, 0]);
         // The axis lies between columns 9 and 10; 10 columns are at its near side.
         for k in 0..10 {
             assert!((weights[9 - k] + weights[10 + k] - 1.0).abs() < 1e-14, "{k}");
         }
         assert!(weights[20..].iter().all(|weight| (weight - 1.0).abs() < 1e-14), "{weights:?}");
-        let (mirrored, padding) = displaced(&scanner(-0.5, 30)).unwrap();
+        let (mirrored, padding) = displaced(&scanner(-0.5, 30), 0.0).unwrap();
         assert_eq!(padding, [0, 10]);
         let mirrored: Vec<f64> = mirrored.into_iter().rev().collect();
         assert!(weights.iter().zip(&mirrored).all(|(a, b)| (a - b).abs() < 1e-14));
-        assert!(displaced(&scanner(0.5, 90)).is_none() && displaced(&scanner(0.0, 20)).is_none());
+        assert!(displaced(&scanner(0.5, 90), 0.0).is_none() && displaced(&scanner(0.0, 20), 0.0).is_none());
     }
 
     #[test]
@@ -323,11 +354,11 @@ mod tests {
     #[test]
     fn too_short_an_arc_is_refused_and_named() {
         let refused =
-            |span| RayWeights::new(&scanner(0.0, 60), &Scanner::uniform_angles(60, 0.3, span), Turn::Measured);
+            |span| RayWeights::new(&scanner(0.0, 60), &Scanner::uniform_angles(60, 0.3, span), Turn::Measured, 0.0);
         // Half a turn and the fan of a radius of 1 at a distance of 4: 180° + 29°.
         let message = refused(3.6).unwrap_err().to_string();
         assert!(message.contains("206.3°") && message.contains("209.0°") && message.contains("sart"), "{message}");
         refused(3.7).unwrap();
-        RayWeights::new(&scanner(0.0, 60), &Scanner::uniform_angles(60, 0.3, 2.0), Turn::Full).unwrap();
+        RayWeights::new(&scanner(0.0, 60), &Scanner::uniform_angles(60, 0.3, 2.0), Turn::Full, 0.0).unwrap();
     }
 }

@@ -59,6 +59,7 @@ impl Convention {
             images.invert_axis(Axis(2));
         }
         Projections {
+            poses: None,
             angles: projections.angles.iter().map(|&angle| self.angle(angle)).collect(),
             images: images.as_standard_layout().into_owned(),
         }

@@ -166,7 +166,7 @@ pub struct Candidate {
 /// At most 24 views, 64² pixels and 48 voxels along a side are used. The number of threads changes no bit.
 ///
 /// # Errors
-/// When the scanner is invalid, there are fewer than four training views, all their pixels are zero, or `observe`
+/// When the scanner is invalid, the views have poses, there are fewer than four training views, all their pixels are zero, or `observe`
 /// breaks.
 ///
 /// Tests: `every_fault_of_the_images_and_of_the_rotation_is_found`, `conventions_of_a_class_have_the_same_residual`,
@@ -180,6 +180,11 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     }
     if train.images.iter().all(|value| *value == 0.0) {
         return Err(Error::invalid("projections", "zeros only", "an object", "give projections of an object"));
+    }
+    if train.poses.is_some() {
+        let expected = "the plain circle of the scanner: the check knows no other";
+        let remedy = "compare reconstructions with and without the poses instead";
+        return Err(Error::invalid("poses of the training views", "a pose for each view", expected, remedy));
     }
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;

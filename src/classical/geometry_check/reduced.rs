@@ -45,6 +45,7 @@ impl Reduced {
             offset_v: 0.0,
         };
         let views = Projections {
+            poses: None,
             angles: chosen.iter().map(|&view| train.angles[view]).collect(),
             images: images.expect("every image has as many pixels"),
         };

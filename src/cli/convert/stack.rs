@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::scene::dataset::Description;
 use trgs::scene::intensities::{Air, Corrected, Correction, White, mean_frame};
-use trgs::scene::stack::{self, Orientation};
+use trgs::scene::stack::{self, Orientation, RtkGeometry};
 use trgs::{Error, Result};
 
 /// Flags for stacks of projections.
@@ -19,6 +19,9 @@ pub(super) struct StackArgs {
     /// Angles of the views in radians: a text of numbers, or .npy
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
+    /// Angles and poses of the views: geometry of RTK, in the unit of length of the scanner
+    #[arg(long, value_name = "FILE.xml", conflicts_with_all = ["angles", "clockwise"])]
+    geometry: Option<PathBuf>,
     /// Read the angles as degrees
     #[arg(long, requires = "angles")]
     degrees: bool,
@@ -91,6 +94,7 @@ impl StackArgs {
     pub(super) fn first_flag(&self) -> Option<&'static str> {
         let given = [
             ("--angles", self.angles.is_some()),
+            ("--geometry", self.geometry.is_some()),
             ("--flat", self.flat.is_some()),
             ("--dark", self.dark.is_some()),
             ("--normalise", self.normalise.is_some()),
@@ -128,7 +132,12 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz to write a volume";
         return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
     };
-    let description = Description::read(scanner)?;
+    let mut description = Description::read(scanner)?;
+    if let Some(path) = &arguments.geometry {
+        let RtkGeometry { poses, oddities } = RtkGeometry::read(path)?;
+        warn(path, &oddities);
+        description = description.with_poses(&poses).map_err(|error| error.in_file(scanner))?;
+    }
     let frames = stack::read(source)?;
     let angles = match &arguments.angles {
         Some(path) => stack::read_angles(path, arguments.degrees)?,

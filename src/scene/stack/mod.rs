@@ -6,8 +6,13 @@
 //! | folder of `.npy` | `[v, u]` each, in natural order of names |
 //! | formats of [`super::volume_file`] | z is the view, y is v, x is u: a TIFF page is a view, its rows are v |
 
+pub mod rtk;
+
+pub use rtk::RtkGeometry;
+
 use super::arrays::Projections;
 use super::dataset::{Dataset, Description, look_like_degrees};
+use super::geometry::Trajectory;
 use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, files, with_extension};
@@ -147,7 +152,9 @@ pub fn scan(
     }
     let oddities = description.oddities.iter().cloned().chain(look_like_degrees(angles.iter().copied())).collect();
     let sense = if orientation.clockwise { -1.0 } else { 1.0 };
-    let train = Projections::new(angles.into_iter().map(|angle| sense * angle).collect(), images)?;
+    let angles: Vec<f64> = angles.into_iter().map(|angle| sense * angle).collect();
+    let poses = description.poses(&angles)?;
+    let train = Projections::along(Trajectory { angles: &angles, poses: poses.as_deref() }, images)?;
     Ok(Dataset {
         name: name.into(),
         scanner: *scanner,

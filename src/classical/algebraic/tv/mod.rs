@@ -133,7 +133,7 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// The state without L and the values derived from x.
     fn prepared(projector: &'a VoxelProjector, projections: &'a Projections, settings: &TvSettings) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
-        let views = projector.views(system.angles)?;
+        let views = projector.views(system.trajectory)?;
         let grid = &projector.scanner().grid;
         let idle = system.idle(&views);
         let (x, empty) = (system.empty(), || system.empty());
