@@ -155,7 +155,7 @@ mod tests {
             let images = &fitted.images + &(&interpolated.images - &fitted.images).mapv(|value| value * part as f32);
             dataset.train = Projections::new(angles.clone(), images).unwrap();
             let found = confirmed(&primitives, &interpolant, &dataset, &config).unwrap();
-            assert!((found - part).abs() < 0.02, "{found} of {part}");
+            within!((found - part).abs(), "{found} of {part}");
         }
     }
 

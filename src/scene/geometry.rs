@@ -376,6 +376,7 @@ impl Scanner {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::largest;
 
     fn scanner() -> Scanner {
         Scanner {
@@ -398,7 +399,7 @@ mod tests {
     fn camera_frame_is_right_handed_at_every_angle() {
         for angle in Scanner::uniform_angles(7, 0.3, 6.0) {
             let view = scanner().view(angle);
-            assert!((view.u.cross(view.v) - view.w).length() < 1e-15);
+            within!((view.u.cross(view.v) - view.w).length());
         }
     }
 
@@ -410,10 +411,7 @@ mod tests {
             let ray = s.ray(&view, row, column);
             let (u, v) = s.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
             let (r, c) = s.detector.pixel(u, v);
-            assert!(
-                (r - row as f64).abs() < 1e-12 && (c - column as f64).abs() < 1e-12,
-                "({row},{column}) became ({r},{c})"
-            );
+            within!(largest([r - row as f64, c - column as f64]), "({row},{column}) became ({r},{c})");
         }
     }
 

@@ -146,7 +146,7 @@ mod tests {
         let volume = exact.truth.as_ref().unwrap();
         let voxels = simulate("a", Object::Volume(volume), &scanner, &plan).unwrap();
         let difference = (&exact.train.images - &voxels.train.images).mapv(f32::abs);
-        assert!(difference.mean().unwrap() < 0.005, "mean difference {:?}", difference.mean());
+        within!(difference.mean().unwrap(), "mean difference {:?}", difference.mean());
         assert_eq!(voxels.truth.as_ref().unwrap(), volume);
     }
 

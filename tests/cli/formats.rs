@@ -4,6 +4,7 @@
 //! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it.
 
 use crate::program::Sandbox;
+use crate::tolerances::largest;
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -12,9 +13,6 @@ use std::process::Command;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives, model};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{dataset, npy};
-
-/// Positions in a NIfTI file are stored in single precision.
-const SINGLE: f64 = 1e-6;
 
 /// Output of the script, or `None` with a message if Python lacks a package.
 fn others(arguments: &[&Path], command: &str) -> Option<Value> {
@@ -37,10 +35,15 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap_or_else(|| panic!("{value}")).iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
-fn assert_close(found: &[f64], expected: &[f64], tolerance: f64, what: &str) {
-    let close = |(a, b): (&f64, &f64)| (a - b).abs() <= tolerance;
-    let all = found.len() == expected.len() && found.iter().zip(expected).all(close);
-    assert!(all, "{what}: {found:?} instead of {expected:?}");
+fn assert_close(found: &[f64], expected: &[f64], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    within!(largest(found.iter().zip(expected).map(|(a, b)| a - b)), "{what}: {found:?} instead of {expected:?}");
+}
+
+/// [`assert_close`] for parameters, which files hold in double precision.
+fn assert_same_parameters(found: &[f64], expected: &[f64], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    within!(largest(found.iter().zip(expected).map(|(a, b)| a - b)), "{what}: {found:?} instead of {expected:?}");
 }
 
 /// Compares a volume as another program read it with the original.
@@ -48,10 +51,10 @@ fn assert_seen(found: &Value, expected: &VolumeFile, what: &str) {
     let shape: [usize; 3] = expected.values.dim().into();
     assert_eq!(found["shape"], json!(shape), "{what}");
     let values: Vec<f64> = expected.values.iter().map(|&value| value.into()).collect();
-    assert_close(&numbers(&found["values"]), &values, 0.0, what);
-    assert_close(&numbers(&found["spacing"]), &expected.spacing.unwrap().to_array(), SINGLE, what);
-    assert_close(&numbers(&found["origin"]), &expected.origin.unwrap().to_array(), SINGLE, what);
-    assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), SINGLE, what);
+    assert_eq!(numbers(&found["values"]), values, "{what}");
+    assert_close(&numbers(&found["spacing"]), &expected.spacing.unwrap().to_array(), what);
+    assert_close(&numbers(&found["origin"]), &expected.origin.unwrap().to_array(), what);
+    assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), what);
 }
 
 /// A scanner with an off-centre grid that differs in every axis.
@@ -84,14 +87,14 @@ fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
     let grid = dataset::read_scanner(&sandbox.path("meta_data.json")).unwrap().grid;
     let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
     let expected = VolumeFile { values, spacing, origin, ..VolumeFile::default() };
-    assert_close(&grid.min.to_array(), &[-0.65, -1.15, -0.7], 1e-12, "the test's grid");
+    within!(largest((grid.min - DVec3::new(-0.65, -1.15, -0.7)).to_array()));
     let names = ["v.nii", "v.nii.gz", "v.mha", "v.nrrd"];
     for name in names {
         sandbox.done(&format!("convert v.npy {name} --scanner meta_data.json"));
         let found = volume_file::read(&sandbox.path(name)).unwrap();
         assert_eq!((&found.values, found.directions, &found.oddities), (&expected.values, DMat3::IDENTITY, &vec![]));
         for (found, expected) in [(found.spacing, expected.spacing), (found.origin, expected.origin)] {
-            assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), SINGLE, name);
+            assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), name);
         }
     }
     let paths = names.map(|name| sandbox.path(name));
@@ -107,7 +110,7 @@ fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
         for (who, found) in seen {
             let what = format!("{who}, {}", path.display());
             assert_seen(found, &expected, &what);
-            assert_close(&numbers(&found["at_points"]), &at_points, 0.0, &what);
+            assert_eq!(numbers(&found["at_points"]), at_points, "{what}");
             assert!(found["qform_is_sform"].as_bool().unwrap_or(true), "{what}");
         }
     }
@@ -181,7 +184,7 @@ fn a_ply_holds_the_model_its_confidence_and_colours() {
     ];
     for (group, names) in names {
         for (k, name) in names.into_iter().enumerate() {
-            assert_close(&numbers(&ply[name]), &column(group, k), 0.0, name);
+            assert_eq!(numbers(&ply[name]), column(group, k), "{name}");
         }
     }
     assert_eq!(ply["confidence"], c["c"]);
@@ -206,12 +209,8 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
             for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
                 let unbounded = group == Group::Scale && name == "unbounded";
                 let key = if unbounded { "unbounded_scale" } else { group.key() };
-                assert_close(
-                    found.parameters.group(group),
-                    &numbers(&physical[key]),
-                    1e-14,
-                    &format!("{pickle}, {key}"),
-                );
+                let what = format!("{pickle}, {key}");
+                assert_same_parameters(found.parameters.group(group), &numbers(&physical[key]), &what);
             }
         }
     }
@@ -220,7 +219,7 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
     let before = model::read(&sandbox.path("point_cloud_4.pickle.npz")).unwrap();
     let after = model::read(&sandbox.path("again.ply")).unwrap();
     for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
-        assert_close(after.parameters.group(group), before.parameters.group(group), 1e-14, group.key());
+        assert_same_parameters(after.parameters.group(group), before.parameters.group(group), group.key());
     }
     let path = sandbox.path("cloud.npz");
     let seen = others(&[&path], "see").unwrap();

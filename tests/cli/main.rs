@@ -1,5 +1,8 @@
 //! The contracts of the program, one module each.
 
+#[macro_use]
+#[path = "../common/tolerances.rs"]
+mod tolerances;
 #[path = "../common/mod.rs"]
 mod common;
 mod program;

@@ -1,5 +1,8 @@
 //! The contracts of the library, one module each.
 
+#[macro_use]
+#[path = "../common/tolerances.rs"]
+mod tolerances;
 #[path = "../common/mod.rs"]
 mod common;
 mod damage;
@@ -42,6 +45,8 @@ mod representation;
 mod robustness;
 // Positions drawn by the sampler.
 mod statistics;
+// The table of tolerances.
+mod tolerance_rows;
 // Training as a whole.
 mod training;
 // Wavelet loss through the voxels of a block.

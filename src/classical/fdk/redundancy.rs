@@ -265,6 +265,7 @@ fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::scene::{Detector, Grid};
+    use crate::tolerances::largest;
 
     fn scanner(offset_u: f64, columns: usize) -> Scanner {
         let detector = Detector { rows: 4, columns, pitch_v: 0.1, pitch_u: 0.1, offset_u, offset_v: 0.0 };
@@ -274,7 +275,7 @@ mod tests {
     #[test]
     fn views_are_weighted_by_half_the_distance_of_their_neighbours() {
         let weights = angular_weights(&[1.0, 1.0 + TAU, 4.0], TAU);
-        assert!((weights.iter().sum::<f64>() - TAU).abs() < 1e-14 && (weights[2] - PI).abs() < 1e-14, "{weights:?}");
+        within!(largest([weights.iter().sum::<f64>() - TAU, weights[2] - PI]), "{weights:?}");
         assert_eq!(angular_weights(&[3.0], TAU), [TAU]);
     }
 
@@ -289,7 +290,7 @@ mod tests {
                     let opposites = [beta + PI + 2.0 * gamma, beta - PI + 2.0 * gamma];
                     let both = opposites.into_iter().filter(|o| (0.0..=coverage).contains(o));
                     let total = parker(beta, gamma, coverage) + both.map(|o| parker(o, -gamma, coverage)).sum::<f64>();
-                    assert!((total - 1.0).abs() < 1e-12, "{coverage} {gamma} {beta}: {total}");
+                    within!((total - 1.0).abs(), "{coverage} {gamma} {beta}: {total}");
                 }
             }
         }
@@ -301,22 +302,24 @@ mod tests {
         assert_eq!(padding, [10, 0]);
         // The axis lies between columns 9 and 10; 10 columns are at its near side.
         for k in 0..10 {
-            assert!((weights[9 - k] + weights[10 + k] - 1.0).abs() < 1e-14, "{k}");
+            within!((weights[9 - k] + weights[10 + k] - 1.0).abs(), "{k}");
         }
-        assert!(weights[20..].iter().all(|weight| (weight - 1.0).abs() < 1e-14), "{weights:?}");
+        within!(largest(weights[20..].iter().map(|weight| weight - 1.0)), "{weights:?}");
         let (mirrored, padding) = displaced(&scanner(-0.5, 30)).unwrap();
         assert_eq!(padding, [0, 10]);
         let mirrored: Vec<f64> = mirrored.into_iter().rev().collect();
-        assert!(weights.iter().zip(&mirrored).all(|(a, b)| (a - b).abs() < 1e-14));
+        within!(largest(weights.iter().zip(&mirrored).map(|(a, b)| a - b)));
         assert!(displaced(&scanner(0.5, 90)).is_none() && displaced(&scanner(0.0, 20)).is_none());
     }
 
     #[test]
     fn an_arc_is_told_from_a_full_turn() {
         let arc = |n, span| Arc::of(&Scanner::uniform_angles(n, 5.0, span), TAU);
-        assert!(!arc(12, TAU).ends && (arc(12, TAU).coverage - TAU).abs() < 1e-12);
+        assert!(!arc(12, TAU).ends);
+        within!((arc(12, TAU).coverage - TAU).abs());
         let short = arc(40, 4.0);
-        assert!(short.ends && (short.coverage - 4.0).abs() < 1e-12, "{}", short.coverage);
+        assert!(short.ends);
+        within!((short.coverage - 4.0).abs());
         assert_eq!(short.order, (0..40).collect::<Vec<_>>());
     }
 
