@@ -157,8 +157,6 @@ struct Sizes {
     /// Pixels of all views used.
     pixels: usize,
     voxels: usize,
-    /// Voxels of a grid with one more voxel along each axis.
-    voxels_beyond: usize,
     /// Voxels of a slice across x.
     slice: usize,
     slices: usize,
@@ -185,7 +183,6 @@ impl Sizes {
             rows: scan.scanner.detector.rows,
             pixels: views * detector,
             voxels: grid.voxels(),
-            voxels_beyond: grid.shape.iter().map(|&n| if n > 1 { n + 1 } else { n }).product(),
             slice: grid.shape[1] * grid.shape[2],
             slices: grid.shape[0],
             points,
@@ -270,15 +267,7 @@ impl Sizes {
         ];
         if config.sampling != Sampling::Point {
             let volumes = allocation("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
-            let projections = allocation("projections of the primitives and of the interpolant", self.pixels, 2 * F32);
-            phases.push(Phase { name: "sampling", allocations: vec![volumes, projections] });
-        }
-        if config.sampling == Sampling::Auto {
-            let mut moved = self.clone();
-            moved.voxels = self.voxels_beyond;
-            let mut allocations = moved.tv(&Config::default()).allocations;
-            allocations.push(allocation("volume of the primitives, and its interpolant", self.voxels, 2 * F32));
-            phases.push(Phase { name: "choice of the sampling", allocations });
+            phases.push(Phase { name: "sampling", allocations: vec![volumes] });
         }
         if config.finish != Finish::None {
             let mut allocations = self.tv(config).allocations;
@@ -287,12 +276,20 @@ impl Sizes {
             phases.push(Phase { name: "finish", allocations });
         }
         if config.has_pilot() {
-            let pilot = [
-                allocation("volume of the run, and its interpolant as it is solved for", self.voxels, F64 + 2 * F32),
+            let run = [
+                allocation("volume of the run", self.voxels, F32),
                 allocation("primitives of the run", m, NUMBERS * F64),
-                allocation("views of the pilot run and those held out", self.pixels, 2 * F32),
+                allocation("views of the pilot run and those held out", self.pixels, F32),
             ];
-            phases.push(working("pilot run", &pilot));
+            phases.push(working("pilot run", &run));
+            let mut allocations = self.tv(config).allocations;
+            allocations.extend(run);
+            allocations.extend([
+                allocation("volume of the pilot run, its interpolant as solved", self.voxels, F64 + 3 * F32),
+                allocation("primitives of the pilot run", m, NUMBERS * F64),
+                allocation("corrected projections, and what they come from", self.pixels, 3 * F32),
+            ]);
+            phases.push(Phase { name: "choice of sampling and finish", allocations });
         }
         if config.density_control.method != DensityControl::None {
             // The next population coexists with the last one: successors, raw and physical values, moments.

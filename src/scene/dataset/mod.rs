@@ -145,6 +145,22 @@ pub fn read_scanner(path: &Path) -> Result<Scanner> {
 }
 
 impl Dataset {
+    /// A scan with these training views alone, without test views and truth.
+    pub(crate) fn of_views(&self, views: &[usize]) -> Self {
+        Self {
+            name: self.name.clone(),
+            scanner: self.scanner,
+            scale: self.scale,
+            noise: self.noise,
+            train: self.train.select(views),
+            test: None,
+            truth: None,
+            initial_points: self.initial_points.clone(),
+            notes: Vec::new(),
+            oddities: Vec::new(),
+        }
+    }
+
     /// Reads a dataset; `path` is the folder, its `meta_data.json`, or a `.pickle` of NAF.
     ///
     /// # Errors
