@@ -75,6 +75,9 @@ impl Form {
     /// The whole numbers of a tag.
     pub(super) fn numbers(&self, content: &[u8], entry: &Entry) -> Parsed<Vec<u64>> {
         let size = entry.size();
+        if size == 0 {
+            return Err(format!("tag {} of the unknown type {}", entry.tag, entry.kind));
+        }
         (0..entry.count).map(|i| self.number(content, entry.values + i * size, size)).collect()
     }
 
