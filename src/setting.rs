@@ -26,6 +26,8 @@ macro_rules! settings {
 settings! {
     /// The folder whose scans and volumes are the cases of an experiment.
     Data = "data",
+    /// Whether a file of angles is in degrees.
+    Degrees = "degrees",
     /// The highest level of the conformance vectors that is asked of a backend.
     Level = "level",
     /// Whether the data are line integrals already.

@@ -22,6 +22,8 @@ mod geometry_check;
 mod memory;
 // `trgs oracle` and `trgs compare`.
 mod oracle_cli;
+// Frames, volumes and angles in the formats that people have.
+mod readers;
 // Stopped and resumed runs.
 mod resume;
 // Settings of the library are flags of the program.

@@ -16,7 +16,7 @@ use trgs::{Error, Result};
 #[derive(Args)]
 #[command(next_help_heading = "Stacks of projections")]
 pub(super) struct StackArgs {
-    /// Angles of the views in radians: a text of numbers, or .npy
+    /// Angles of the views in radians: a text of numbers, a table with a column named angle, or .npy
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
     /// Read the angles as degrees
@@ -129,7 +129,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
     };
     let description = Description::read(scanner)?;
-    let frames = stack::read(source)?;
+    let (frames, oddities) = stack::read_with_oddities(source)?;
+    warn(source, &oddities);
     let angles = match &arguments.angles {
         Some(path) => stack::read_angles(path, arguments.degrees)?,
         None => description.angles(frames.dim().0).map_err(|error| error.in_file(scanner))?,

@@ -5,13 +5,21 @@
 //! | `.npy` | `[view, v, u]`; `[v, u]` is one frame |
 //! | folder of `.npy` | `[v, u]` each, in natural order of names |
 //! | formats of [`super::volume_file`] | z is the view, y is v, x is u: a TIFF page is a view, its rows are v |
+//!
+//! A folder of images (`.tif`, `.png`, `.jpg`, `.raw`) has one frame per file.
+
+mod angles;
+
+pub use angles::parse_angles;
 
 use super::arrays::Projections;
 use super::dataset::{Dataset, Description, look_like_degrees};
 use super::noise::Noise;
 use super::npy;
-use super::volume_file::{self, files, with_extension};
+use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
+use angles::{AngleTable, Unit, parse_table};
 use ndarray::{Array3, Axis, Ix1, Ix2, Ix3};
 use std::path::Path;
 
@@ -34,19 +42,32 @@ pub struct Orientation {
 /// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
 /// not fit.
 pub fn read(path: &Path) -> Result<Array3<f32>> {
+    read_with_oddities(path).map(|(stack, _)| stack)
+}
+
+/// [`read`], with the unusual properties of the files, one sentence each.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_with_oddities(path: &Path) -> Result<(Array3<f32>, Vec<String>)> {
     if path.is_dir() {
         let files = files(path)?;
         let frames = with_extension(&files, &["npy"]);
         if !frames.is_empty() {
-            return read_frames(&frames);
+            return Ok((read_frames(&frames)?, Vec::new()));
         }
     } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         let values = npy::read(path)?.numbers.into_f32();
         let values = if values.ndim() == 2 { values.insert_axis(Axis(0)) } else { values };
-        return npy::with_axes::<f32, Ix3>(values, path, "stack", "[view, v, u]");
+        return Ok((npy::with_axes::<f32, Ix3>(values, path, "stack", "[view, v, u]")?, Vec::new()));
+    } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
+        // NumPy's axes, as in `.npy`; a volume's are [x, y, z].
+        let volume = volume_file::read(path)?;
+        return Ok((volume.values, volume.oddities));
     }
-    let values = volume_file::read_in_any_order(path)?.values.reversed_axes();
-    Ok(if values.is_standard_layout() { values } else { values.as_standard_layout().into_owned() })
+    let VolumeFile { values, oddities, .. } = volume_file::read_in_any_order(path)?;
+    let values = values.reversed_axes();
+    Ok((if values.is_standard_layout() { values } else { values.as_standard_layout().into_owned() }, oddities))
 }
 
 fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
@@ -67,46 +88,30 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
 
 /// Reads angles and returns radians.
 ///
-/// The file is a one-dimensional `.npy` array, or a text of numbers separated by spaces, commas or line ends, in which
-/// `#` starts a comment. `in_degrees` states the unit of the file.
+/// The file is a one-dimensional `.npy` array, or a text as [`parse_angles`] reads it. `in_degrees` states the unit of
+/// the file.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number.
+/// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number, and for a header that names
+/// another unit.
 pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
     let angles = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         npy::read_f64::<Ix1>(path, "[view]")?.to_vec()
     } else {
         let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        parse_angles(&text, path)?
+        let AngleTable { angles, unit } = parse_table(&text, path)?;
+        let stated = match unit {
+            Some(Unit::Degrees) if !in_degrees => Some(("degrees", format!("state that with {}", Setting::Degrees))),
+            Some(Unit::Radians) if in_degrees => Some(("radians", format!("leave out {}", Setting::Degrees))),
+            _ => None,
+        };
+        if let Some((unit, remedy)) = stated {
+            let read_as = if in_degrees { "degrees" } else { "radians" };
+            return Err(Error::format(path, "header of the angles", unit, read_as, remedy));
+        }
+        angles
     };
     Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles })
-}
-
-/// Parses the numbers of a text; `path` names it in errors.
-///
-/// # Errors
-/// [`Error::Format`] for the first word that is not a finite number.
-pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
-    const LONGEST: usize = 40;
-    let text = String::from_utf8_lossy(text);
-    let mut angles = Vec::new();
-    for (i, line) in text.lines().enumerate() {
-        let numbers = line.split('#').next().unwrap_or_default();
-        for word in numbers.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|word| !word.is_empty()) {
-            let angle = word.parse().ok().filter(|angle: &f64| angle.is_finite()).ok_or_else(|| {
-                let got = word.chars().take(LONGEST).collect::<String>();
-                Error::format(
-                    path,
-                    format!("line {}", i + 1),
-                    got,
-                    "a finite number",
-                    "correct the number, or start comments with #",
-                )
-            })?;
-            angles.push(angle);
-        }
-    }
-    Ok(angles)
 }
 
 /// A scan from a stack of dimensionless line integrals `[view, v, u]` and its angles (radians).
