@@ -30,3 +30,5 @@ mod settings;
 mod stand_ins;
 // Units of density.
 mod units;
+// Values that cannot be right.
+mod values;
