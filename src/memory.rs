@@ -78,7 +78,7 @@ impl Estimate {
         let sizes = Sizes::new(scan, views, config, threads);
         let mut phases = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
-            Method::Fdk => vec![sizes.fdk("reconstruction", scan.scanner.detector.offset_u != 0.0)],
+            Method::Fdk => vec![sizes.fdk("reconstruction", scan.scanner.detector.offset_u != 0.0 || scan.is_cut)],
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
@@ -196,9 +196,9 @@ impl Sizes {
         }
     }
 
-    fn fdk(&self, name: &'static str, displaced: bool) -> Phase {
-        // A displaced detector at most doubles in width before the projections are filtered.
-        let copies = if displaced { 4 } else { 1 };
+    fn fdk(&self, name: &'static str, widened: bool) -> Phase {
+        // A detector that is displaced or cuts the object off at most doubles in width before projections are filtered.
+        let copies = if widened { 4 } else { 1 };
         let allocations =
             vec![allocation("filtered projections", self.pixels, copies * F32), allocation("volume", self.voxels, F32)];
         Phase { name, allocations }
@@ -389,7 +389,7 @@ mod tests {
     fn scan() -> DatasetInfo {
         let detector = Detector { rows: 64, columns: 80, pitch_v: 0.05, pitch_u: 0.05, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(32) };
-        DatasetInfo { scanner, train: 18, test: 5, has_truth: true, points: 0 }
+        DatasetInfo { scanner, train: 18, test: 5, has_truth: true, points: 0, is_cut: false }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 mod files;
 
+use super::flags::with_flags;
 use super::geometry_check::check_geometry;
 use super::{Global, Output};
 use clap::Args;
@@ -13,8 +14,7 @@ use trgs::primitives::{Group, KernelKind, Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
-use trgs::scene::volume_file;
-use trgs::scene::{Beam, Dataset, Projections, Volume};
+use trgs::scene::{Beam, Dataset, Projections, Volume, plausibility, volume_file};
 use trgs::{Error, Result};
 
 /// Ratio of longest to shortest scale from which on a primitive counts as a needle.
@@ -72,8 +72,10 @@ impl Inspect {
 }
 
 fn dataset(path: &Path) -> Result<Value> {
-    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } =
-        Dataset::read(path)?;
+    let dataset = Dataset::read(path)?;
+    let implausible: Vec<_> = plausibility::remarks(&dataset).iter().map(|remark| with_flags(remark)).collect();
+    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } = dataset;
+    oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
     let beam = match scanner.beam {
         Beam::Cone { dso, dsd } => json!({ "kind": "cone", "dso": dso, "dsd": dsd }),

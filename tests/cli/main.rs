@@ -32,3 +32,5 @@ mod settings;
 mod stand_ins;
 // Units of density.
 mod units;
+// Values that cannot be right.
+mod values;

@@ -6,7 +6,7 @@ mod scan;
 mod stack;
 mod volume;
 
-use crate::cli::Output;
+use crate::cli::{Output, messages};
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
@@ -20,6 +20,7 @@ use trgs::{Error, Result};
 #[command(after_help = "Examples:
   trgs convert run/volume.npy volume.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
+  trgs convert thorax_in_hu.nii.gz thorax.npy --mu-water 1
   trgs convert run/model.npz model.ply --scanner scan
   trgs convert run/model.npz point_cloud.npz --r2
   trgs convert point_cloud.pickle model.npz
@@ -40,7 +41,9 @@ A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any form
 x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
 with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam,
 detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or
-evenly spaced over its totalAngle from startAngle.
+evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose
+heading has angle, theta, phi, deg or rad. Frames that are flat or dark fields, by path, content or name, are left out.
+Gaps in the numbers of the names, several patterns of names and different types of numbers are warned of.
 
 Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the
 detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no
@@ -56,6 +59,9 @@ pub(super) struct Convert {
     /// Scan that gives a volume its spacing and origin, or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
+    /// Read a volume as Hounsfield units: write attenuation X (1 + HU/1000), where X is that of water
+    #[arg(long, value_name = "X", value_parser = crate::cli::arguments::finite)]
+    mu_water: Option<f64>,
     /// Write a model as R²-Gaussian's arrays, with values before activation
     #[arg(long)]
     r2: bool,
@@ -119,6 +125,9 @@ impl Convert {
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");
             }
+            _ if self.mu_water.is_some() && (source, out) != (Kind::Volume, Kind::Volume) => {
+                return refuse("--mu-water", "a volume to read and a volume to write, .nii.gz for example");
+            }
             _ => {}
         }
         match (source, out) {
@@ -169,6 +178,6 @@ fn extension(path: &Path) -> &str {
 
 fn warn(path: &Path, oddities: &[String]) {
     for oddity in oddities {
-        tracing::warn!("{}: {oddity}", path.display());
+        messages::warning(path, oddity);
     }
 }

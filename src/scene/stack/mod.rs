@@ -9,8 +9,10 @@
 //! A folder of images (`.tif`, `.png`, `.jpg`, `.raw`) has one frame per file.
 
 mod angles;
+mod series;
 
-pub use angles::parse_angles;
+pub use angles::{AngleUnit, parse_angles, read_angles};
+pub use series::{Series, read_series};
 
 use super::arrays::Projections;
 use super::dataset::{Dataset, Description, look_like_degrees};
@@ -18,10 +20,11 @@ use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::error::{Error, Result};
-use crate::setting::Setting;
-use angles::{AngleTable, Unit, parse_table};
-use ndarray::{Array3, Axis, Ix1, Ix2, Ix3};
+use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
+
+/// Relative difference of steps between angles from which on both are stated.
+const UNEVEN: f64 = 1e-3;
 
 /// How frames are oriented relative to the geometry page.
 ///
@@ -86,34 +89,6 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
     Ok(Array3::from_shape_vec((paths.len(), shape.0, shape.1), values).expect("every frame has the shape of the first"))
 }
 
-/// Reads angles and returns radians.
-///
-/// The file is a one-dimensional `.npy` array, or a text as [`parse_angles`] reads it. `in_degrees` states the unit of
-/// the file.
-///
-/// # Errors
-/// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number, and for a header that names
-/// another unit.
-pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
-    let angles = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
-        npy::read_f64::<Ix1>(path, "[view]")?.to_vec()
-    } else {
-        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        let AngleTable { angles, unit } = parse_table(&text, path)?;
-        let stated = match unit {
-            Some(Unit::Degrees) if !in_degrees => Some(("degrees", format!("state that with {}", Setting::Degrees))),
-            Some(Unit::Radians) if in_degrees => Some(("radians", format!("leave out {}", Setting::Degrees))),
-            _ => None,
-        };
-        if let Some((unit, remedy)) = stated {
-            let read_as = if in_degrees { "degrees" } else { "radians" };
-            return Err(Error::format(path, "header of the angles", unit, read_as, remedy));
-        }
-        angles
-    };
-    Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles })
-}
-
 /// A scan from a stack of dimensionless line integrals `[view, v, u]` and its angles (radians).
 ///
 /// Lengths of the description are converted to scene units, and line integrals with them: densities remain per unit of
@@ -140,7 +115,7 @@ pub fn scan(
             "angles",
             angles.len(),
             format!("one for each of {views} frames"),
-            "give one angle per frame",
+            format!("give {views} angles, one for each frame, or take out the frames that are no views"),
         ));
     }
     // Rounding once, from f64, keeps a scale of 1 exact.
@@ -165,6 +140,22 @@ pub fn scan(
         oddities,
         notes: Vec::new(),
     })
+}
+
+/// The number of views, their first and last angle, and the step between them, as a sentence; angles in radians.
+pub fn span(angles: &[f64]) -> String {
+    let degrees = |angle: f64| format!("{:.2}°", angle.to_degrees());
+    let (Some(&first), Some(&last)) = (angles.first(), angles.last()) else { return "no views".into() };
+    let steps: Vec<f64> = angles.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let fold = |pick: fn(f64, f64) -> bool| steps.iter().copied().reduce(|a, b| if pick(b, a) { b } else { a });
+    let text = match (fold(|b, a| b < a), fold(|b, a| b > a)) {
+        (Some(least), Some(most)) if most - least > UNEVEN * most.abs().max(least.abs()) => {
+            format!("in steps of {} to {}", degrees(least), degrees(most))
+        }
+        (Some(_), Some(_)) => format!("in steps of {}", degrees((last - first) / steps.len() as f64)),
+        _ => return format!("1 view at {}", degrees(first)),
+    };
+    format!("{} views from {} to {}, {text}", angles.len(), degrees(first), degrees(last))
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// Extensions of the files of slices, in order of preference: a folder is read as the first kind that it holds.
-const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "jpeg"], &["raw"]];
+pub(in crate::scene) const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "jpeg"], &["raw"]];
 
 pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
     let files = files(folder)?;
@@ -68,6 +68,9 @@ fn nothing(folder: &Path, files: &[PathBuf]) -> Error {
     Error::format(folder, "folder", got, expected, remedy)
 }
 
+/// How the remark on a gap begins.
+pub(in crate::scene) const GAP: &str = "slices seem to be missing";
+
 /// A remark on the first gap in the numbers at the end of the names, if they are otherwise evenly spaced.
 fn gap(paths: &[&Path]) -> Option<String> {
     let numbered = |path: &Path| -> Option<(String, u64)> {
@@ -85,7 +88,7 @@ fn gap(paths: &[&Path]) -> Option<String> {
     let at = steps.iter().position(|step| step != usual).filter(|_| is_one_pattern)?;
     let missing: u64 = steps.iter().map(|step| step / usual - 1).sum();
     let name = |i: usize| paths[i].file_name().unwrap_or_default().to_string_lossy();
-    Some(format!("slices seem to be missing ({missing}): {} comes after {}", name(at + 1), name(at)))
+    Some(format!("{GAP} ({missing}): {} comes after {}", name(at + 1), name(at)))
 }
 
 /// The DICOM series of a folder, if it holds one.

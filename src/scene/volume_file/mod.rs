@@ -46,7 +46,7 @@ mod pages;
 mod raw;
 mod tiff;
 
-pub(super) use folder::{files, with_extension};
+pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub(super) use header::without_bom;
 pub use raw::SideFile;
 
