@@ -329,7 +329,8 @@ impl Scanner {
                     "DSO",
                     dso,
                     format!("more than {radius}, the volume's reach around the axis"),
-                    "the source would pass through the volume: check units and sVoxel",
+                    "the source would pass through the volume: give DSO and sVoxel in one unit of length, and the \
+                     distance from source to rotation axis as DSO",
                 ));
             }
         }

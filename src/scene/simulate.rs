@@ -8,6 +8,7 @@ use super::phantom::Phantom;
 use super::trilinear;
 use crate::error::{Error, Result};
 use crate::numeric::rng::{Purpose, stream};
+use crate::setting::Setting;
 use rand::RngExt;
 use std::f64::consts::TAU;
 
@@ -43,7 +44,12 @@ pub struct Plan {
 pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) -> Result<Dataset> {
     scanner.validate()?;
     if plan.views == 0 {
-        return Err(Error::invalid("training views", 0, "at least one", "ask for at least one"));
+        return Err(Error::invalid(
+            "training views",
+            0,
+            "at least one",
+            format!("give {} 18, for example", Setting::Views),
+        ));
     }
     let truth = match object {
         Object::Phantom(phantom) => phantom.voxelize(&scanner.grid, SAMPLES),

@@ -391,7 +391,8 @@ fn readings_of_a_detector_become_a_scan() {
     };
     assert!(warned("--normalise frame").contains("contradict each other"));
     assert!(warned("").contains("no flat field"));
-    assert!(warned("--white 24000 --dark darks.tif --air 0,0,2,15").is_empty());
+    let said = warned("--white 24000 --dark darks.tif --air 0,0,2,15");
+    assert!(said.starts_with("4 views from 0.00°") && said.lines().count() == 1, "{said}");
     for (arguments, part) in [
         ("frames.tif other", "add --scanner"),
         ("frames.tif other.mha --scanner meta.json --flat flats.tif", "--flat"),

@@ -1,4 +1,4 @@
-//! Files exchanged with SimpleITK, nibabel, plyfile and NumPy, in both directions.
+//! Files exchanged with SimpleITK, nibabel, pynrrd, tifffile, imagecodecs, plyfile and NumPy, in both directions.
 //!
 //! Needs Python with the packages of `reference/formats/requirements.txt`: `python3`, or the program named by
 //! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it.
@@ -17,7 +17,9 @@ use trgs::scene::{dataset, npy};
 /// Output of the script, or `None` with a message if Python lacks a package.
 fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
-    let has_all = Command::new(&program).args(["-c", "import nibabel, numpy, plyfile, SimpleITK"]).output();
+    let has_all = Command::new(&program)
+        .args(["-c", "import imagecodecs, nibabel, nrrd, numpy, plyfile, SimpleITK, tifffile"])
+        .output();
     if !has_all.is_ok_and(|out| out.status.success()) {
         assert!(std::env::var_os("CI").is_none(), "{program} lacks packages; set TRGS_PYTHON");
         let remark =
@@ -150,6 +152,43 @@ fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
         let original = volume_file::read(&sandbox.path(source)).unwrap();
         for (who, found) in seen[path.to_str().unwrap()].as_object().unwrap() {
             assert_seen(found, &original, &format!("{who}, {}", path.display()));
+        }
+    }
+}
+
+#[test]
+fn odd_volumes_are_read_as_other_programs_read_them() {
+    let sandbox = Sandbox::new();
+    if others(&[&sandbox.path("")], "odd").is_none() {
+        return;
+    }
+    let expected: Value = serde_json::from_str(&sandbox.text("expected.json")).unwrap();
+    let expected = expected.as_object().unwrap();
+    assert!(expected.len() > 40, "{} files", expected.len());
+    for (name, expected) in expected {
+        let found = volume_file::read(&sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let shape: [usize; 3] = found.values.dim().into();
+        assert_eq!(expected["shape"], json!(shape), "{name}");
+        let values: Vec<f64> = found.values.iter().map(|&value| value.into()).collect();
+        let wanted = numbers(&expected["values"]);
+        if name == "jpg" {
+            assert_eq!(values.len(), wanted.len(), "{name}");
+            within!("jpg", largest(values.iter().zip(&wanted).map(|(a, b)| a - b)), "{values:?}");
+        } else {
+            assert_eq!(values, wanted, "{name}");
+        }
+        for (key, place) in [("spacing", found.spacing), ("origin", found.origin)] {
+            match (place, expected[key].is_null()) {
+                (None, true) => {}
+                (Some(place), false) => {
+                    let expected = numbers(&expected[key]);
+                    let size = expected.iter().fold(1.0_f64, |most, x| most.max(x.abs()));
+                    let [found, expected] =
+                        [&place.to_array()[..], &expected].map(|of| of.iter().map(|x| x / size).collect::<Vec<_>>());
+                    assert_close(&found, &expected, &format!("{name}, {key}"));
+                }
+                (place, _) => panic!("{name}: {key} {place:?} instead of {}", expected[key]),
+            }
         }
     }
 }

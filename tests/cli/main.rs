@@ -25,6 +25,8 @@ mod geometry_check;
 mod memory;
 // `trgs oracle` and `trgs compare`.
 mod oracle_cli;
+// Frames, volumes and angles in the formats that people have.
+mod readers;
 // Stopped and resumed runs.
 mod resume;
 // Settings of the library are flags of the program.
@@ -33,3 +35,5 @@ mod settings;
 mod stand_ins;
 // Units of density.
 mod units;
+// Values that cannot be right.
+mod values;

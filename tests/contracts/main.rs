@@ -23,6 +23,8 @@ mod example_backend;
 mod extremes;
 // Gradients against central differences.
 mod finite_differences;
+// Odd volumes and the table of them.
+mod formats;
 // Gradients against 50-digit central differences.
 mod gradients;
 // Symmetries of the scene.

@@ -344,7 +344,7 @@ impl<'a, R: Real> Held<'a, R> {
 }
 
 /// The folds held out for a weight; empty if there are too few views.
-pub(super) fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
+fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
     let folds = folds(projector, projections, WEIGHT_FOLDS);
     if folds.len() < FEWEST_FOLDS { Vec::new() } else { folds.into_iter().step_by(2).collect() }
 }

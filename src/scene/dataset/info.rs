@@ -3,6 +3,7 @@
 use super::meta::Meta;
 use super::{Dataset, find_points, meta_path, naf};
 use crate::error::Result;
+use crate::scene::borders::{Borders, Side};
 use crate::scene::geometry::Scanner;
 use ndarray::Array2;
 use std::path::Path;
@@ -23,17 +24,21 @@ pub struct DatasetInfo {
     pub has_truth: bool,
     /// Upper bound on the number of initial points.
     pub points: usize,
+    /// Whether the object is wider than the detector; false as long as the arrays are not read.
+    pub is_cut: bool,
 }
 
 impl DatasetInfo {
     /// The sizes of a dataset in memory.
     pub fn of(dataset: &Dataset) -> Self {
+        let borders = Borders::of(dataset.train.images.view());
         Self {
             scanner: dataset.scanner,
             train: dataset.train.len(),
             test: dataset.test.as_ref().map_or(0, |views| views.len()),
             has_truth: dataset.truth.is_some(),
             points: dataset.initial_points.as_ref().map_or(0, Array2::nrows),
+            is_cut: [Side::Left, Side::Right].into_iter().any(|side| borders.at(side).is_cut()),
         }
     }
 
@@ -58,6 +63,7 @@ impl DatasetInfo {
             test: meta.proj_test.len(),
             has_truth: meta.vol.or(meta.ct).is_some(),
             points: points.map_or(0, |file| (file.len() / POINT) as usize),
+            is_cut: false,
         }))
     }
 }

@@ -8,6 +8,9 @@
 //! init_<name>.npy                    initial points [M, 4] = x, y, z, density, optional
 //! ```
 //!
+//! Projections may also be images with one page (such as `.tif`), and the true volume any file of
+//! [`volume_file`](super::volume_file) (such as `.nii.gz`).
+//!
 //! A key of our own, `notes`, holds facts needed to judge results: that the truth is a pseudo truth, for instance.
 //!
 //! The files may use any one unit of length. Reading multiplies lengths and projections by `scale = 2/max(sVoxel)`,
@@ -22,6 +25,7 @@
 //! train, val (or test)               angles in radians and projections [view, v, u], row 0 on top
 //! ```
 
+mod files;
 mod info;
 mod meta;
 mod naf;
@@ -37,7 +41,7 @@ use super::npy;
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder};
 use meta::{Meta, ScannerMeta, ViewMeta};
-use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2, Ix3};
+use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use std::path::{Path, PathBuf};
 
 /// Angles beyond this are probably degrees; radians.
@@ -145,6 +149,22 @@ pub fn read_scanner(path: &Path) -> Result<Scanner> {
 }
 
 impl Dataset {
+    /// A scan with these training views alone, without test views and truth.
+    pub(crate) fn of_views(&self, views: &[usize]) -> Self {
+        Self {
+            name: self.name.clone(),
+            scanner: self.scanner,
+            scale: self.scale,
+            noise: self.noise,
+            train: self.train.select(views),
+            test: None,
+            truth: None,
+            initial_points: self.initial_points.clone(),
+            notes: Vec::new(),
+            oddities: Vec::new(),
+        }
+    }
+
     /// Reads a dataset; `path` is the folder, its `meta_data.json`, or a `.pickle` of NAF.
     ///
     /// # Errors
@@ -173,12 +193,11 @@ impl Dataset {
         }
         oddities.extend(look_like_degrees(meta.proj_train.iter().chain(&meta.proj_test).map(|view| view.angle)));
 
-        let train = read_views(folder, &meta_path, &meta.proj_train, &scanner, scale)?;
-        let test = match meta.proj_test.as_slice() {
-            [] => None,
-            views => Some(read_views(folder, &meta_path, views, &scanner, scale)?),
-        };
-        let truth = meta.vol.as_ref().or(meta.ct.as_ref()).map(|file| read_volume(&folder.join(file), &scanner));
+        let mut views = |views: &[ViewMeta]| read_views(folder, &meta_path, views, &scanner, scale, &mut oddities);
+        let train = views(&meta.proj_train)?;
+        let test = if meta.proj_test.is_empty() { None } else { Some(views(&meta.proj_test)?) };
+        let truth = meta.vol.as_ref().or(meta.ct.as_ref());
+        let truth = truth.map(|file| read_volume(&folder.join(file), &scanner, &mut oddities));
         let initial_points = find_points(folder, &name, &mut oddities)?.map(|path| read_points(&path));
         Ok(Self {
             name,
@@ -259,12 +278,19 @@ fn meta_path(path: &Path) -> PathBuf {
     if path.is_dir() { path.join("meta_data.json") } else { path.into() }
 }
 
-fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner, scale: f64) -> Result<Projections> {
+fn read_views(
+    folder: &Path,
+    meta: &Path,
+    views: &[ViewMeta],
+    scanner: &Scanner,
+    scale: f64,
+    oddities: &mut Vec<String>,
+) -> Result<Projections> {
     let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
     let mut values = Vec::new();
     for view in views {
         let path = folder.join(&view.file_path);
-        let image = npy::read_f32::<Ix2>(&path, "[v, u]")?;
+        let image = files::read_image(&path, oddities)?;
         if image.dim() != (rows, columns) {
             return Err(Error::format(
                 &path,
@@ -288,8 +314,8 @@ fn read_views(folder: &Path, meta: &Path, views: &[ViewMeta], scanner: &Scanner,
     Projections::new(views.iter().map(|view| view.angle).collect(), images).map_err(|error| error.in_file(meta))
 }
 
-fn read_volume(path: &Path, scanner: &Scanner) -> Result<Volume> {
-    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
+fn read_volume(path: &Path, scanner: &Scanner, oddities: &mut Vec<String>) -> Result<Volume> {
+    let values = files::read_values(path, &scanner.grid, oddities)?;
     check_finite(path, "volume", values.view())?;
     Volume::new(scanner.grid, values).map_err(|error| error.in_file(path))
 }
