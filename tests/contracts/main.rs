@@ -37,6 +37,8 @@ mod oracle;
 mod paper;
 // Fast path against the naive twin.
 mod parity;
+// The page for authors of other backends.
+mod protocol;
 // Volumes and projections of other programs.
 mod real_data;
 // Rules that a compiler does not check.
