@@ -220,7 +220,7 @@ mod tests {
         }
         scan.train.images = line_integrals.mapv(|p| transmission(p) as f32);
         let found = only(&scan);
-        assert!(found.contains("at their border, is 1.0") && !found.contains("whole"), "{found}");
+        assert!(found.contains("at their border, is 0.99") && !found.contains("whole"), "{found}");
         scan.train.images = line_integrals.mapv(|p| (100.0 * p).round());
         let found = remarks(&scan);
         assert!(found[0].contains("whole numbers") && !found[0].contains("instead of 0"), "{found:?}");
