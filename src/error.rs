@@ -1,13 +1,14 @@
 //! The one error type. Each message says what was wrong, what was found and expected, and the remedy.
 
 use crate::setting::Setting;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Every error that the library reports at its borders.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file or folder could not be read.
-    #[error("cannot read {}: {source}; check the path and its permissions", path.display())]
+    #[error("cannot read {}: {source}; {}", path.display(), to_read(path, source))]
     Read {
         /// The file or folder.
         path: PathBuf,
@@ -15,7 +16,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written; no partial file was left behind.
-    #[error("cannot write {}: {source}; check that the folder exists, is writable and has space", path.display())]
+    #[error("cannot write {}: {source}; {}", path.display(), to_write(path, source))]
     Write {
         /// The file or folder.
         path: PathBuf,
@@ -134,6 +135,63 @@ impl Error {
     /// Builds an [`Error::Write`] for `path`.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::Write { path: path.into(), source }
+    }
+}
+
+/// The remedy for a path that cannot be read, from its cause.
+fn to_read(path: &Path, source: &io::Error) -> String {
+    match source.kind() {
+        io::ErrorKind::NotFound => not_found(path),
+        io::ErrorKind::PermissionDenied => format!("allow reading it: chmod u+r {}", path.display()),
+        io::ErrorKind::IsADirectory => "give a file, not a folder".into(),
+        io::ErrorKind::NotADirectory => "give a path whose folders are folders: a part before its end is a file".into(),
+        io::ErrorKind::InvalidData | io::ErrorKind::InvalidInput | io::ErrorKind::UnexpectedEof => {
+            "its content is damaged or incomplete: copy or write it again".into()
+        }
+        io::ErrorKind::OutOfMemory => "it is larger than the free memory: give a part of it".into(),
+        _ => "copy the file again, to another disk if the disk fails, and give that path".into(),
+    }
+}
+
+/// The remedy for a path that does not exist: the first folder that is missing, or a name that differs in case only.
+fn not_found(path: &Path) -> String {
+    let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
+        return similar(Path::new("."), path).unwrap_or_else(|| "correct the name, or give its folder too".into());
+    };
+    let missing = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
+    match missing.take_while(|folder| !folder.exists()).last() {
+        Some(missing) => format!("correct the path: the folder {} does not exist", missing.display()),
+        None => similar(folder, path)
+            .unwrap_or_else(|| format!("correct the name: the folder {} has no such file", folder.display())),
+    }
+}
+
+/// A file of the folder whose name differs in case only.
+fn similar(folder: &Path, path: &Path) -> Option<String> {
+    let wanted = path.file_name()?.to_string_lossy().to_lowercase();
+    let mut names: Vec<_> = folder.read_dir().ok()?.filter_map(|entry| Some(entry.ok()?.file_name())).collect();
+    names.sort();
+    let found = names.into_iter().find(|name| name.to_string_lossy().to_lowercase() == wanted)?;
+    let found = if folder == Path::new(".") { PathBuf::from(found) } else { folder.join(found) };
+    Some(format!("give {}: names distinguish capitals", found.display()))
+}
+
+/// The remedy for a path that cannot be written, from its cause.
+fn to_write(path: &Path, source: &io::Error) -> String {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match source.kind() {
+        io::ErrorKind::NotFound => format!("make its folder first: mkdir -p {}", folder.display()),
+        io::ErrorKind::PermissionDenied => {
+            format!("name another folder, or allow writing: chmod u+w {}", folder.display())
+        }
+        io::ErrorKind::ReadOnlyFilesystem => "name a folder on a disk that can be written to".into(),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "free space on that disk, or name another one".into()
+        }
+        io::ErrorKind::NotADirectory | io::ErrorKind::IsADirectory | io::ErrorKind::AlreadyExists => {
+            "name another path: a file or folder of this name is in the way".into()
+        }
+        _ => "name a file on another disk".into(),
     }
 }
 

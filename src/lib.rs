@@ -95,6 +95,11 @@
 //! Equation tags: `[Eq. n]` are the paper's; `[X1]` is the exact cone-beam projection, `[X2]` the support of a
 //! primitive, `[X3]` the precision of its power, all three ours and explained in [`projector`].
 
+#[cfg(test)]
+#[macro_use]
+#[path = "../tests/common/tolerances.rs"]
+mod tolerances;
+
 pub mod classical;
 pub mod confidence;
 pub mod config;

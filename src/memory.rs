@@ -78,7 +78,10 @@ impl Estimate {
         let sizes = Sizes::new(scan, views, config, threads);
         let mut phases = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
-            Method::Fdk => vec![sizes.fdk("reconstruction", scan.scanner.detector.offset_u != 0.0 || scan.is_posed)],
+            Method::Fdk => {
+                let pads = scan.scanner.detector.offset_u != 0.0 || scan.is_posed || scan.is_cut;
+                vec![sizes.fdk("reconstruction", pads)]
+            }
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
@@ -157,8 +160,6 @@ struct Sizes {
     /// Pixels of all views used.
     pixels: usize,
     voxels: usize,
-    /// Voxels of a grid with one more voxel along each axis.
-    voxels_beyond: usize,
     /// Voxels of a slice across x.
     slice: usize,
     slices: usize,
@@ -185,7 +186,6 @@ impl Sizes {
             rows: scan.scanner.detector.rows,
             pixels: views * detector,
             voxels: grid.voxels(),
-            voxels_beyond: grid.shape.iter().map(|&n| if n > 1 { n + 1 } else { n }).product(),
             slice: grid.shape[1] * grid.shape[2],
             slices: grid.shape[0],
             points,
@@ -199,9 +199,9 @@ impl Sizes {
         }
     }
 
-    fn fdk(&self, name: &'static str, displaced: bool) -> Phase {
-        // A displaced detector at most doubles in width before the projections are filtered.
-        let copies = if displaced { 4 } else { 1 };
+    fn fdk(&self, name: &'static str, widened: bool) -> Phase {
+        // A detector that is displaced or cuts the object off at most doubles in width before projections are filtered.
+        let copies = if widened { 4 } else { 1 };
         let allocations =
             vec![allocation("filtered projections", self.pixels, copies * F32), allocation("volume", self.voxels, F32)];
         Phase { name, allocations }
@@ -270,15 +270,7 @@ impl Sizes {
         ];
         if config.sampling != Sampling::Point {
             let volumes = allocation("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
-            let projections = allocation("projections of the primitives and of the interpolant", self.pixels, 2 * F32);
-            phases.push(Phase { name: "sampling", allocations: vec![volumes, projections] });
-        }
-        if config.sampling == Sampling::Auto {
-            let mut moved = self.clone();
-            moved.voxels = self.voxels_beyond;
-            let mut allocations = moved.tv(&Config::default()).allocations;
-            allocations.push(allocation("volume of the primitives, and its interpolant", self.voxels, 2 * F32));
-            phases.push(Phase { name: "choice of the sampling", allocations });
+            phases.push(Phase { name: "sampling", allocations: vec![volumes] });
         }
         if config.finish != Finish::None {
             let mut allocations = self.tv(config).allocations;
@@ -287,12 +279,20 @@ impl Sizes {
             phases.push(Phase { name: "finish", allocations });
         }
         if config.has_pilot() {
-            let pilot = [
-                allocation("volume of the run, and its interpolant as it is solved for", self.voxels, F64 + 2 * F32),
+            let run = [
+                allocation("volume of the run", self.voxels, F32),
                 allocation("primitives of the run", m, NUMBERS * F64),
-                allocation("views of the pilot run and those held out", self.pixels, 2 * F32),
+                allocation("views of the pilot run and those held out", self.pixels, F32),
             ];
-            phases.push(working("pilot run", &pilot));
+            phases.push(working("pilot run", &run));
+            let mut allocations = self.tv(config).allocations;
+            allocations.extend(run);
+            allocations.extend([
+                allocation("volume of the pilot run, its interpolant as solved", self.voxels, F64 + 3 * F32),
+                allocation("primitives of the pilot run", m, NUMBERS * F64),
+                allocation("corrected projections, and what they come from", self.pixels, 3 * F32),
+            ]);
+            phases.push(Phase { name: "choice of sampling and finish", allocations });
         }
         if config.density_control.method != DensityControl::None {
             // The next population coexists with the last one: successors, raw and physical values, moments.
@@ -392,7 +392,7 @@ mod tests {
     fn scan() -> DatasetInfo {
         let detector = Detector { rows: 64, columns: 80, pitch_v: 0.05, pitch_u: 0.05, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(32) };
-        DatasetInfo { scanner, train: 18, test: 5, is_posed: false, has_truth: true, points: 0 }
+        DatasetInfo { scanner, train: 18, test: 5, is_posed: false, has_truth: true, points: 0, is_cut: false }
     }
 
     #[test]

@@ -160,7 +160,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("missing/a.txt");
         let message = write_atomically(&path, |_| Ok(())).unwrap_err().to_string();
-        assert!(message.contains("missing/a.txt") && message.contains("check that the folder exists"), "{message}");
+        assert!(message.contains("missing/a.txt") && message.contains("mkdir -p"), "{message}");
         assert_eq!(entries(folder.path()).len(), 0);
     }
 

@@ -14,7 +14,7 @@ pub use sampling::{Evidence, Sampled};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Auto, Config, Finish, Method, Precision};
+use crate::config::{Auto, Config, Finish, Method, Precision, Sampling};
 use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
@@ -122,15 +122,26 @@ fn after_training(
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
     let train::TrainedModel { primitives, volume, log, unit } = found;
-    let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
-    let (mut volume, sampled) = sampling::volume(&primitives, volume, dataset, config, &mut watch)?;
+    // The pilot run has fewer views, which would make another unit.
+    let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
+    let piloted = match config.has_pilot() {
+        true => pilot::choose(dataset, config, observe)?,
+        false => None,
+    };
+    let (sampled, chosen) = match piloted {
+        Some(pilot::Found { sampled, choice }) => (sampled, Some(choice)),
+        None => {
+            let sampling = if config.sampling == Sampling::Auto { Sampling::Point } else { config.sampling };
+            (Sampled { sampling, evidence: None }, None)
+        }
+    };
+    let mut volume = sampling::volume(volume, sampled.sampling);
     let (mut unfinished, mut choice) = (None, None);
     if config.finish == Finish::Tv {
-        // The pilot run has fewer views, which would make another unit.
-        let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
+        let start = finish::Start { primitives: &primitives, volume: &volume, sampling: sampled.sampling, chosen };
         let (finished, chosen) = match config.precision {
-            Precision::F32 => finish::finish::<f32>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
-            Precision::F64 => finish::finish::<f64>(dataset, &primitives, &volume, sampled.sampling, config, observe)?,
+            Precision::F32 => finish::finish::<f32>(dataset, start, config, observe)?,
+            Precision::F64 => finish::finish::<f64>(dataset, start, config, observe)?,
         };
         unfinished = Some(std::mem::replace(&mut volume, finished));
         choice = chosen;

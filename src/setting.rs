@@ -24,14 +24,24 @@ macro_rules! settings {
 }
 
 settings! {
+    /// The file of the angles of a stack.
+    Angles = "angles",
+    /// The dark field of a stack: frames without X-rays.
+    Dark = "dark",
     /// The folder whose scans and volumes are the cases of an experiment.
     Data = "data",
+    /// Whether the file of the angles is in degrees.
+    Degrees = "degrees",
+    /// The flat field of a stack: frames without an object.
+    Flat = "flat",
     /// The highest level of the conformance vectors that is asked of a backend.
     Level = "level",
     /// Whether the data are line integrals already.
     LineIntegrals = "line_integrals",
     /// The limit of [`Estimate::check`](crate::memory::Estimate::check).
     MaxMemory = "max_memory",
+    /// The attenuation of water, which turns Hounsfield units into attenuation.
+    MuWater = "mu_water",
     /// Primitives at the start: the key `model.points`.
     Points = "points",
     /// Whether a model is written with the keys of R²-Gaussian.
@@ -40,14 +50,20 @@ settings! {
     Report = "report",
     /// Whether a run starts from its checkpoint.
     Resume = "resume",
+    /// The description of beam, detector and volume of a stack.
+    Scanner = "scanner",
     /// Voxels along each side of an experiment's volumes.
     Size = "size",
     /// Stages of the conformance vectors.
     Stage = "stage",
+    /// The number of test views.
+    TestViews = "test_views",
     /// Worker threads.
     Threads = "threads",
     /// The number of training views.
     Views = "views",
+    /// The reading of a pixel without an object, instead of a flat field.
+    White = "white",
 }
 
 impl fmt::Display for Setting {

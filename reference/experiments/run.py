@@ -9,6 +9,7 @@ Needs Python 3.11 and nothing else; `cargo build --release` first.
 
 import argparse
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -80,7 +81,8 @@ def run(program, experiment, cell, arguments, out):
         result["unfinished"] = written["unfinished"]["psnr_3d"]["value"]
     if "evidence" in written.get("sampled", {}):
         evidence = written["sampled"]["evidence"]
-        result |= {"sampling": written["sampled"]["sampling"], "evidence": sum(evidence.values())}
+        ratio = math.log(evidence["point"] / evidence["interpolant"])
+        result |= {"sampling": written["sampled"]["sampling"], "evidence": ratio}
     for path in sorted(target.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
     target.rmdir()

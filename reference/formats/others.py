@@ -1,7 +1,10 @@
 """Reads and writes files with other programs, for tests/cli/formats.rs, which judges the result.
 
+SimpleITK, nibabel, pynrrd, tifffile and imagecodecs say what is right.
+
     others.py see FILE...    prints as JSON what SimpleITK, nibabel, plyfile and NumPy read from each file
     others.py make FOLDER    writes files in many formats, and expected.json with their contents
+    others.py odd FOLDER     the same for odd files: stacks of tifffile and ImageJ, headers with skips, lists and units
 
 tests/data/point_cloud.pickle is the point_cloud_5.pickle of `make`. Positions are in ITK's coordinates (left, posterior,
 superior).
@@ -12,10 +15,13 @@ import pathlib
 import pickle
 import sys
 
+import imagecodecs
 import nibabel
+import nrrd
 import numpy as np
 import plyfile
 import SimpleITK as sitk
+import tifffile
 
 # Signs that convert from and to nibabel's coordinates (right, anterior, superior).
 TO_ITK = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -178,8 +184,121 @@ def make(folder):
     (folder / "physical.json").write_text(json.dumps({key: array.ravel().tolist() for key, array in physical.items()}))
 
 
+def odd(folder):
+    """Files that other programs write or read in forms of their own; spacing and origin are None where no judge states them."""
+    expected = {}
+    values = np.arange(3 * 4 * 5).reshape(3, 4, 5) * 2 + 1
+    spacing, origin = [0.5, 0.75, 1.25], [-3.0, 7.0, 0.5]
+    in_file = values.astype("<f4").tobytes(order="F")
+
+    def judged(name, seen, with_place=True):
+        found = {key: seen[key] for key in ["shape", "values", "spacing", "origin"]}
+        if not with_place:
+            found["spacing"] = found["origin"] = None
+        expected[name] = found
+
+    # Headers by hand, judged by SimpleITK.
+    mhd = (
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nElementSpacing = 0.5 0.75 1.25\n"
+        "Offset = -3 7 0.5\nDimSize = 3 4 5\nElementType = MET_FLOAT\n"
+    )
+    (folder / "skipped.raw").write_bytes(b"\t" * 100 + in_file)
+    (folder / "plain.raw").write_bytes(in_file)
+    slices = [f"slice{z:02}.raw" for z in range(5)]
+    for z, name in enumerate(slices):
+        (folder / name).write_bytes(in_file[48 * z : 48 * (z + 1)])
+    heads = {
+        "skip.mhd": "HeaderSize = 100\nElementDataFile = skipped.raw\n",
+        "end.mhd": "HeaderSize = -1\nElementDataFile = skipped.raw\n",
+        "dot.mhd": "ElementDataFile = ./plain.raw\n",
+        "list.mhd": "ElementDataFile = LIST\n" + "\n".join(slices) + "\n",
+        "pattern.mhd": "ElementDataFile = slice%02d.raw 0 4 1\n",
+    }
+    for name, end in heads.items():
+        (folder / name).write_text(mhd + end)
+    (folder / "negative.mha").write_bytes((mhd.replace("0.5 0.75", "-0.5 0.75") + "ElementDataFile = LOCAL\n").encode() + in_file)
+    nhdr = "NRRD0004\ntype: float\ndimension: 3\nsizes: 3 4 5\nendian: little\nencoding: raw\n"
+    placed = "space: left-posterior-superior\nspace directions: (0.5,0,0) (0,0.75,0) (0,0,1.25)\nspace origin: (-3,7,0.5)\n"
+    heads = {
+        "skip.nhdr": placed + "byte skip: 100\ndata file: skipped.raw\n",
+        "end.nhdr": placed + "byte skip: -1\ndata file: skipped.raw\n",
+        "list.nhdr": placed + "data file: LIST\n" + "\n".join(slices) + "\n",
+        "pattern.nhdr": placed + "data file: slice%02d.raw 0 4 1\n",
+        "cells.nhdr": "spacings: 0.5 0.75 1.25\naxis mins: 1 2 3\ndata file: plain.raw\n",
+        "nodes.nhdr": "spacings: 0.5 0.75 1.25\naxis mins: 1 2 3\ncenters: node node node\ndata file: plain.raw\n",
+    }
+    for name, end in heads.items():
+        (folder / name).write_text(nhdr + end)
+    for name in [path.name for path in sorted(folder.iterdir()) if path.suffix in [".mhd", ".mha", ".nhdr"]]:
+        judged(name, seen_by_itk(folder / name))
+
+    # pynrrd packs with bzip2 and writes text.
+    header = {"space": "left-posterior-superior", "space directions": np.diag(spacing), "space origin": origin}
+    for encoding in ["bzip2", "gzip", "ascii"]:
+        name = f"pynrrd_{encoding}.nrrd"
+        nrrd.write(str(folder / name), values.astype("<i2"), {**header, "encoding": encoding}, index_order="F")
+        content, seen = nrrd.read(str(folder / name), index_order="F")
+        judged(name, place(content, np.diag(seen["space directions"]), seen["space origin"], np.eye(3)))
+
+    # NIfTI: units as SimpleITK reads them, and the second version as nibabel does.
+    affine = TO_ITK @ np.vstack([np.c_[np.diag(spacing), origin], [0, 0, 0, 1]])
+    for unit in ["micron", "mm", "meter"]:
+        image = nibabel.Nifti1Image(values.astype("<f4"), affine)
+        image.header.set_xyzt_units(unit, "sec")
+        nibabel.save(image, folder / f"{unit}.nii")
+        judged(f"{unit}.nii", seen_by_itk(folder / f"{unit}.nii"))
+    for name, order in [("second.nii", "<"), ("second_packed.nii.gz", "<"), ("second_big.nii", ">")]:
+        header = nibabel.Nifti2Header(endianness=order)
+        header.set_data_dtype(np.dtype(order + "i2"))
+        nibabel.save(nibabel.Nifti2Image(values.astype(order + "i2"), affine, header=header), folder / name)
+        judged(name, seen_by_nibabel(folder / name))
+    image = nibabel.Nifti1Image(values.astype("<f4"), affine)
+    image.set_qform(affine, code=1)
+    image.set_sform(np.zeros((4, 4)), code=1)
+    image.header["pixdim"][1:4] = spacing
+    nibabel.save(image, folder / "zero_sform.nii")
+    judged("zero_sform.nii", seen_by_itk(folder / "zero_sform.nii"))
+
+    # TIFF: pages are [z, y, x].
+    pages = np.ascontiguousarray(values.transpose(2, 1, 0))
+
+    def by_tifffile(name, dtype, sides=None, **how):
+        tifffile.imwrite(folder / name, pages.astype(dtype), **how)
+        content = tifffile.imread(folder / name).reshape(5, 4, 3).transpose(2, 1, 0)
+        judged(name, {**place(content, sides or [1, 1, 1], [0, 0, 0], np.eye(3)), **({} if sides else {"spacing": None}), "origin": None})
+
+    resolution = (1 / spacing[0], 1 / spacing[1])
+    for dtype in ["uint8", "uint16", "float32"]:
+        by_tifffile(f"imagej_{dtype}.tif", dtype, spacing, imagej=True, resolution=resolution, metadata={"spacing": 1.25, "unit": "mm", "axes": "ZYX"})
+    micron = [side / 1000 for side in spacing]
+    by_tifffile("imagej_um.tif", "uint16", micron, imagej=True, resolution=resolution, metadata={"spacing": 1.25, "unit": "um", "axes": "ZYX"})
+    by_tifffile("imagej_one_directory.tif", "uint16", spacing, imagej=True, truncate=True, resolution=resolution, metadata={"spacing": 1.25, "unit": "mm", "axes": "ZYX"})
+    by_tifffile("shaped.tif", "float32", photometric="minisblack")
+    by_tifffile("shaped_one_directory.tif", "float32", photometric="minisblack", truncate=True)
+    by_tifffile("white.tif", "uint8", photometric="miniswhite")
+    for compression in ["zstd", "lzw", "deflate", "packbits"]:
+        by_tifffile(f"{compression}.tif", "uint16", photometric="minisblack", compression=compression)
+    by_tifffile("zstd_horizontal.tif", "uint16", photometric="minisblack", compression="zstd", predictor=2)
+    by_tifffile("zstd_float.tif", "float32", photometric="minisblack", compression="zstd", predictor=3)
+    by_tifffile("zstd_big.tif", "float64", photometric="minisblack", compression="zstd", bigtiff=True, byteorder=">")
+    by_tifffile("zstd_tiles.tif", "float32", photometric="minisblack", compression="zstd", tile=(16, 16))
+    by_tifffile("zstd_strips.tif", "uint16", photometric="minisblack", compression="zstd", rowsperstrip=1)
+    physical = {"axes": "ZYX", "PhysicalSizeX": 500.0, "PhysicalSizeY": 750.0, "PhysicalSizeZ": 1250.0}
+    by_tifffile("pages.ome.tif", "uint16", spacing, photometric="minisblack", metadata=physical)
+
+    # Folders of images.
+    for name, encode in [("png", imagecodecs.png_encode), ("jpg", lambda page: imagecodecs.jpeg8_encode(page, level=100))]:
+        (folder / name).mkdir()
+        for z, page in enumerate(pages.astype("u1")):
+            (folder / name / f"{z}.{name}").write_bytes(encode(page))
+        decode = imagecodecs.png_decode if name == "png" else imagecodecs.jpeg8_decode
+        content = np.stack([decode((folder / name / f"{z}.{name}").read_bytes()) for z in range(5)]).transpose(2, 1, 0)
+        judged(name, place(content, spacing, origin, np.eye(3)), with_place=False)
+    (folder / "expected.json").write_text(json.dumps(expected))
+
+
 if __name__ == "__main__":
     if sys.argv[1] == "see":
         print(json.dumps({path: see(pathlib.Path(path)) for path in sys.argv[2:]}))
     else:
-        make(pathlib.Path(sys.argv[2]))
+        {"make": make, "odd": odd}[sys.argv[1]](pathlib.Path(sys.argv[2]))

@@ -80,6 +80,11 @@ class Case:
                 "level": self.level, "flags": self.flags, "settings": self.settings}
 
 
+def lowered(title):
+    """A title as the second part of another one: in lower case, but for a name."""
+    return title if title.startswith("Gaussian") else title[0].lower() + title[1:]
+
+
 def higher(*levels):
     """The least demanding of several levels: the stage's and its scene's."""
     return max(levels, key=LEVELS.index)

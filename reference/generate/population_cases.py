@@ -7,7 +7,7 @@ import numpy as np
 from mpmath import mpf
 
 import population
-from case import Case, Given, Table
+from case import Case, Given, Table, lowered
 from files import pseudo_random
 from gradients import shapes
 from scene import primitive
@@ -135,7 +135,7 @@ def shadow_gradients():
                                                        kind == "exact") for n, view in views), mpf(0))
 
             yield Case("gradient-shadow", f"{name}-{kind}",
-                       f"Gradient to the places of shadows, {kind}: {of.title[0].lower()}{of.title[1:]}", [],
+                       f"Gradient to the places of shadows, {kind}: {lowered(of.title)}", [],
                        {"model": model(of), "scanner": scanner(of), "cotangent": cotangent(of, "image")},
                        {"shadow": Table("shadow.npy", (len(of.primitives), 2), entry)}, "optional", of.flags,
                        {"angles": of.angles, "projection": kind})

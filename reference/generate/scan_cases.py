@@ -40,7 +40,7 @@ SCANS = [
     ("cone", "cone beam, shifted detector, uneven views out of order", CONE, UNEVEN,
      ["ram-lak", "shepp-logan", "cosine", "hamming", "hann"], [*SHIFTED, "uneven-views"]),
     ("even", "cone beam, even views", CONE, EVEN, ["ram-lak"], SHIFTED),
-    ("parallel", "parallel beam, uneven views, two of them opposite", PARALLEL, [0.4, 1.1, 1.3, 2.6, 0.4 + 3.25],
+    ("parallel", "parallel beam, uneven views, two of them nearly opposite", PARALLEL, [0.4, 1.1, 1.3, 2.6, 0.4 + 3.25],
      ["ram-lak", "hann"], ["parallel", *SHIFTED, "uneven-views"]),
     ("one-view", "a single view stands for the whole turn", CONE, [1.2], ["ram-lak"], [*SHIFTED, "one-view"]),
     ("long-row", "a row of 33 pixels, padded to 128", WIDE, [0.5, 3.1], ["hamming"], ["one-row", "non-square-pixels"]),
@@ -141,9 +141,9 @@ def noises():
 
 ADDRESSES = [
     ("zero", "seed 0, the first pixel's noise", (0, 1, 0, 0), 32), ("ordinary", "an ordinary address", (42, 2, 17, 1234), 32),
-    ("purpose-3", "another purpose", (42, 3, 17, 1234), 16), ("purpose-4", "another purpose", (42, 4, 30000, 0), 16),
-    ("purpose-5", "another purpose", (7, 5, 0, 1), 16),
-    ("large", "every part of the address beyond 32 bits, three blocks", (2**53 - 1, 6, 2**40 + 12345, 2**52 + 7), 48),
+    ("purpose-3", "another purpose", (42, 3, 17, 1234), 16), ("purpose-4", "another purpose and step", (42, 4, 30000, 0), 16),
+    ("purpose-5", "another purpose and seed", (7, 5, 0, 1), 16),
+    ("large", "seed, step and id beyond 32 bits, three blocks", (2**53 - 1, 6, 2**40 + 12345, 2**52 + 7), 48),
 ]
 
 

@@ -2,7 +2,7 @@
 
 import projection
 import scene as s
-from case import Case, Given, Table, higher
+from case import Case, Given, Table, higher, lowered
 from gradients import shapes
 from scenes import BY_ID, SCENES
 from truth import meta_data, model_arrays, truth
@@ -54,7 +54,7 @@ def scene_case(stage, scene, family, outputs, *, name=None, level="core", settin
                words=None, flags=(), tags=()):
     """A case whose level, flags and title come from its scene."""
     inputs = {"model": model(scene), "scanner": scanner(scene), **(more or {})}
-    return Case(stage, name or scene.id, f"{words or WORDS[stage]}: {scene.title[0].lower()}{scene.title[1:]}",
+    return Case(stage, name or scene.id, f"{words or WORDS[stage]}: {lowered(scene.title)}",
                 equations(scene, family) + list(tags), inputs, {table.file.split(".")[0]: table for table in outputs},
                 higher(level, scene.level), scene.flags + list(flags), settings or {}, allowances or {})
 

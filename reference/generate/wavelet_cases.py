@@ -138,7 +138,7 @@ def wavelet_losses():
     for name, title, of, settings, flags in [
             ("one-cell", "a block of one cell", "one-cell", UNEQUAL, []),
             ("three-sides", "a block with three different sides, one of them 2", "three-sides", UNEQUAL, []),
-            ("default", "a cube, with the weights of training", "cube", DEFAULT, []),
+            ("default", "a cube, with equal weights of 1e-3", "cube", DEFAULT, []),
             ("three-neighbours", "a cube and three neighbours", "cube", {**UNEQUAL, "neighbours": 3, "enhancement": 2.25}, []),
             ("partly-flat", "a ramp along y beside a constant part", "partly-flat", UNEQUAL, ["flat-block"]),
             ("two-levels", "two levels", "two-levels", {**UNEQUAL, "levels": 2}, ["two-levels"])]:

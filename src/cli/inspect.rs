@@ -1,5 +1,8 @@
 //! `trgs inspect`: a summary of a file or folder, and its unusual properties.
 
+mod files;
+
+use super::flags::with_flags;
 use super::geometry_check::check_geometry;
 use super::{Global, Output};
 use clap::Args;
@@ -13,18 +16,24 @@ use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
 use trgs::scene::stack::RtkGeometry;
-use trgs::scene::{Beam, Dataset, Projections, Volume};
+use trgs::scene::{Beam, Dataset, Projections, Volume, plausibility, volume_file};
 use trgs::{Error, Result};
 
 /// Ratio of longest to shortest scale from which on a primitive counts as a needle.
 const NEEDLE: f64 = 1000.0;
 
-/// Print a summary of a dataset, run, model or array, with its unusual properties
+/// Print a summary of a dataset, run, model, volume, stack or list of angles, with its unusual properties
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs inspect data/torso
+  trgs inspect chest.pickle
   trgs inspect out/torso/model.npz --json
-  trgs inspect data/torso --check-geometry")]
+  trgs inspect volume.nii.gz
+  trgs inspect frames
+  trgs inspect angles.csv
+  trgs inspect data/torso --check-geometry
+
+All files that trgs convert reads are read; angles are .txt or .csv.")]
 pub(super) struct Inspect {
     /// Folder of a scan or a run, or a file
     #[arg(value_name = "DATASET|RUN|FILE")]
@@ -43,20 +52,22 @@ impl Inspect {
         let found = match path.extension().and_then(OsStr::to_str) {
             _ if path.join("meta_data.json").exists() => dataset(path)?,
             _ if path.join("provenance.json").exists() => run_folder(path)?,
-            Some("json" | "pickle" | "pkl") => dataset(path)?,
+            Some("json") => dataset(path)?,
+            Some("pickle" | "pkl") => pickle(path)?,
             Some("xml") => geometry(path)?,
             Some("npz") => archive(path)?,
             Some("npy") => array(path)?,
             Some("ply") => of_model(&model::read(path)?),
+            Some("txt" | "csv") => files::angles(path)?,
             _ => {
-                let expected = "a folder with meta_data.json or provenance.json, or a file .json, .pickle, .xml, .npz, .npy or .ply";
-                std::fs::metadata(path).map_err(|source| Error::read(path, source))?;
-                return Err(Error::invalid(
-                    "path to inspect",
-                    path.display(),
-                    expected,
-                    "give one of these; trgs convert reads other formats",
-                ));
+                let is_folder = std::fs::metadata(path).map_err(|source| Error::read(path, source))?.is_dir();
+                if !is_folder && !volume_file::has_known_ending(path) {
+                    let expected = "a folder of a scan, a run or images, or a file .json, .pickle, .xml, .npz, .npy, .ply, \
+                                    .txt or .csv, or a volume";
+                    let remedy = "give one of these; trgs help convert lists the formats of volumes";
+                    return Err(Error::invalid("path to inspect", path.display(), expected, remedy));
+                }
+                files::volume(path)?
             }
         };
         Ok(Output::list(&found))
@@ -64,8 +75,10 @@ impl Inspect {
 }
 
 fn dataset(path: &Path) -> Result<Value> {
-    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } =
-        Dataset::read(path)?;
+    let dataset = Dataset::read(path)?;
+    let implausible: Vec<_> = plausibility::remarks(&dataset).iter().map(|remark| with_flags(remark)).collect();
+    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } = dataset;
+    oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
     let poses = trajectory_words(&scanner, &train);
     let beam = match scanner.beam {
@@ -111,6 +124,11 @@ fn geometry(path: &Path) -> Result<Value> {
         "heights_of_the_source": range(&heights),
         "oddities": oddities,
     }))
+}
+
+/// A scan of NAF, or a point cloud of R²-Gaussian: they share the extension.
+fn pickle(path: &Path) -> Result<Value> {
+    dataset(path).or_else(|error| model::read(path).map(|primitives| of_model(&primitives)).map_err(|_| error))
 }
 
 fn run_folder(path: &Path) -> Result<Value> {

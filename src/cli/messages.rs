@@ -3,9 +3,11 @@
 use super::flags::with_flags;
 use super::{Global, LogFormat, interrupt};
 use indicatif::{ProgressState, ProgressStyle};
+use ndarray::Array3;
 use std::fmt;
 use std::io::{self, IsTerminal};
 use std::ops::ControlFlow;
+use std::path::Path;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::filter::LevelFilter;
@@ -16,6 +18,7 @@ use trgs::Error;
 use trgs::classical::algebraic::{Pass, Trial};
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
+use trgs::scene::hounsfield;
 use trgs::train::Record;
 
 /// Sends all tracing events to standard error, in the requested format.
@@ -33,6 +36,25 @@ pub(super) fn install(global: &Global) {
 pub(super) fn error(error: &Error) {
     let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
     tracing::error!("{}", with_flags(&lines.join(" ")));
+}
+
+/// Warns of an unusual property of a file, with flags for settings.
+pub(super) fn warning(path: &Path, text: &str) {
+    tracing::warn!("{}: {}", path.display(), with_flags(text));
+}
+
+/// Converts the values of a volume from Hounsfield units, and says how many were below those of air.
+pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, mu_water: f64) -> trgs::Result<()> {
+    let looks_like_it = hounsfield::remark("volume", values).is_some();
+    let below = hounsfield::to_attenuation(values, mu_water)?;
+    if !looks_like_it {
+        warning(path, "no value is far below 0, as those of air in Hounsfield units are: is this attenuation already?");
+    }
+    if below > 0 {
+        let all = values.len();
+        warning(path, &format!("{below} of {all} values are below -1000, less than air, and became 0"));
+    }
+    Ok(())
 }
 
 /// Progress of a training run.

@@ -154,6 +154,12 @@ fn name_the_commands(mut error: clap::Error) -> clap::Error {
     error
 }
 
+/// The largest side of an array with equal sides that [`check_size`] accepts.
+fn largest_side(axes: usize) -> usize {
+    let fits = |side: usize| side.checked_pow(axes as u32).is_some_and(|numbers| numbers <= MOST_NUMBERS);
+    (0..u32::BITS).rev().fold(0, |side, bit| if fits(side | 1 << bit) { side | 1 << bit } else { side })
+}
+
 /// Rejects an array that no supported machine can hold, before memory is allocated.
 fn check_size(what: &str, shape: &[usize]) -> Result<()> {
     let numbers = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
@@ -164,6 +170,6 @@ fn check_size(what: &str, shape: &[usize]) -> Result<()> {
         what,
         format!("shape {shape:?}"),
         format!("at most {MOST_NUMBERS} numbers"),
-        "request a smaller array",
+        format!("give sides of at most {}", largest_side(shape.len())),
     ))
 }

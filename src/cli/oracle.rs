@@ -15,7 +15,7 @@ use trgs::output::stage_folder;
 /// Check values, gradients and optimiser steps of another implementation
 #[derive(Args)]
 #[command(after_help = "Example:
-  trgs oracle export vectors --blind         inputs and manifest.json
+  trgs oracle export vectors --blind         inputs, manifest.json and PROTOCOL.md: what to compute
   my-backend vectors answers                 writes its outputs under the names in the manifest
   trgs oracle check answers --precision f32 --level core --report conformance.json")]
 pub(super) struct Oracle {
@@ -37,6 +37,13 @@ struct Selection {
     /// Highest level of cases to include
     #[arg(long, default_value = "stress", value_parser = choice(&Level::ALL))]
     level: Level,
+    #[command(flatten)]
+    source: Source,
+}
+
+/// The vectors, and stages of them.
+#[derive(Args)]
+struct Source {
     /// Include only these stages
     #[arg(long, value_name = "STAGE,..", value_delimiter = ',')]
     stage: Vec<String>,
@@ -53,7 +60,7 @@ struct List {
     selection: Selection,
 }
 
-/// Write manifest and inputs for a backend, and the truth to DIR/expected
+/// Write manifest, inputs and PROTOCOL.md for a backend, and the truth to DIR/expected
 #[derive(Args)]
 #[command(after_help = "Example:\n  trgs oracle export vectors --blind --level core")]
 struct Export {
@@ -69,7 +76,9 @@ struct Export {
 
 /// Write this program's own answers in the form of a backend's
 #[derive(Args)]
-#[command(after_help = "Example:\n  trgs oracle answer own --precision f32 && trgs oracle check own --precision f32")]
+#[command(
+    after_help = "Example:\n  trgs oracle answer own --precision f32 && trgs oracle check own --precision f32 --level stress"
+)]
 struct AnswerArgs {
     /// Folder to create
     #[arg(value_name = "DIR")]
@@ -84,7 +93,7 @@ struct AnswerArgs {
 /// Compare a backend's answers with the truth; exit with code 1 if an answer is wrong or missing
 #[derive(Args)]
 #[command(after_help = "Example:
-  trgs oracle check answers --precision f32 --level core --report conformance.json --waivers waivers.toml
+  trgs oracle check answers --precision f32 --report conformance.json --waivers waivers.toml
 
 A waiver accepts the failure of a case until a date:
   [[waiver]]
@@ -104,8 +113,11 @@ struct Check {
     /// File of accepted failures
     #[arg(long, value_name = "FILE.toml")]
     waivers: Option<PathBuf>,
+    /// Highest level of cases to include
+    #[arg(long, default_value = "core", value_parser = choice(&Level::ALL))]
+    level: Level,
     #[command(flatten)]
-    selection: Selection,
+    source: Source,
 }
 
 impl Oracle {
@@ -119,7 +131,7 @@ impl Oracle {
     }
 }
 
-impl Selection {
+impl Source {
     fn vectors(&self) -> Result<Vectors> {
         self.vectors.as_deref().map_or_else(Vectors::embedded, Vectors::open)
     }
@@ -127,8 +139,8 @@ impl Selection {
 
 impl List {
     fn run(&self) -> Result<Output> {
-        let vectors = self.selection.vectors()?;
-        let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
+        let vectors = self.selection.source.vectors()?;
+        let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let rows = cases.iter().map(|case| {
             [case.id.clone(), word(&case.level), case.equations.join(", "), case.flags.join(" "), case.title.clone()]
         });
@@ -147,17 +159,17 @@ struct Written<'a> {
 
 impl Export {
     fn run(&self) -> Result<Output> {
-        let vectors = self.selection.vectors()?;
-        let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
+        let vectors = self.selection.source.vectors()?;
+        let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let files = interrupt::shielded(|| vectors.export(&self.folder, self.blind, &cases))?;
-        Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 1 }))
+        Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 2 }))
     }
 }
 
 impl AnswerArgs {
     fn run(&self) -> Result<Output> {
-        let vectors = self.selection.vectors()?;
-        let cases = select(&vectors, self.selection.level, &self.selection.stage)?;
+        let vectors = self.selection.source.vectors()?;
+        let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let staged = stage_folder(&self.folder)?;
         let mut files = 0;
         for case in &cases {
@@ -173,15 +185,15 @@ impl AnswerArgs {
 
 impl Check {
     fn run(&self) -> Result<Output> {
-        let vectors = self.selection.vectors()?;
+        let vectors = self.source.vectors()?;
         let waivers = match &self.waivers {
             Some(path) => waivers::read(path, &vectors.manifest.cases)?,
             None => Vec::new(),
         };
         let options = Options {
             format: self.precision,
-            level: self.selection.level,
-            stages: &self.selection.stage,
+            level: self.level,
+            stages: &self.source.stage,
             waivers: &waivers,
             today: waivers::today(),
         };

@@ -2,7 +2,7 @@
 
 use super::arguments::{choice, positive, seed};
 use super::evaluate::answer;
-use super::messages::ProgressBar;
+use super::messages::{ProgressBar, warning};
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Global, Output, check_size, interrupt};
 use bytesize::ByteSize;
@@ -18,7 +18,7 @@ use trgs::numeric::threads;
 use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, PILOT_PART, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
-use trgs::scene::{Dataset, Volume};
+use trgs::scene::{Dataset, Volume, plausibility};
 use trgs::{Error, Result};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
@@ -96,8 +96,8 @@ impl Reconstruct {
         let config = self.config(checkpoint.as_ref())?;
         self.check_memory(&self.estimate(&config)?)?;
         let mut dataset = Dataset::read(&self.dataset)?;
-        for oddity in &dataset.oddities {
-            tracing::warn!("{}: {oddity}", self.dataset.display());
+        for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
+            warning(&self.dataset, oddity);
         }
         for note in &dataset.notes {
             tracing::info!("{}: {note}", self.dataset.display());

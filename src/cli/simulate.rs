@@ -1,12 +1,14 @@
 //! `trgs simulate`: a simulated scan of a phantom or a volume.
 
 use super::arguments::{finite, pair, seed};
+use super::messages::{hounsfield_to_attenuation, warning};
 use super::{Output, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use glam::DVec3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
+use trgs::scene::hounsfield;
 use trgs::scene::phantom::{Group, PHANTOMS};
 use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
 use trgs::scene::volume_file::{self, VolumeFile};
@@ -19,11 +21,15 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume
     after_help = "Examples:
   trgs simulate --phantom torso --out data/torso --noise low
   trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128
-  trgs simulate --phantom torso --out data/helix --helix 0.4,3 --views 60"
+  trgs simulate --phantom torso --out data/helix --helix 0.4,3 --views 60
+  trgs simulate --volume thorax_in_hu.nii.gz --mu-water 1 --out data/thorax"
 )]
 pub(super) struct Simulate {
     #[command(flatten)]
     object: ObjectArgs,
+    /// Read the volume as Hounsfield units: attenuation X (1 + HU/1000), where X is that of water per scene unit
+    #[arg(long, value_name = "X", requires = "volume", value_parser = finite)]
+    mu_water: Option<f64>,
     /// Folder to write
     #[arg(long, value_name = "DATASET")]
     out: PathBuf,
@@ -146,7 +152,7 @@ impl Simulate {
             }
             (None, path) => {
                 let path = path.as_deref().expect("one of the two is required");
-                let volume = read_volume(path)?;
+                let volume = read_volume(path, self.mu_water)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
                 simulate_on(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan, &orbit)
             }
@@ -167,10 +173,14 @@ impl Simulate {
 }
 
 /// A volume centred at the origin, its longest side 2; voxels are cubes unless the file says otherwise.
-fn read_volume(path: &Path) -> Result<Volume> {
-    let VolumeFile { values, spacing, oddities, .. } = volume_file::read(path)?;
-    for oddity in oddities {
-        tracing::warn!("{}: {oddity}", path.display());
+fn read_volume(path: &Path, mu_water: Option<f64>) -> Result<Volume> {
+    let VolumeFile { mut values, spacing, oddities, .. } = volume_file::read(path)?;
+    let hounsfield = match mu_water {
+        Some(mu_water) => hounsfield_to_attenuation(path, &mut values, mu_water).map(|()| None)?,
+        None => hounsfield::remark("volume", &values),
+    };
+    for oddity in oddities.iter().chain(&hounsfield) {
+        warning(path, oddity);
     }
     let shape: [usize; 3] = values.dim().into();
     let sides = DVec3::from_array(shape.map(|n| n as f64)) * spacing.unwrap_or(DVec3::ONE);

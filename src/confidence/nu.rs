@@ -67,6 +67,7 @@ pub(crate) fn nu_loss_into(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
 
     const RANGE: Interval = Interval { min: 2.0, max: 100.0 };
 
@@ -77,14 +78,14 @@ mod tests {
     #[test]
     fn targets_are_those_computed_by_hand() {
         // σ(logit(c)·4) = c⁴/(c⁴ + (1-c)⁴): 81/82 at ¾, and 1/(1+15⁴) where 0 has become 1/16.
-        approx::assert_relative_eq!(target(0.75, 0.25), 2.0 + 98.0 * 81.0 / 82.0, max_relative = 1e-14);
-        approx::assert_relative_eq!(target(0.0, 0.25), 2.0 + 98.0 / 50626.0, max_relative = 1e-14);
-        approx::assert_relative_eq!(target(1.0, 0.25), 2.0 + 98.0 * 50625.0 / 50626.0, max_relative = 1e-14);
+        within!(relative(target(0.75, 0.25), 2.0 + 98.0 * 81.0 / 82.0));
+        within!(relative(target(0.0, 0.25), 2.0 + 98.0 / 50626.0));
+        within!(relative(target(1.0, 0.25), 2.0 + 98.0 * 50625.0 / 50626.0));
         // With T = 1 the fraction is c itself, with T = ½ it is c²/(c² + (1-c)²).
-        approx::assert_relative_eq!(target(0.3, 1.0), 2.0 + 98.0 * 0.3, max_relative = 1e-14);
-        approx::assert_relative_eq!(target(0.25, 0.5), 2.0 + 9.8, max_relative = 1e-14);
+        within!(relative(target(0.3, 1.0), 2.0 + 98.0 * 0.3));
+        within!(relative(target(0.25, 0.5), 2.0 + 9.8));
         for temperature in [0.1, 0.25, 1.0] {
-            approx::assert_relative_eq!(target(0.5, temperature), 51.0, max_relative = 1e-14);
+            within!(relative(target(0.5, temperature), 51.0));
         }
     }
 
@@ -106,9 +107,9 @@ mod tests {
         // Distances ln 2, -ln 4 and ln 3; the last weighs nothing.
         let (value, gradient) = nu_loss(&[6.0, 5.0, 9.0], &[3.0, 20.0, 3.0], &[0.25, 0.5, 1.0], 0.1);
         let ln2 = std::f64::consts::LN_2;
-        approx::assert_relative_eq!(value, 0.1 * (0.75 + 0.5 * 4.0) * ln2 * ln2 / 3.0, max_relative = 1e-14);
-        approx::assert_relative_eq!(gradient[0], 2.0 * 0.075 * ln2 / 18.0, max_relative = 1e-14);
-        approx::assert_relative_eq!(gradient[1], -2.0 * 0.05 * 2.0 * ln2 / 15.0, max_relative = 1e-14);
+        within!(relative(value, 0.1 * (0.75 + 0.5 * 4.0) * ln2 * ln2 / 3.0));
+        within!(relative(gradient[0], 2.0 * 0.075 * ln2 / 18.0));
+        within!(relative(gradient[1], -2.0 * 0.05 * 2.0 * ln2 / 15.0));
         assert_eq!(gradient[2], 0.0);
     }
 
@@ -130,7 +131,7 @@ mod tests {
                 nu_loss(&nu, &target, &confidence, 0.3).0
             };
             let difference = (moved(1e-4) - moved(-1e-4)) / 2e-4;
-            assert!((gradient[i] - difference).abs() <= 1e-10, "{i}: {} against {difference}", gradient[i]);
+            within!((gradient[i] - difference).abs(), "{i}: {} against {difference}", gradient[i]);
         }
     }
 }

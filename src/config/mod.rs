@@ -86,7 +86,7 @@ pub enum Start {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampling {
-    /// As the projections say: see [`crate::classical::algebraic::alignment()`].
+    /// As views say that a pilot run holds out: see [`crate::reconstruction::Sampled`].
     Auto,
     /// The field at the voxel centres, the paper's and R²-Gaussian's.
     Point,
@@ -150,7 +150,7 @@ pub struct Config {
     /// A primitive ends where its projection has fallen to this fraction of its peak; 0: nowhere.
     #[default = 1e-3]
     pub cutoff: f64,
-    /// How volume.npy is sampled from the primitives: auto (the projections decide), point (at voxel centres, as in the paper) or interpolant.
+    /// How volume.npy is sampled from the primitives: auto (the pilot run decides), point (at voxel centres, as in the paper) or interpolant.
     #[default(Sampling::Auto)]
     pub sampling: Sampling,
     /// What is done to the volume of the primitives: tv (iterations of the method tv on its voxels), or none, as in the paper.
@@ -487,7 +487,7 @@ pub struct TvConfig {
     pub steps: usize,
     /// Iterations where finish = tv; auto: chosen with the weight on the pilot run, otherwise 10 to 20.
     pub finish_iterations: Auto<usize>,
-    /// Whether a pilot run, half as long and without a sixth of the views, chooses what is auto of the finish.
+    /// Whether a pilot run, half as long and without a sixth of the views, chooses what is auto of the sampling and the finish.
     #[default = true]
     pub pilot: bool,
 }

@@ -13,7 +13,7 @@
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
-use super::{Config, DensityControl, Finish, TvConfig};
+use super::{Config, DensityControl, Finish, Sampling, TvConfig};
 use crate::numeric::elementary::pow;
 use crate::scene::Scanner;
 
@@ -50,11 +50,15 @@ impl Config {
 }
 
 impl Config {
-    /// Whether a pilot run chooses settings of the finish.
+    /// Whether a pilot run chooses the sampling or settings of the finish.
     pub fn has_pilot(&self) -> bool {
-        let TvConfig { weight, finish_iterations, pilot, .. } = self.tv;
-        let is_open = weight.fixed().is_none() || finish_iterations.fixed().is_none();
-        self.method.fits_primitives() && self.finish == Finish::Tv && pilot && is_open
+        self.method.fits_primitives() && self.tv.pilot && (self.sampling == Sampling::Auto || self.has_open_finish())
+    }
+
+    /// Whether there is a finish with a weight or a number of iterations to choose.
+    pub fn has_open_finish(&self) -> bool {
+        let TvConfig { weight, finish_iterations, .. } = self.tv;
+        self.finish == Finish::Tv && (weight.fixed().is_none() || finish_iterations.fixed().is_none())
     }
 
     /// Mean number of primitives over a run that starts from `points`, as far as the settings tell; keys must be resolved.

@@ -142,7 +142,8 @@ impl Config {
         }
         place.insert(last.into(), value.clone());
         *self = table.try_into().map_err(|error: toml::de::Error| {
-            Error::invalid(key, format!("{value}: {}", error.message()), format!("a value like {old}"), "correct it")
+            let remedy = format!("give `{key}={old}`, for example");
+            Error::invalid(key, format!("{value}: {}", error.message()), format!("a value like {old}"), remedy)
         })?;
         Ok(())
     }

@@ -16,6 +16,28 @@ impl Config {
     /// # Errors
     /// [`Error::Invalid`] for the first that does not.
     pub fn validate(&self) -> Result<()> {
+        self.check_ranges().map_err(|error| match error {
+            Error::Invalid { what, got, expected, remedy } if remedy.is_empty() => {
+                let remedy = self.remedy(&what);
+                Error::Invalid { what, got, expected, remedy }
+            }
+            other => other,
+        })
+    }
+
+    /// The remedy for a key out of its range: the default of the method, if that is within the range.
+    fn remedy(&self, key: &str) -> String {
+        let default = Self::of(self.method).entries().into_iter().find(|(name, _)| name == key);
+        let mut changed = self.clone();
+        let setting = default.map(|(_, value)| format!("{key}={value}")).filter(|text| changed.set(text).is_ok());
+        let is_wrong = matches!(changed.check_ranges(), Err(Error::Invalid { what, .. }) if what == key);
+        match setting.filter(|_| !is_wrong) {
+            Some(setting) => format!("give `{setting}`, the default"),
+            None => "give a value in this range".into(),
+        }
+    }
+
+    fn check_ranges(&self) -> Result<()> {
         let Self { model, initialisation, loss, confidence, wavelet, optimiser, sghmc, density_control, .. } = self;
         let own = self.method.fits_primitives() || self.method == Method::Fdk;
         require("iterations", self.iterations, own || self.iterations >= 1, "at least 1")?;
@@ -152,23 +174,30 @@ impl Config {
     fn check_method(&self) -> Result<()> {
         if self.method == Method::R2Gaussian {
             let gaussian = self.model.kernel == KernelKind::Gaussian;
-            require("model.kernel", self.model.kernel, gaussian, "gaussian with method r2-gaussian")?;
+            fits("model.kernel", self.model.kernel, gaussian, "gaussian with method r2-gaussian", "gaussian")?;
             for (key, enabled) in
                 [("confidence.enabled", self.confidence.enabled), ("wavelet.enabled", self.wavelet.enabled)]
             {
-                require(key, enabled, !enabled, "false with method r2-gaussian")?;
+                fits(key, enabled, !enabled, "false with method r2-gaussian", "false")?;
             }
         }
         let tails = self.model.kernel == KernelKind::StudentT || !self.confidence.enabled;
-        require("confidence.enabled", true, tails, "false with gaussian kernels, which have no ν to pull")
+        fits("confidence.enabled", true, tails, "false with gaussian kernels, which have no ν to pull", "false")
     }
+}
+
+/// An error about a key whose only value that fits is known.
+fn fits(key: &str, got: impl Debug, holds: bool, expected: &str, value: &str) -> Result<()> {
+    let remedy = || format!("give `{key}={value}`");
+    if holds { Ok(()) } else { Err(Error::invalid(key, format!("{got:?}"), expected, remedy())) }
 }
 
 fn require(key: &str, got: impl Debug, holds: bool, expected: &str) -> Result<()> {
     if holds {
         return Ok(());
     }
-    Err(Error::invalid(key, format!("{got:?}"), expected, "change it in the configuration"))
+    // `validate` adds the remedy.
+    Err(Error::invalid(key, format!("{got:?}"), expected, ""))
 }
 
 #[cfg(test)]
@@ -226,6 +255,13 @@ mod tests {
             let may_be_zero = key == "seed" || follows_from_the_scan.contains(&key.as_str());
             for absurd in absurd.iter().filter(|absurd| !(may_be_zero && **absurd == "0")) {
                 let mut config = Config::default();
+                if let (Ok(()), Err(error)) = (config.set(&format!("{key}={absurd}")), config.validate()) {
+                    // The remedy is an assignment that works.
+                    let message = error.to_string();
+                    let setting = message.split('`').nth(1).unwrap_or_else(|| panic!("{key}: {message}"));
+                    let mut mended = config.clone();
+                    mended.set(setting).and_then(|()| mended.validate()).unwrap_or_else(|error| panic!("{error}"));
+                }
                 let outcome = config.set(&format!("{key}={absurd}")).and_then(|()| config.validate());
                 let message = outcome.expect_err(&format!("{key} = {absurd} must be refused")).to_string();
                 assert!(message.starts_with(&format!("{key}: got ")), "{key} = {absurd}: {message}");

@@ -65,6 +65,7 @@ pub fn next_parameters(primitives: &Parameters, next: &[NextPrimitive]) -> Param
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
 
     #[test]
     fn what_is_fresh_moves_by_its_own_covariance() {
@@ -85,7 +86,7 @@ mod tests {
         assert_eq!(next[0], old);
         for (got, expected) in [(next[1].mean, [1.1, 1.2, 1.3]), (next[2].mean, [0.1, 0.7, 0.3])] {
             for (got, expected) in got.into_iter().zip(expected) {
-                approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
+                within!(relative(got, expected));
             }
         }
         assert_eq!((next[1].density, next[1].scale, next[1].parent), (old.density, old.scale, 0));

@@ -67,12 +67,13 @@ fn opacity_rule(kernel: KernelKind, density: f64, nu: f64, n: usize) -> (f64, f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
 
     #[test]
     fn copies_add_up_to_the_original() {
         for n in 1..200 {
             let (density, factor) = Relocation::Exact.share(KernelKind::StudentT, 0.7, 5.0, n);
-            approx::assert_relative_eq!(density * n as f64, 0.7, max_relative = 3e-16);
+            within!(relative(density * n as f64, 0.7));
             assert_eq!(factor, 1.0);
         }
     }
@@ -105,7 +106,7 @@ mod tests {
             for (o, nu, n) in [(0.8, 10.0, 2), (0.9, 3.0, 5), (0.3, 2.0, 17), (0.05, 40.0, 51)] {
                 let (each, factor) = Relocation::Sss.share(kernel, o, nu, n);
                 let (before, after) = (shown(kernel, o, 1.0, nu, 1), shown(kernel, each, factor, nu, n));
-                approx::assert_relative_eq!(after, before, max_relative = 1e-9);
+                within!(relative(after, before));
                 let (same, squared) = Relocation::SssProgram.share(kernel, o, nu, n);
                 assert_eq!((same, squared), (each, factor * factor));
             }
@@ -117,7 +118,7 @@ mod tests {
         let (o, nu, n) = (0.8, 10.0, 2);
         let (each, factor) = Relocation::SssProgram.share(KernelKind::StudentT, o, nu, n);
         let lost = 1.0 - shown(KernelKind::StudentT, each, factor, nu, n) / shown(KernelKind::StudentT, o, 1.0, nu, 1);
-        assert!((lost - 0.11).abs() < 0.01, "{lost}");
+        within!((lost - 0.11).abs(), "{lost}");
     }
 
     #[test]

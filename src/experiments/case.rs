@@ -74,6 +74,7 @@ impl Case {
                 volumes.push((longest(&volume.values), name, path));
             }
         }
+        let side = volumes.iter().map(|(side, ..)| *side).find(|side| *side > 0);
         let fits = |multiple: bool| move |side: usize| if multiple { side.is_multiple_of(size) } else { side == size };
         let fits = fits(volumes.iter().all(|(side, ..)| *side != size));
         for (_, name, path) in volumes.into_iter().filter(|(side, ..)| *side > 0 && fits(*side)) {
@@ -82,7 +83,10 @@ impl Case {
         if cases.is_empty() {
             let got = format!("{}, which holds none", folder.display());
             let expected = format!("a folder with scans, or with volumes whose longest side is a multiple of {size}");
-            let remedy = format!("choose another folder or another {}", Setting::Size);
+            let remedy = match side {
+                Some(side) => format!("give {} {side}, the side of a volume there, or another folder", Setting::Size),
+                None => format!("choose another folder or another {}", Setting::Size),
+            };
             return Err(Error::invalid(Setting::Data, got, expected, remedy));
         }
         Ok(cases)

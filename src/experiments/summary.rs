@@ -245,7 +245,7 @@ mod tests {
         // 16 seeds with a standard deviation of 1: the mean has 1/4, and 95 % of a normal distribution lie within 1.96.
         let seeds: Vec<Option<f64>> = (0..16).map(|i| Some(if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
         let (low, high) = estimate(&[seeds]).unwrap().interval.unwrap();
-        assert!((high - low - 2.0 * 1.96 / 4.0).abs() < 0.15, "{low} {high}");
+        within!((high - low - 2.0 * 1.96 / 4.0).abs(), "{low} {high}");
     }
 
     #[test]

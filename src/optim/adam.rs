@@ -119,13 +119,14 @@ fn power(base: f64, mut n: u32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
 
     #[test]
     fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
         let mut parameters = [1.0, 1.0, 1.0];
         Adam::new(3, [0.9, 0.999], 1e-15).step(&mut parameters, &[1e-9, -3.0, 1e6], 0.01);
         for (got, expected) in parameters.iter().zip([0.99, 1.01, 0.99]) {
-            approx::assert_relative_eq!(*got, expected, max_relative = 1e-7);
+            within!(relative(*got, expected));
         }
     }
 
@@ -141,7 +142,7 @@ mod tests {
             x -= 0.05 * (m / (1.0 - libm::pow(0.9, f64::from(t))))
                 / ((v / (1.0 - libm::pow(0.999, f64::from(t)))).sqrt() + 1e-15);
             adam.step(&mut parameters, &g_ours, 0.05);
-            approx::assert_relative_eq!(parameters[0], x, max_relative = 1e-12);
+            within!(relative(parameters[0], x));
         }
     }
 
@@ -164,7 +165,7 @@ mod tests {
         adam.remap_rows(2, &[Some(2), None, Some(0), Some(0)]);
         let first: Vec<f64> = adam.moments.iter().map(|[m, _]| *m * 10.0).collect();
         for (got, expected) in first.iter().zip([5.0, 6.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0]) {
-            approx::assert_relative_eq!(*got, expected, max_relative = 1e-14);
+            within!(relative(*got, expected));
         }
         assert_eq!((first.len(), adam.steps), (8, 1));
     }
@@ -196,7 +197,7 @@ mod tests {
     #[test]
     fn powers_by_squaring_are_powers() {
         for n in [1, 2, 3, 7, 100, 5000] {
-            approx::assert_relative_eq!(power(0.999, n), libm::pow(0.999, f64::from(n)), max_relative = 1e-12);
+            within!(relative(power(0.999, n), libm::pow(0.999, f64::from(n))));
         }
     }
 }

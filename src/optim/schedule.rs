@@ -40,10 +40,11 @@ impl Exponential {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
 
     #[test]
     fn short_runs_take_longer_steps() {
-        approx::assert_relative_eq!(pace(16_000, 1000), 8.0, max_relative = 1e-15);
+        within!(relative(pace(16_000, 1000), 8.0));
         assert_eq!(
             [pace(30_000, 30_000), pace(5000, 30_000), pace(30_000, 1), pace(30_000, 0)],
             [1.0, 1.0, 64.0, 64.0]
@@ -53,9 +54,9 @@ mod tests {
     #[test]
     fn decay_is_geometric_between_its_ends() {
         let rate = Exponential { first: 1e-2, last: 1e-4, steps: 100 };
-        approx::assert_relative_eq!(rate.at(0), 1e-2, max_relative = 1e-14);
-        approx::assert_relative_eq!(rate.at(50), 1e-3, max_relative = 1e-13);
-        approx::assert_relative_eq!(rate.at(100), 1e-4, max_relative = 1e-14);
+        within!(relative(rate.at(0), 1e-2));
+        within!("middle", relative(rate.at(50), 1e-3));
+        within!(relative(rate.at(100), 1e-4));
         assert_eq!(rate.at(500), rate.at(100));
         assert_eq!(Exponential { first: 0.0, last: 0.0, steps: 10 }.at(3), 0.0);
     }

@@ -11,13 +11,17 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 
 /// The version of the manifest format that this program supports.
 pub const SCHEMA_VERSION: u32 = 2;
 /// The manifest's file name.
 const MANIFEST: &str = "manifest.json";
+/// The definition of every question and answer, for authors of backends.
+pub const PROTOCOL: &str = include_str!("../../reference/PROTOCOL.md");
+/// Its file name beside the manifest.
+pub const PROTOCOL_FILE: &str = "PROTOCOL.md";
 
 /// How demanding a case is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
@@ -173,9 +177,9 @@ impl Vectors {
         self.root.as_deref().unwrap_or(Path::new("(built-in vectors)")).join(&file.file)
     }
 
-    /// Writes manifest and inputs to `folder` atomically, and the truth to `folder/expected`.
+    /// Writes manifest, protocol and inputs to `folder` atomically, and the truth to `folder/expected`.
     ///
-    /// `blind` leaves out the truth and its digests. Returns the number of files written.
+    /// `blind` leaves out the truth and its digests. Returns the number of input and truth files.
     ///
     /// # Errors
     /// Those of [`Self::bytes`] and of [`crate::output::StagedFolder::commit`].
@@ -201,8 +205,9 @@ impl Vectors {
             let path = staged.path().join(path);
             create_folder(path.parent().expect("a file is in a folder"))?;
             let bytes = self.bytes(file)?;
-            write_atomically(&path, |out| std::io::Write::write_all(out, &bytes))?;
+            write_atomically(&path, |out| out.write_all(&bytes))?;
         }
+        write_atomically(&staged.path().join(PROTOCOL_FILE), |out| out.write_all(PROTOCOL.as_bytes()))?;
         write_atomically(&staged.path().join(MANIFEST), |out| Ok(serde_json::to_writer_pretty(out, &manifest)?))?;
         staged.commit()?;
         Ok(files.len())

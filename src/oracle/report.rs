@@ -9,9 +9,6 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Number of failures in the Markdown list; the JSON holds all of them.
-const LONGEST_LIST: usize = 60;
-
 /// Writes `file.json`, `file.md` and `file.xml`.
 ///
 /// # Errors
@@ -32,7 +29,7 @@ pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
     Ok(paths)
 }
 
-/// A page with a table of stages, a list of failures and a list of waived cases.
+/// A page with a table of stages, all failures, then the missing answers, and the waived cases.
 pub fn markdown(report: &Report) -> String {
     let mut text = String::new();
     let verdict = if report.passed() { "passed" } else { "FAILED" };
@@ -55,15 +52,17 @@ pub fn markdown(report: &Report) -> String {
         &report.vectors[..12],
     );
     text += &table(&["stage", "cases", "passed", "worst error / peak", "worst ulp", "in"], stage_rows(report));
-    let failures: Vec<&CaseResult> = report.results.iter().filter(|r| r.status > Status::Waived).collect();
-    if !failures.is_empty() {
-        text += "\n## Failed or missing\n\n";
-        let parts = failures.iter().flat_map(|r| r.parts.iter().filter(|p| p.status > Status::Waived).map(|p| (*r, p)));
-        let rows: Vec<_> = parts.clone().take(LONGEST_LIST).map(|(result, part)| failure_row(result, part)).collect();
+    let failed = || report.results.iter().filter(|r| r.status > Status::Waived);
+    let parts = failed().flat_map(|r| r.parts.iter().filter(|p| p.status == Status::Failed).map(move |p| (r, p)));
+    let rows: Vec<_> = parts.map(|(result, part)| failure_row(result, part)).collect();
+    if !rows.is_empty() {
+        text += "\n## Failed\n\n";
         text += &table(&["case", "output", "what", "at", "expected", "got", "ulp", "looks like"], rows);
-        if parts.clone().count() > LONGEST_LIST {
-            let _ = writeln!(text, "\n… and {} more: see the JSON report.", parts.count() - LONGEST_LIST);
-        }
+    }
+    let rows: Vec<_> = stages(report).into_iter().filter_map(|stage| missing_row(stage, failed())).collect();
+    if !rows.is_empty() {
+        text += "\n## Missing\n\n";
+        text += &table(&["stage", "arrays", "cases, with outputs where others are there"], rows);
     }
     let excused = report.results.iter().filter_map(|r| Some([r.id.clone(), r.waiver.clone()?]));
     let excused: Vec<_> = excused.collect();
@@ -122,6 +121,23 @@ fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
         worst.map_or_else(String::new, |w| short(w.ulp)),
         part.looks_like.clone().unwrap_or_default(),
     ]
+}
+
+/// The missing arrays of a stage, if any: their number, and the cases with the outputs.
+fn missing_row<'a>(stage: &str, failed: impl Iterator<Item = &'a CaseResult>) -> Option<[String; 3]> {
+    let (mut arrays, mut cases) = (0, Vec::new());
+    for result in failed.filter(|result| result.stage == stage) {
+        let missing = result.parts.iter().filter(|part| part.status == Status::Missing);
+        let outputs: Vec<&str> = missing.map(|part| part.output.as_str()).collect();
+        if outputs.is_empty() {
+            continue;
+        }
+        arrays += outputs.len();
+        let name = result.id.rsplit('/').next().unwrap_or_default();
+        let whole = outputs.len() == result.parts.len();
+        cases.push(if whole { name.to_owned() } else { format!("{name}: {}", outputs.join(" ")) });
+    }
+    (arrays > 0).then(|| [stage.to_owned(), arrays.to_string(), cases.join(", ")])
 }
 
 /// The defect of an array in a few words.

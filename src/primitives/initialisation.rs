@@ -117,6 +117,7 @@ pub fn primitives(points: &[Point], kernel: KernelKind, factor: f64, nu: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
     use ndarray::Array3;
 
     #[test]
@@ -129,8 +130,8 @@ mod tests {
             .collect();
         let p = primitives(&points, KernelKind::StudentT, 0.15, 10.0).unwrap().parameters;
         for (scale, density) in p.scale.iter().zip(&p.density) {
-            approx::assert_relative_eq!(scale[0], 0.1, max_relative = 1e-9);
-            approx::assert_relative_eq!(*density, 0.075);
+            within!(relative(scale[0], 0.1));
+            within!("density", relative(*density, 0.075));
         }
     }
 
@@ -140,9 +141,10 @@ mod tests {
         let volume =
             Volume::new(grid, Array3::from_shape_fn((8, 8, 8), |(x, y, _)| if x > 3 { 0.1 * y as f32 } else { 0.0 }))
                 .unwrap();
-        let points = bright_voxels(&volume, 0.25, 50, 3).unwrap();
+        let threshold = 0.25;
+        let points = bright_voxels(&volume, threshold, 50, 3).unwrap();
         assert_eq!(points.len(), 50);
-        assert!(points.iter().all(|p| p.density > 0.25 && p.position.x > 0.0));
+        assert!(points.iter().all(|p| p.density > threshold && p.position.x > 0.0));
         assert!(points.windows(2).all(|w| w[0].position != w[1].position));
         assert_eq!(bright_voxels(&volume, 0.25, 50, 3).unwrap(), points);
         assert_ne!(bright_voxels(&volume, 0.25, 50, 4).unwrap(), points);

@@ -272,6 +272,7 @@ impl Primitives {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::largest;
 
     fn one(scale: [f64; 3], quaternion: [f64; 4]) -> Parameters {
         Parameters { scale: vec![scale], quaternion: vec![quaternion], ..Parameters::zeros(1) }
@@ -289,7 +290,7 @@ mod tests {
                 [c * s * (a - b), s * s * a + c * c * b, 0.0],
                 [0.0, 0.0, 9.0],
             ]);
-            assert!((covariance - expected).to_cols_array().iter().all(|x| x.abs() < 9e-15), "{covariance}");
+            within!(largest((covariance - expected).to_cols_array()), "{covariance}");
         }
     }
 

@@ -71,6 +71,7 @@ fn largest(q: [f64; 4]) -> f64 {
 mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
+    use crate::tolerances::relative;
     use rand::RngExt;
 
     /// A quaternion with entries of very different magnitudes.
@@ -101,8 +102,8 @@ mod tests {
             let q = [0.7, -0.3, 0.5, 0.2].map(|x| x * factor);
             assert!(is_usable(q), "{factor:e}");
             let (direction, norm) = unit(q);
-            approx::assert_relative_eq!(norm, length * factor, max_relative = 1e-15);
-            assert!((direction - expected).length() < 1e-15, "{factor:e}: {direction}");
+            within!(relative(norm, length * factor));
+            within!((direction - expected).length(), "{factor:e}: {direction}");
         }
         for bad in [[0.0; 4], [1e-151; 4], [1.0, f64::NAN, 0.0, 0.0], [f64::INFINITY, 1.0, 0.0, 0.0]] {
             assert!(!is_usable(bad), "{bad:?}");

@@ -112,6 +112,7 @@ pub(crate) fn bits(epsilon: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
     use statrs::function::gamma::{digamma, ln_gamma};
 
     #[test]
@@ -121,9 +122,9 @@ mod tests {
             let (a, b) = ((nu + 2.0) / 2.0, (nu + 3.0) / 2.0);
             let log = 0.5 * libm::log(nu * PI) + ln_gamma(a) - ln_gamma(b);
             let slope = 0.5 / nu + 0.5 * (digamma(a) - digamma(b));
-            approx::assert_relative_eq!(value, libm::exp(log), max_relative = 3e-11);
+            within!(relative(value, libm::exp(log)));
             // In both, the slope is a small difference of large terms, worst at large ν.
-            approx::assert_relative_eq!(derivative, value * slope, max_relative = 1e-9, epsilon = 1e-13);
+            within!("slope", (derivative - value * slope).abs());
         }
     }
 
@@ -138,16 +139,16 @@ mod tests {
     #[test]
     fn line_integral_has_closed_values_at_small_nu() {
         // ν = 1: ∫(1+t²)^-2 = π/2. ν = 2: ∫(1+t²/2)^(-5/2) = 4√2/3. ν → ∞: √(2π).
-        approx::assert_relative_eq!(line_integral(1.0).0, PI / 2.0, max_relative = 5e-16);
-        approx::assert_relative_eq!(line_integral(2.0).0, 4.0 * 2.0_f64.sqrt() / 3.0, max_relative = 5e-16);
-        approx::assert_relative_eq!(line_integral(1e12).0, (2.0 * PI).sqrt(), max_relative = 1e-11);
+        within!(relative(line_integral(1.0).0, PI / 2.0));
+        within!(relative(line_integral(2.0).0, 4.0 * 2.0_f64.sqrt() / 3.0));
+        within!("large nu", relative(line_integral(1e12).0, (2.0 * PI).sqrt()));
     }
 
     #[test]
     fn reach_is_where_the_profile_meets_the_cutoff() {
         for nu in [1.0, 2.0, 10.0, 1e4] {
             let delta = reach(nu, bits(1e-3));
-            approx::assert_relative_eq!(libm::pow(1.0 + delta / nu, -(nu + 2.0) / 2.0), 1e-3, max_relative = 1e-11);
+            within!(relative(libm::pow(1.0 + delta / nu, -(nu + 2.0) / 2.0), 1e-3));
         }
         assert_eq!(reach(3.0, bits(0.0)), f64::INFINITY);
     }

@@ -284,6 +284,7 @@ mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::rotation;
+    use crate::tolerances::{largest, relative};
     use rand::RngExt;
 
     fn primitives(quaternion: [f64; 4]) -> Primitives {
@@ -302,7 +303,7 @@ mod tests {
         let primitives = primitives([0.7, -0.3, 0.5, 0.2]);
         let m = WhitenedPrimitive::new::<f64>(&primitives, 0, f64::INFINITY).whitening;
         let unit = m * primitives.parameters.covariance(0) * m.transpose();
-        assert!((unit - DMat3::IDENTITY).to_cols_array().iter().all(|x| x.abs() < 1e-14), "{unit}");
+        within!(largest((unit - DMat3::IDENTITY).to_cols_array()), "{unit}");
     }
 
     #[test]
@@ -355,7 +356,7 @@ mod tests {
         let ordinary = to_quaternion(1.0);
         for length in [1e-149, 1e-100, 1e150] {
             for (a, b) in to_quaternion(length).into_iter().zip(ordinary) {
-                approx::assert_relative_eq!(a * length, b, max_relative = 1e-13);
+                within!(relative(a * length, b));
             }
         }
     }

@@ -1,24 +1,29 @@
-//! The pilot run: a shorter training without some of the views, on which the finish is chosen. Not in the paper.
+//! The pilot run: a shorter training without some of the views, on which sampling and finish are chosen. Not in the paper.
 //!
-//! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is finished as that of the run is
-//! (`super::finish`), with weights of the total variation a factor of four apart. The run takes the weight with
-//! the least error in the views held out, and the first number of iterations that comes near that error:
+//! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is sampled and finished as that
+//! of the run is (`super::finish`), with weights of the total variation a factor of four apart. The run takes the weight
+//! with the least error in the views held out, and the first number of iterations that comes near that error. Where the
+//! sampling is open, both are tried, and the one with the smaller error is taken:
 //!
 //! ```text
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
 //! ```
 //!
+//! Each sampling is a model of the scan. With the interpolant, `A x` predicts the views held out; with point samples, the
+//! projections F of the primitives do, changed by `A (x - x₀)` as the finish changes the volume.
+//!
 //! The views held out have to be unknown to the primitives, too, which is why the pilot trains primitives of its own.
 
 use super::finish::{LEAST, SHORTEST, target};
-use super::{Observe, Progress};
+use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, FinishSearch, Trial, choose_finish, pilot_folds};
-use crate::config::{Config, Sampling};
+use crate::config::{Config, Precision, Sampling};
 use crate::error::Result;
 use crate::numeric::Real;
-use crate::scene::{Dataset, interpolant};
-use crate::train::{Record, train};
+use crate::reconstruction::Evidence;
+use crate::scene::{Dataset, Projections, Volume, interpolant};
+use crate::train::{Record, TrainedModel, train};
 use std::ops::ControlFlow;
 
 /// Iterations of the pilot as a fraction of those of the run.
@@ -29,32 +34,69 @@ const FIRST: f64 = 4e-4;
 /// Most iterations of a finish that are tried.
 const MOST_ITERATIONS: usize = 200;
 
-/// Weight and number of iterations of the finish of a run whose volume is sampled as `sampling`; none where there are too
-/// few views to hold any out.
+/// What a pilot run found.
+pub(super) struct Found {
+    /// How to sample the volume.
+    pub(super) sampled: Sampled,
+    /// Weight and number of iterations of the finish.
+    pub(super) choice: Choice,
+}
+
+/// Sampling and finish of a run by a pilot run; none where there are too few views to hold any out.
 ///
 /// # Errors
 /// Those of the training and of the method tv, and [`crate::Error::Interrupted`] when `observe` breaks.
-pub(super) fn choose<R: Real>(
-    dataset: &Dataset,
-    sampling: Sampling,
-    config: &Config,
-    observe: &mut Observe<'_>,
-) -> Result<Option<Choice>> {
+pub(super) fn choose(dataset: &Dataset, config: &Config, observe: &mut Observe<'_>) -> Result<Option<Found>> {
+    match config.precision {
+        Precision::F32 => choose_as::<f32>(dataset, config, observe),
+        Precision::F64 => choose_as::<f64>(dataset, config, observe),
+    }
+}
+
+fn choose_as<R: Real>(dataset: &Dataset, config: &Config, observe: &mut Observe<'_>) -> Result<Option<Found>> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let Some([train_views, held_views]) = pilot_folds(&projector, &dataset.train) else { return Ok(None) };
     let config = shorter(&config.resolved(&dataset.scanner, dataset.train.len()));
     let held = dataset.train.select(&held_views);
-    let part = Dataset { train: dataset.train.select(&train_views), truth: None, test: None, ..dataset.clone() };
+    let part = dataset.of_views(&train_views);
     let mut watch = |_, _: Option<&Record>| observe(Progress::Choosing("tv.weight", None));
-    let found = train(&part, &config, None, &mut watch)?;
-    let start = match sampling {
-        Sampling::Interpolant => interpolant(&found.volume),
-        _ => found.volume,
+    let pilot = train(&part, &config, None, &mut watch)?;
+    let mut choice_of = |sampling| finish_of::<R>(&pilot, sampling, [&part.train, &held], &projector, &config, observe);
+    let mut found = match config.sampling {
+        Sampling::Auto => {
+            let [interpolant, point] = [choice_of(Sampling::Interpolant)?, choice_of(Sampling::Point)?];
+            let evidence = Evidence { point: error(&point), interpolant: error(&interpolant) };
+            let cost = interpolant.cost + point.cost;
+            let (sampling, choice) = match evidence.is_interpolated() {
+                true => (Sampling::Interpolant, interpolant),
+                false => (Sampling::Point, point),
+            };
+            let choice = Choice { cost, ..choice };
+            Found { sampled: Sampled { sampling, evidence: Some(evidence) }, choice }
+        }
+        sampling => Found { sampled: Sampled { sampling, evidence: None }, choice: choice_of(sampling)? },
     };
-    let of = |views| target(views, &dataset.scanner, &found.primitives, &start, sampling, &projector, &config);
-    let (first, fewest) = match sampling {
-        Sampling::Interpolant => (FIRST, 0),
-        _ => (LEAST, SHORTEST),
+    // One iteration of the training projects one view.
+    found.choice.cost += config.iterations as f64 / dataset.train.len() as f64;
+    Ok(Some(found))
+}
+
+/// The finish of the pilot's volume, sampled as `sampling`, with the least error in the second of the `views`.
+fn finish_of<R: Real>(
+    pilot: &TrainedModel,
+    sampling: Sampling,
+    views: [&Projections; 2],
+    projector: &VoxelProjector,
+    config: &Config,
+    observe: &mut Observe<'_>,
+) -> Result<Choice> {
+    let interpolated: Volume;
+    let (start, first, fewest) = match sampling {
+        Sampling::Interpolant => {
+            interpolated = interpolant(&pilot.volume);
+            (&interpolated, FIRST, 0)
+        }
+        _ => (&pilot.volume, LEAST, SHORTEST),
     };
     let search = FinishSearch {
         weight: config.tv.weight.fixed(),
@@ -62,12 +104,15 @@ pub(super) fn choose<R: Real>(
         range: [fewest, MOST_ITERATIONS],
         first,
     };
+    let of = |views| target(views, projector.scanner(), &pilot.primitives, start, sampling, projector, config);
+    let [train, held] = [of(views[0])?, of(views[1])?];
     let mut watch = |key: &str, trial: Option<&Trial>| -> ControlFlow<()> { observe(Progress::Choosing(key, trial)) };
-    let views = [&*of(&part.train)?, &*of(&held)?];
-    let mut choice = choose_finish::<R>(&projector, views, &start, &config.tv(), &search, &mut watch)?;
-    // One iteration of the training projects one view.
-    choice.cost += config.iterations as f64 / dataset.train.len() as f64;
-    Ok(Some(choice))
+    choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, &mut watch)
+}
+
+/// The least error of a choice.
+fn error(choice: &Choice) -> f64 {
+    choice.curve.iter().fold(f64::INFINITY, |least, trial| least.min(trial.error))
 }
 
 /// The configuration of the pilot, from a resolved one: intervals shrink with the run.
@@ -83,7 +128,7 @@ fn shorter(config: &Config) -> Config {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Auto, Method};
+    use crate::config::{Auto, Finish, Method};
     use crate::reconstruction::reconstruct;
     use crate::scene::simulate::{Object, Plan, simulate};
     use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
@@ -117,8 +162,35 @@ mod tests {
 
     #[test]
     fn too_few_views_make_no_pilot() {
-        let found = choose::<f32>(&scan(3), Sampling::Point, &config(), &mut |_| ControlFlow::Continue(())).unwrap();
-        assert_eq!(found, None);
+        let found = choose(&scan(3), &config(), &mut |_| ControlFlow::Continue(())).unwrap();
+        assert!(found.is_none());
+        // Point samples, then: nothing speaks for an interpolated volume.
+        let auto = Config { sampling: Sampling::Auto, ..config() };
+        let sampled = reconstruct(&scan(3), &auto).unwrap().sampled.unwrap();
+        assert_eq!(sampled, Sampled { sampling: Sampling::Point, evidence: None });
+    }
+
+    #[test]
+    fn the_pilot_decides_the_sampling_where_it_is_open() {
+        let scan = scan(8);
+        let config = Config { sampling: Sampling::Auto, ..config() };
+        let found = reconstruct(&scan, &config).unwrap();
+        let (sampled, choice) = (found.sampled.unwrap(), found.choice.unwrap());
+        let evidence = sampled.evidence.unwrap();
+        assert_eq!(sampled.sampling == Sampling::Interpolant, evidence.interpolant < evidence.point);
+        // The finish that is chosen is that of the sampling that is chosen.
+        let alone = Config { sampling: sampled.sampling, ..config.clone() };
+        let fixed = reconstruct(&scan, &alone).unwrap();
+        let expected = Choice { cost: choice.cost, ..fixed.choice.clone().unwrap() };
+        assert_eq!((fixed.sampled.unwrap().evidence, &choice), (None, &expected));
+        assert!(choice.cost > fixed.choice.unwrap().cost);
+        assert_eq!(fixed.volume.values, found.volume.values);
+        assert_eq!(evidence.point.min(evidence.interpolant), error(&choice));
+        // Without a finish the pilot run decides the sampling alone.
+        let unfinished = reconstruct(&scan, &Config { finish: Finish::None, ..config }).unwrap();
+        assert!(unfinished.choice.is_none() && unfinished.unfinished.is_none());
+        assert_eq!(unfinished.sampled, Some(sampled));
+        assert_eq!(unfinished.volume, found.unfinished.unwrap());
     }
 
     #[test]

@@ -158,7 +158,7 @@ mod tests {
             .skip(1)
             .map(|t| t.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
             .collect();
-        assert!(heights[1] - heights[0] >= LINE_HEIGHT - 0.1, "{heights:?}");
+        within!(LINE_HEIGHT - (heights[1] - heights[0]), "{heights:?}");
     }
 
     #[test]

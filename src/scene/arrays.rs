@@ -114,7 +114,8 @@ impl Projections {
         let len = self.len();
         if n == 0 || n > len {
             let expected = format!("1 to {len}, the dataset's training views");
-            return Err(Error::invalid(Setting::Views, n, expected, "choose a number in this range"));
+            let remedy = format!("give {} {len} for all of them", Setting::Views);
+            return Err(Error::invalid(Setting::Views, n, expected, remedy));
         }
         Ok(self.select(&(0..n).map(|i| i * len / n).collect::<Vec<_>>()))
     }

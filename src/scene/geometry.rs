@@ -383,7 +383,8 @@ impl Scanner {
                     "DSO",
                     dso,
                     format!("more than {radius}, the volume's reach around the axis"),
-                    "the source would pass through the volume: check units and sVoxel",
+                    "the source would pass through the volume: give DSO and sVoxel in one unit of length, and the \
+                     distance from source to rotation axis as DSO",
                 ));
             }
         }
@@ -435,6 +436,7 @@ impl Scanner {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::largest;
 
     fn scanner() -> Scanner {
         Scanner {
@@ -457,7 +459,7 @@ mod tests {
     fn camera_frame_is_right_handed_at_every_angle() {
         for angle in Scanner::uniform_angles(7, 0.3, 6.0) {
             let view = scanner().view(angle);
-            assert!((view.u.cross(view.v) - view.w).length() < 1e-15);
+            within!((view.u.cross(view.v) - view.w).length());
         }
     }
 
@@ -469,10 +471,7 @@ mod tests {
             let ray = s.ray(&view, row, column);
             let (u, v) = view.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
             let (r, c) = s.detector.pixel(u, v);
-            assert!(
-                (r - row as f64).abs() < 1e-12 && (c - column as f64).abs() < 1e-12,
-                "({row},{column}) became ({r},{c})"
-            );
+            within!(largest([r - row as f64, c - column as f64]), "({row},{column}) became ({r},{c})");
         }
     }
 

@@ -1,15 +1,18 @@
 //! Scan data: geometry, volumes, projections, phantoms, noise and file formats.
 
 pub mod arrays;
+pub mod borders;
 pub mod dataset;
 pub mod describe;
 pub mod geometry;
+pub mod hounsfield;
 pub mod intensities;
 pub mod interpolant;
 pub mod noise;
 pub mod npy;
 pub mod npz;
 pub mod phantom;
+pub mod plausibility;
 pub mod simulate;
 pub mod stack;
 pub mod trace;

@@ -174,6 +174,7 @@ impl FromStr for Noise {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::relative;
     use ndarray::Array3;
 
     /// Three views of many equal pixels, the last view the brightest of the stack.
@@ -184,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_reading_is_turned_back_into_a_line_integral() {
-        let near = |got: f64, expected: f64| approx::assert_relative_eq!(got, expected, max_relative = 1e-15);
+        let near = |got: f64, expected: f64| within!(relative(got, expected));
         // 960 counts and two σ of 20 make 1000 of 8000: -ln(1/8).
         near(noisy_line_integral(8000.0, 20.0, 0.5, 960.0, 2.0), 1.5 * std::f64::consts::LN_2);
         // The floor, and a reading brighter than without an object.
@@ -209,9 +210,8 @@ mod tests {
                 let expected_variance = (counts + sigma * sigma) / (counts * counts) * peak * peak;
                 let expected_mean = f64::from(value) + expected_variance / (2.0 * peak);
                 let standard_error = (expected_variance / n).sqrt();
-                assert!((mean - expected_mean).abs() < 4.0 * standard_error, "mean {mean}, expected {expected_mean}");
-                let ratio = variance / expected_variance;
-                assert!((ratio - 1.0).abs() < 4.0 * (2.0 / n).sqrt() + 0.02, "variance ratio {ratio} in view {view}");
+                within!("mean", (mean - expected_mean).abs() / standard_error, "mean {mean}, expected {expected_mean}");
+                within!("variance", (variance / expected_variance - 1.0).abs(), "view {view}");
             }
         }
     }

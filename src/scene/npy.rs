@@ -102,6 +102,15 @@ pub fn read_f64<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f64, D>> 
     with_axes(read(path)?.numbers.into_f64(), path, "array", axes)
 }
 
+/// NumPy's name of the type of a file's numbers, `<f4` for example; `None` for a file that cannot be read.
+pub(super) fn type_of(path: &Path) -> Option<String> {
+    let header = header_bytes(&mut BufReader::new(File::open(path).ok()?)).ok()?;
+    match NpyHeader::from_reader(&header[..]).ok()?.dtype() {
+        DType::Plain(kind) => Some(kind.to_string()),
+        _ => None,
+    }
+}
+
 /// Writes an array in C order, atomically.
 ///
 /// # Errors

@@ -8,6 +8,7 @@ use super::phantom::Phantom;
 use super::trilinear;
 use crate::error::{Error, Result};
 use crate::numeric::rng::{Purpose, stream};
+use crate::setting::Setting;
 use rand::RngExt;
 use std::f64::consts::TAU;
 
@@ -102,7 +103,12 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
     scanner.validate()?;
     orbit.validate()?;
     if plan.views == 0 {
-        return Err(Error::invalid("training views", 0, "at least one", "ask for at least one"));
+        return Err(Error::invalid(
+            "training views",
+            0,
+            "at least one",
+            format!("give {} 18, for example", Setting::Views),
+        ));
     }
     let truth = match object {
         Object::Phantom(phantom) => phantom.voxelize(&scanner.grid, SAMPLES),
@@ -209,7 +215,7 @@ mod tests {
         let volume = exact.truth.as_ref().unwrap();
         let voxels = simulate("a", Object::Volume(volume), &scanner, &plan).unwrap();
         let difference = (&exact.train.images - &voxels.train.images).mapv(f32::abs);
-        assert!(difference.mean().unwrap() < 0.005, "mean difference {:?}", difference.mean());
+        within!(difference.mean().unwrap(), "mean difference {:?}", difference.mean());
         assert_eq!(voxels.truth.as_ref().unwrap(), volume);
     }
 

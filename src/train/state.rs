@@ -231,6 +231,7 @@ pub(super) fn digest(dataset: &Dataset) -> String {
 mod tests {
     use super::*;
     use crate::primitives::{KernelKind, activation::Interval};
+    use crate::tolerances::relative;
 
     fn activation() -> Activation {
         Activation {
@@ -260,7 +261,7 @@ mod tests {
         assert_eq!((state.raw.scale[0], state.raw.density[0]), (raw().scale[1], raw().density[1]));
         assert_eq!((state.raw.scale[1], state.raw.nu[2]), (raw().scale[0], raw().nu[0]));
         let density = activation().forward(&state.raw).parameters.density;
-        approx::assert_relative_eq!(density[1] + density[2], physical.density[0], max_relative = 1e-15);
+        within!(relative(density[1] + density[2], physical.density[0]));
         assert_eq!((state.ids.as_slice(), state.next_id), (&[1, 0, 2][..], 3));
     }
 

@@ -309,6 +309,7 @@ fn add_synthesis<R: Real>(coefficients: &[R], [_, ny, nz]: [usize; 3], band: usi
 mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
+    use crate::tolerances::largest;
     use crate::wavelet::naive;
     use ndarray::Axis;
     use rand::RngExt;
@@ -334,9 +335,9 @@ mod tests {
             let subbands = forward(block.view(), levels);
             let peak = block.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
             let worst = (&inverse(&subbands) - &block).iter().fold(0.0_f64, |m, d| m.max(d.abs()));
-            assert!(worst <= 1e-15 * peak, "{shape:?}, {levels} levels: {:e}", worst / peak);
+            within!(worst / peak, "{shape:?}, {levels} levels: {:e}", worst / peak);
             let (before, after) = (block.iter().map(|v| v * v).sum::<f64>(), energy(&subbands));
-            assert!((before - after).abs() <= 1e-14 * before, "{shape:?}, {levels} levels: {before} or {after}");
+            within!("energy", (before - after).abs() / before, "{shape:?}, {levels} levels: {before} or {after}");
         }
     }
 
@@ -347,14 +348,14 @@ mod tests {
         let finest = naive::transform(&block);
         let coarsest = naive::transform(&finest.index_axis(Axis(0), 0).to_owned());
         for (level, expected) in subbands.levels.iter().zip([finest, coarsest]) {
-            assert!((level - &expected).iter().all(|d| d.abs() <= 1e-13));
+            within!(largest(level - &expected));
         }
         for (level, band) in (1..=2).flat_map(|level| (0..BANDS).map(move |band| (level, band))) {
             let expected = naive::alone(&block, level, band);
             let found = alone(subbands.band(level, band), [4, 8, 12], level, band);
-            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() <= 1e-13), "level {level}, band {band}");
+            within!(largest(found.iter().zip(&expected).map(|(a, b)| a - b)), "level {level}, band {band}");
             let again = coefficients(block.as_slice().unwrap(), [4, 8, 12], level, band);
-            assert!(again.iter().zip(subbands.band(level, band)).all(|(a, b)| (a - b).abs() <= 1e-13));
+            within!(largest(again.iter().zip(subbands.band(level, band)).map(|(a, b)| a - b)));
         }
     }
 
@@ -368,7 +369,7 @@ mod tests {
             let right: f64 =
                 coefficients(f.as_slice().unwrap(), shape, level, band).iter().zip(&c).map(|(a, b)| a * b).sum();
             assert_eq!(c.len(), size);
-            assert!((left - right).abs() <= 1e-14, "band {band}: {left} or {right}");
+            within!((left - right).abs(), "band {band}: {left} or {right}");
         }
     }
 

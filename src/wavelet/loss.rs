@@ -109,6 +109,7 @@ pub fn wavelet_loss_into<R: Real>(
 mod tests {
     use super::*;
     use crate::numeric::rng::{Purpose, stream};
+    use crate::tolerances::{largest, relative};
     use crate::wavelet::naive;
     use rand::RngExt;
 
@@ -146,13 +147,13 @@ mod tests {
                 (found.enhancement, single.enhancement, expected.enhancement),
                 (found.suppression, single.suppression, expected.suppression),
             ] {
-                assert!((got - expected).abs() <= 1e-13 * expected.abs(), "{shape:?}: {got} or {expected}");
-                assert!((single - expected).abs() <= 1e-5 * expected.abs(), "{shape:?}: {single} or {expected}");
+                within!((got - expected).abs() / expected.abs(), "{shape:?}: {got} or {expected}");
+                within!("f32", (single - expected).abs() / expected.abs(), "{shape:?}: {single} or {expected}");
             }
             let error = worst(&found.gradient, &expected.gradient);
-            assert!(error <= 1e-13, "{shape:?}, {levels} levels: {error:e}");
+            within!(error, "{shape:?}, {levels} levels: {error:e}");
             let error = worst(&single.gradient.mapv(f64::from), &expected.gradient);
-            assert!(error <= 1e-5, "{shape:?}, {levels} levels, f32: {error:e}");
+            within!("f32", error, "{shape:?}, {levels} levels, f32: {error:e}");
         }
     }
 
@@ -170,7 +171,7 @@ mod tests {
                     wavelet_loss(block.view(), &routing, &settings).value
                 };
                 let difference = (moved(1e-5) - moved(-1e-5)) / 2e-5;
-                assert!((analytic - difference).abs() <= 1e-7 * peak, "{voxel:?}: {analytic:e} or {difference:e}");
+                within!((analytic - difference).abs() / peak, "{voxel:?}: {analytic:e} or {difference:e}");
             }
         }
     }
@@ -184,13 +185,13 @@ mod tests {
         let loss = wavelet_loss(block.view(), &routing, &settings);
         // Five of the six bands are flat: √1e-12 each. The mean of high/3 over the voxels is a half.
         let g = (2.0 + 5.0 * 1e-6) / 6.0;
-        approx::assert_relative_eq!(loss.enhancement, 1.5 * g / 2.0, max_relative = 1e-12);
-        approx::assert_relative_eq!(loss.suppression, g / 2.0, max_relative = 1e-12);
-        approx::assert_relative_eq!(loss.value, 0.25 * g / 2.0 - 0.5 * 0.75 * g, max_relative = 1e-12);
+        within!(relative(loss.enhancement, 1.5 * g / 2.0));
+        within!(relative(loss.suppression, g / 2.0));
+        within!(relative(loss.value, 0.25 * g / 2.0 - 0.5 * 0.75 * g));
         // The step of 2 is the difference of two means of four voxels: ±1/4 for each, in one band of six.
         let slope = (0.25 * 0.5 - 0.5 * 0.75) / 6.0 / 4.0;
         for ((x, ..), d) in loss.gradient.indexed_iter() {
-            approx::assert_relative_eq!(*d, if x == 0 { slope } else { -slope }, max_relative = 1e-9);
+            within!("slope", relative(*d, if x == 0 { slope } else { -slope }));
         }
     }
 
@@ -230,7 +231,7 @@ mod tests {
     fn a_constant_block_has_a_strength_of_rounding_and_no_gradient() {
         let routing = routing([4, 4, 4], 8);
         let loss = wavelet_loss(Array3::from_elem([4, 4, 4], 0.3_f32).view(), &routing, &plain());
-        assert!(loss.enhancement < 2e-6 && loss.suppression < 2e-6);
+        within!(largest([loss.enhancement, loss.suppression]));
         assert!(loss.gradient.iter().all(|d| *d == 0.0), "{:?}", loss.gradient);
     }
 

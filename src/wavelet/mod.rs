@@ -69,7 +69,7 @@ impl Settings {
                 "sides of the wavelet's block",
                 format!("{shape:?} with {} levels", self.levels),
                 "even sides, divisible by 2 once for each level",
-                "choose other sides or fewer levels",
+                "give `wavelet.block=32` and `wavelet.levels=1`, the defaults",
             ));
         }
         Ok(())

@@ -135,7 +135,8 @@ impl Router {
         // The old tree is dropped first, so that memory holds one at a time.
         self.tree = None;
         let tree = ImmutableKdTree::new_from_slice(means).map_err(|error| {
-            Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", "use fewer")
+            let remedy = "give `wavelet.enabled=false`, which needs no neighbours";
+            Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", remedy)
         })?;
         self.tree = Some(tree);
         self.places.clear();

@@ -225,7 +225,8 @@ fn results_that_do_not_belong_to_the_scan() {
     assert!(sandbox.refused("evaluate a.npy --against scan").contains("[12, 12, 12] = [x, y, z]"));
     assert!(sandbox.refused("evaluate scan --against scan").contains("config.toml"));
     assert!(sandbox.refused("simulate --volume scan/meta_data.json --out x").contains("meta_data.json"));
-    assert!(sandbox.refused("inspect scan/proj_train").contains("meta_data.json or provenance.json"));
+    std::fs::create_dir(sandbox.path("empty")).unwrap();
+    assert!(sandbox.refused("inspect empty").contains("expected slices"));
 }
 
 #[test]

@@ -209,11 +209,12 @@ fn a_small_version_of_every_table_is_as_it_was() {
         assert_eq!(found.len(), committed.len(), "{table}");
         for (found, committed) in found.iter().zip(&committed) {
             for (column, (ours, theirs)) in found.iter().zip(committed).enumerate() {
-                let near = match (ours.parse::<f64>(), theirs.parse::<f64>()) {
-                    (Ok(ours), Ok(theirs)) => (ours - theirs).abs() <= if ours.abs() > 1.0 { 0.02 } else { 0.002 },
-                    _ => ours == theirs,
-                };
-                assert!(near, "{table}, column {column}: {found:?} against {committed:?}");
+                let what = format!("{table}, column {column}: {found:?} against {committed:?}");
+                match (ours.parse::<f64>(), theirs.parse::<f64>()) {
+                    (Ok(ours), Ok(theirs)) if ours.abs() > 1.0 => within!("decibels", (ours - theirs).abs(), "{what}"),
+                    (Ok(ours), Ok(theirs)) => within!("similarity", (ours - theirs).abs(), "{what}"),
+                    _ => assert_eq!(ours, theirs, "{what}"),
+                }
             }
         }
     }

@@ -1,9 +1,10 @@
-//! Files exchanged with SimpleITK, nibabel, plyfile and NumPy, in both directions.
+//! Files exchanged with SimpleITK, nibabel, pynrrd, tifffile, imagecodecs, plyfile and NumPy, in both directions.
 //!
 //! Needs Python with the packages of `reference/formats/requirements.txt`: `python3`, or the program named by
 //! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it.
 
 use crate::program::Sandbox;
+use crate::tolerances::largest;
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -13,13 +14,12 @@ use trgs::primitives::{Group, KernelKind, Parameters, Primitives, model};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{dataset, npy};
 
-/// Positions in a NIfTI file are stored in single precision.
-const SINGLE: f64 = 1e-6;
-
 /// Output of the script, or `None` with a message if Python lacks a package.
 fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
-    let has_all = Command::new(&program).args(["-c", "import nibabel, numpy, plyfile, SimpleITK"]).output();
+    let has_all = Command::new(&program)
+        .args(["-c", "import imagecodecs, nibabel, nrrd, numpy, plyfile, SimpleITK, tifffile"])
+        .output();
     if !has_all.is_ok_and(|out| out.status.success()) {
         assert!(std::env::var_os("CI").is_none(), "{program} lacks packages; set TRGS_PYTHON");
         let remark =
@@ -37,10 +37,15 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap_or_else(|| panic!("{value}")).iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
-fn assert_close(found: &[f64], expected: &[f64], tolerance: f64, what: &str) {
-    let close = |(a, b): (&f64, &f64)| (a - b).abs() <= tolerance;
-    let all = found.len() == expected.len() && found.iter().zip(expected).all(close);
-    assert!(all, "{what}: {found:?} instead of {expected:?}");
+fn assert_close(found: &[f64], expected: &[f64], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    within!(largest(found.iter().zip(expected).map(|(a, b)| a - b)), "{what}: {found:?} instead of {expected:?}");
+}
+
+/// [`assert_close`] for parameters, which files hold in double precision.
+fn assert_same_parameters(found: &[f64], expected: &[f64], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    within!(largest(found.iter().zip(expected).map(|(a, b)| a - b)), "{what}: {found:?} instead of {expected:?}");
 }
 
 /// Compares a volume as another program read it with the original.
@@ -48,10 +53,10 @@ fn assert_seen(found: &Value, expected: &VolumeFile, what: &str) {
     let shape: [usize; 3] = expected.values.dim().into();
     assert_eq!(found["shape"], json!(shape), "{what}");
     let values: Vec<f64> = expected.values.iter().map(|&value| value.into()).collect();
-    assert_close(&numbers(&found["values"]), &values, 0.0, what);
-    assert_close(&numbers(&found["spacing"]), &expected.spacing.unwrap().to_array(), SINGLE, what);
-    assert_close(&numbers(&found["origin"]), &expected.origin.unwrap().to_array(), SINGLE, what);
-    assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), SINGLE, what);
+    assert_eq!(numbers(&found["values"]), values, "{what}");
+    assert_close(&numbers(&found["spacing"]), &expected.spacing.unwrap().to_array(), what);
+    assert_close(&numbers(&found["origin"]), &expected.origin.unwrap().to_array(), what);
+    assert_close(&numbers(&found["directions"]), &expected.directions.to_cols_array(), what);
 }
 
 /// A scanner with an off-centre grid that differs in every axis.
@@ -84,14 +89,14 @@ fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
     let grid = dataset::read_scanner(&sandbox.path("meta_data.json")).unwrap().grid;
     let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
     let expected = VolumeFile { values, spacing, origin, ..VolumeFile::default() };
-    assert_close(&grid.min.to_array(), &[-0.65, -1.15, -0.7], 1e-12, "the test's grid");
+    within!(largest((grid.min - DVec3::new(-0.65, -1.15, -0.7)).to_array()));
     let names = ["v.nii", "v.nii.gz", "v.mha", "v.nrrd"];
     for name in names {
         sandbox.done(&format!("convert v.npy {name} --scanner meta_data.json"));
         let found = volume_file::read(&sandbox.path(name)).unwrap();
         assert_eq!((&found.values, found.directions, &found.oddities), (&expected.values, DMat3::IDENTITY, &vec![]));
         for (found, expected) in [(found.spacing, expected.spacing), (found.origin, expected.origin)] {
-            assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), SINGLE, name);
+            assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), name);
         }
     }
     let paths = names.map(|name| sandbox.path(name));
@@ -107,7 +112,7 @@ fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
         for (who, found) in seen {
             let what = format!("{who}, {}", path.display());
             assert_seen(found, &expected, &what);
-            assert_close(&numbers(&found["at_points"]), &at_points, 0.0, &what);
+            assert_eq!(numbers(&found["at_points"]), at_points, "{what}");
             assert!(found["qform_is_sform"].as_bool().unwrap_or(true), "{what}");
         }
     }
@@ -152,6 +157,43 @@ fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
 }
 
 #[test]
+fn odd_volumes_are_read_as_other_programs_read_them() {
+    let sandbox = Sandbox::new();
+    if others(&[&sandbox.path("")], "odd").is_none() {
+        return;
+    }
+    let expected: Value = serde_json::from_str(&sandbox.text("expected.json")).unwrap();
+    let expected = expected.as_object().unwrap();
+    assert!(expected.len() > 40, "{} files", expected.len());
+    for (name, expected) in expected {
+        let found = volume_file::read(&sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let shape: [usize; 3] = found.values.dim().into();
+        assert_eq!(expected["shape"], json!(shape), "{name}");
+        let values: Vec<f64> = found.values.iter().map(|&value| value.into()).collect();
+        let wanted = numbers(&expected["values"]);
+        if name == "jpg" {
+            assert_eq!(values.len(), wanted.len(), "{name}");
+            within!("jpg", largest(values.iter().zip(&wanted).map(|(a, b)| a - b)), "{values:?}");
+        } else {
+            assert_eq!(values, wanted, "{name}");
+        }
+        for (key, place) in [("spacing", found.spacing), ("origin", found.origin)] {
+            match (place, expected[key].is_null()) {
+                (None, true) => {}
+                (Some(place), false) => {
+                    let expected = numbers(&expected[key]);
+                    let size = expected.iter().fold(1.0_f64, |most, x| most.max(x.abs()));
+                    let [found, expected] =
+                        [&place.to_array()[..], &expected].map(|of| of.iter().map(|x| x / size).collect::<Vec<_>>());
+                    assert_close(&found, &expected, &format!("{name}, {key}"));
+                }
+                (place, _) => panic!("{name}: {key} {place:?} instead of {}", expected[key]),
+            }
+        }
+    }
+}
+
+#[test]
 fn a_ply_holds_the_model_its_confidence_and_colours() {
     let sandbox = Sandbox::with_scan();
     model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
@@ -181,7 +223,7 @@ fn a_ply_holds_the_model_its_confidence_and_colours() {
     ];
     for (group, names) in names {
         for (k, name) in names.into_iter().enumerate() {
-            assert_close(&numbers(&ply[name]), &column(group, k), 0.0, name);
+            assert_eq!(numbers(&ply[name]), column(group, k), "{name}");
         }
     }
     assert_eq!(ply["confidence"], c["c"]);
@@ -206,12 +248,8 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
             for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
                 let unbounded = group == Group::Scale && name == "unbounded";
                 let key = if unbounded { "unbounded_scale" } else { group.key() };
-                assert_close(
-                    found.parameters.group(group),
-                    &numbers(&physical[key]),
-                    1e-14,
-                    &format!("{pickle}, {key}"),
-                );
+                let what = format!("{pickle}, {key}");
+                assert_same_parameters(found.parameters.group(group), &numbers(&physical[key]), &what);
             }
         }
     }
@@ -220,7 +258,7 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
     let before = model::read(&sandbox.path("point_cloud_4.pickle.npz")).unwrap();
     let after = model::read(&sandbox.path("again.ply")).unwrap();
     for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
-        assert_close(after.parameters.group(group), before.parameters.group(group), 1e-14, group.key());
+        assert_same_parameters(after.parameters.group(group), before.parameters.group(group), group.key());
     }
     let path = sandbox.path("cloud.npz");
     let seen = others(&[&path], "see").unwrap();

@@ -81,7 +81,7 @@ fn assert_found(scan: &Dataset, convention: &Convention) {
     for remedy in convention.remedies() {
         assert!(check.verdict[0].contains(remedy), "{words}: {:?}", check.verdict);
     }
-    assert!(check.offset_u.found.abs() < 0.2, "{words}: {:?}", check.offset_u);
+    within!(check.offset_u.found.abs(), "{words}: {:?}", check.offset_u);
     // The views alone determine the class, whatever the truth.
     for candidate in &check.candidates {
         let same = candidate.convention.looks_like(convention, &scan.scanner.beam);
@@ -142,11 +142,11 @@ fn conventions_of_a_class_have_the_same_residual() {
             let residuals: Vec<f64> = check.candidates.iter().filter(of).map(|c| c.residual).collect();
             assert_eq!(residuals.len(), 16 / classes);
             for residual in &residuals {
-                assert!((residual / residuals[0] - 1.0).abs() < 1e-4, "{beam:?} {class}: {residuals:?}");
+                within!((residual / residuals[0] - 1.0).abs(), "{beam:?} {class}: {residuals:?}");
             }
             least.push(residuals[0]);
         }
-        assert!(least.iter().skip(1).all(|other| *other > 1.5 * least[0]), "{beam:?}: {least:?}");
+        least.iter().skip(1).for_each(|other| beyond!("other classes", other / least[0], "{beam:?}: {least:?}"));
         assert_eq!(check.candidates.iter().map(|c| c.class).max(), Some(classes));
     }
 }
@@ -172,10 +172,10 @@ fn displaced_detectors_are_found_to_a_fifth_of_a_pixel() {
         scan.scale = 0.01;
         let check = checked(&scan);
         let sentences = check.verdict.join(" ");
-        assert!((check.offset_u.found - pixels).abs() < 0.2, "{beam:?} {pixels}: {:?}", check.offset_u);
+        within!((check.offset_u.found - pixels).abs(), "{beam:?} {pixels}: {:?}", check.offset_u);
         assert_eq!(check.agrees, stated == pixels, "{sentences}");
         let set = check.off_detector[0] * scan.scale / scanner.detector.pitch_u;
-        assert!((set - pixels).abs() < 0.2, "{:?}", check.off_detector);
+        within!((set - pixels).abs(), "{:?}", check.off_detector);
         assert_eq!(sentences.contains("opposite sign"), stated == -pixels && pixels != 0.0, "{sentences}");
         assert_eq!(sentences.contains("Set offDetector"), stated != pixels, "{sentences}");
     }
@@ -190,7 +190,7 @@ fn a_detector_displaced_along_v_is_found_in_a_cone_beam_and_left_alone_in_a_para
     let along_v = sound.offset_v.as_ref().unwrap();
     // The minimum is shallow, but the stated uncertainty holds.
     let near = |found: f64| (found - 2.4).abs() < 2.0 * along_v.uncertainty;
-    assert!(along_v.uncertainty < 0.6, "{along_v:?}");
+    within!(along_v.uncertainty, "{along_v:?}");
     assert!(sound.agrees && near(along_v.found), "{:?}", sound.verdict);
     scan.scanner.detector.offset_v *= -1.0;
     let wrong = checked(&scan);
@@ -323,7 +323,7 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
     let found = sandbox.done("inspect scan --check-geometry");
     assert_eq!((&found["agrees"], &found["candidates"][0]["words"]), (&true.into(), &"as stated".into()));
     assert_eq!(found["candidates"].as_array().unwrap().len(), 16);
-    assert!(found["offset_u"]["found"].as_f64().unwrap().abs() < 0.2, "{found}");
+    within!(found["offset_u"]["found"].as_f64().unwrap().abs(), "{found}");
     assert!(sandbox.run("inspect scan --check-geometry --quiet").stderr.is_empty());
 
     sandbox.edit("scan/meta_data.json", |meta| {

@@ -1,5 +1,8 @@
 //! The contracts of the program, one module each.
 
+#[macro_use]
+#[path = "../common/tolerances.rs"]
+mod tolerances;
 #[path = "../common/mod.rs"]
 mod common;
 mod program;
@@ -24,6 +27,8 @@ mod memory;
 mod oracle_cli;
 // Scans with poses.
 mod poses;
+// Frames, volumes and angles in the formats that people have.
+mod readers;
 // Stopped and resumed runs.
 mod resume;
 // Settings of the library are flags of the program.
@@ -32,3 +37,5 @@ mod settings;
 mod stand_ins;
 // Units of density.
 mod units;
+// Values that cannot be right.
+mod values;

@@ -32,18 +32,23 @@ fn a_stranger_exports_answers_and_checks() {
     let sandbox = Sandbox::new();
     let exported = sandbox.done("oracle export vectors --blind --level core");
     assert!(exported["files"].as_u64().unwrap() > 20);
-    assert_eq!(sandbox.names_in("vectors"), ["inputs", "manifest.json"]);
+    assert_eq!(sandbox.names_in("vectors"), ["PROTOCOL.md", "inputs", "manifest.json"]);
     // A second export replaces the first; a folder that holds other files is left alone.
     sandbox.done("oracle export vectors --level core");
-    assert_eq!(sandbox.names_in("vectors"), ["expected", "inputs", "manifest.json"]);
+    assert_eq!(sandbox.names_in("vectors"), ["PROTOCOL.md", "expected", "inputs", "manifest.json"]);
     sandbox.write("vectors/thesis.txt", "years");
     assert!(sandbox.refused("oracle export vectors").contains("thesis.txt"));
 
     for precision in ["f64", "f32"] {
         sandbox.done(&format!("oracle answer {precision} --precision {precision}"));
-        let report = sandbox.done(&format!("oracle check {precision} --precision {precision}"));
+        let report = sandbox.done(&format!("oracle check {precision} --precision {precision} --level stress"));
         assert!(report["results"].as_array().unwrap().iter().all(|r| r["status"] != "failed"));
     }
+    let count = |level: &str| {
+        sandbox.done(&format!("oracle check f64 --precision f64{level}"))["results"].as_array().unwrap().len()
+    };
+    assert_eq!(count(""), count(" --level core"));
+    assert!(count("") < count(" --level optional"));
     // Single-precision answers must fail as double precision.
     assert_eq!(sandbox.run("oracle check f32 --precision f64").status.code(), Some(1));
 }
@@ -56,7 +61,7 @@ fn a_failed_check_ends_with_1_and_writes_its_three_reports() {
     let file = format!("own/{}", case["outputs"]["kernel"]["file"].as_str().unwrap());
     let array = npy::read_f64::<ndarray::Ix1>(&sandbox.path(&file), "[N]").unwrap();
     npy::write(&sandbox.path(&file), (array * 2.0).view()).unwrap();
-    let check = "oracle check own --stage covariance,kernel --precision f64";
+    let check = "oracle check own --stage covariance,kernel --precision f64 --level stress";
     let output = sandbox.run(&format!("{check} --report report.json"));
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
     let text = String::from_utf8(output.stdout).unwrap();

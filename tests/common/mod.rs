@@ -1,7 +1,6 @@
-//! Shared by several contracts: scenes, committed vectors, tolerances.
+//! Shared by several contracts: scenes, committed vectors.
 #![allow(dead_code)]
 
 pub(crate) mod plain;
-pub(crate) mod precision;
 pub(crate) mod scenes;
 pub(crate) mod vectors;

@@ -1,5 +1,8 @@
 //! The contracts of the library, one module each.
 
+#[macro_use]
+#[path = "../common/tolerances.rs"]
+mod tolerances;
 #[path = "../common/mod.rs"]
 mod common;
 mod damage;
@@ -20,6 +23,8 @@ mod example_backend;
 mod extremes;
 // Gradients against central differences.
 mod finite_differences;
+// Odd volumes and the table of them.
+mod formats;
 // Gradients against 50-digit central differences.
 mod gradients;
 // Symmetries of the scene.
@@ -34,6 +39,8 @@ mod paper;
 mod parity;
 // Views with poses.
 mod poses;
+// The page for authors of other backends.
+mod protocol;
 // Volumes and projections of other programs.
 mod real_data;
 // Rules that a compiler does not check.
@@ -44,6 +51,8 @@ mod representation;
 mod robustness;
 // Positions drawn by the sampler.
 mod statistics;
+// The table of tolerances.
+mod tolerance_rows;
 // Training as a whole.
 mod training;
 // Wavelet loss through the voxels of a block.

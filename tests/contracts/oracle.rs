@@ -322,6 +322,34 @@ fn the_report_is_written_for_readers_programs_and_build_servers() {
     assert!(report::write(&result, &folder.path().join("report.txt")).is_err());
 }
 
+/// All failures are listed, and before them no missing answer.
+#[test]
+fn the_report_lists_every_failure_before_the_missing_answers() {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    let all = ["image-affine", "image-exact", "image-cutoff", "density", "density-cutoff", "kernel"].map(String::from);
+    let open = folder.path().join("open");
+    let cases: Vec<_> = vectors.manifest.cases.iter().filter(|case| all.contains(&case.stage)).collect();
+    vectors.export(&open, false, &cases).unwrap();
+    let answers = open.join("expected");
+    let mut wrong = 0;
+    for case in cases.iter().filter(|case| case.stage != "kernel") {
+        for (role, file) in &case.outputs {
+            let mut arrays = vectors.arrays(file).unwrap();
+            arrays.get_mut("").unwrap().mapv_inplace(|x| 1.5 - x);
+            answers::write(&answers, case, &[(role.clone(), arrays)].into()).unwrap();
+            wrong += 1;
+        }
+    }
+    assert!(wrong > 60);
+    fs::remove_dir_all(answers.join("kernel")).unwrap();
+    let report = judge(&vectors, &answers, Format::F64, &all);
+    let text = report::markdown(&report);
+    let (failed, missing) = text.split_once("## Missing").unwrap();
+    let rows = failed.split_once("## Failed").unwrap().1.lines().filter(|line| line.contains('/'));
+    assert!(rows.count() >= wrong - 2, "{text}");
+    assert!(missing.contains("kernel") && missing.contains("trained, gaussian"), "{missing}");
+}
+
 #[test]
 fn damaged_vectors_and_those_of_another_version_are_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,7 +2,6 @@
 //!
 //! Primitives are reordered or split into parts; quaternions change sign and length; axes are permuted.
 
-use crate::common::precision::{REPRESENTATION_F32, REPRESENTATION_F64};
 use crate::common::scenes;
 use glam::{DMat3, DQuat};
 use ndarray::Array3;
@@ -44,13 +43,8 @@ fn same_up_to_rounding(what: &str, change: impl Fn(&mut Primitives)) {
         let mut after = before.clone();
         change(&mut after);
         assert_ne!(before, after, "{what} changes nothing");
-        for (found, tolerance, precision) in [
-            (distance(&all::<f64>(&after, 0.0), &all::<f64>(&before, 0.0)), REPRESENTATION_F64, "f64"),
-            (distance(&all::<f32>(&after, 0.0), &all::<f32>(&before, 0.0)), REPRESENTATION_F32, "f32"),
-        ] {
-            eprintln!("{what}: {kernel:?} {precision}: {found:.1e}");
-            assert!(found <= tolerance, "{what}: {kernel:?} {precision}: {found:e} of the peak, allowed {tolerance:e}");
-        }
+        within!("f64", distance(&all::<f64>(&after, 0.0), &all::<f64>(&before, 0.0)), "{what}: {kernel:?}");
+        within!("f32", distance(&all::<f32>(&after, 0.0), &all::<f32>(&before, 0.0)), "{what}: {kernel:?}");
     }
 }
 

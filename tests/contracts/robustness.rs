@@ -6,6 +6,7 @@
 //! DICOM is tested in `src/scene/volume_file/dicom`, extreme numbers in `tests/contracts/extremes.rs`.
 
 use crate::damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
+use crate::formats::build;
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
 use proptest::collection::vec;
@@ -113,6 +114,7 @@ fn damaged_descriptions_of_scanners_are_clear_errors() {
 #[test]
 fn damaged_lists_of_angles_are_clear_errors() {
     assert_reader_survives("angles.txt", MANY, b"# degrees\n0, 45.5, 90\n135;-180 # end\n", parse_angles);
+    assert_reader_survives("angles.csv", MANY, b"view,\"angle\",time\n0,1.5,9:00\n1,-3e-1,9:01\n", parse_angles);
 }
 
 #[test]
@@ -139,15 +141,57 @@ fn small_volume(name: &str) -> Vec<u8> {
     bytes_of(name, |path| volume_file::write(path, &volume).unwrap())
 }
 
+/// Volumes in forms that this program does not write.
+fn odd_volumes() -> Vec<(&'static str, Vec<u8>)> {
+    let encoded = |encoding: &str, numbers: &[u8]| {
+        build::header(build::NRRD, &[("encoding: raw", &format!("encoding: {encoding}"))], numbers)
+    };
+    vec![
+        ("bzip2.nrrd", encoded("bzip2", &build::bzip2(&build::floats()))),
+        ("gzip.nrrd", encoded("gzip", &build::gzip(&build::floats()))),
+        ("text.nrrd", encoded("ascii", &build::text())),
+        ("second.nii", build::nifti_2(true)),
+        ("volume.npz", build::npz(&["vol"])),
+        ("slice.png", build::png(0, true, png::ColorType::Grayscale)),
+        ("slice.jpg", include_bytes!("../data/grey.jpg").to_vec()),
+        ("stack.tif", build::image_j()),
+        ("zstd.tif", build::zstd()),
+    ]
+}
+
 #[test]
 fn damaged_volumes_of_every_format_are_clear_errors() {
     for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"] {
         assert_reader_survives(name, MANY, &small_volume(name), volume_file::parse);
     }
+    for (name, valid) in odd_volumes() {
+        assert_reader_survives(name, MANY / 4, &valid, volume_file::parse);
+    }
     let detached = b"NDims = 3\nDimSize = 2 2 1\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n1234";
     assert_reader_survives("a.mhd", MANY, detached, volume_file::parse);
     // For raw numbers only the length can be wrong.
     assert_reader_survives("a_3x4x5_float32.raw", MANY, &small_volume("a_3x4x5_float32.raw"), volume_file::parse);
+}
+
+#[test]
+fn damaged_headers_that_name_files_are_clear_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    for header in ["a.mhd", "a.nhdr"] {
+        // An error may be about a file that the header names.
+        let names: Vec<String> = (0..5).map(|z| format!("{header}.s{z}.raw")).collect();
+        for (z, name) in names.iter().enumerate() {
+            std::fs::write(folder.path().join(name), build::slice(&build::floats(), z, 4)).unwrap();
+        }
+        for list in [format!("LIST\n{}\n", names.join("\n")), format!("{header}.s%1d.raw 0 4 1")] {
+            let valid = match header {
+                "a.mhd" => build::header(build::MHA, &[("LOCAL", &list)], &[]),
+                _ => build::header(build::NRRD, &[("raw\n\n", &format!("raw\ndata file: {list}\n"))], &[]),
+            };
+            assert_reader_survives(header, FEW, &valid, |bytes, path| {
+                volume_file::parse(bytes, &folder.path().join(path))
+            });
+        }
+    }
 }
 
 #[test]
@@ -218,6 +262,8 @@ fn files_that_claim_gigabytes_are_given_no_memory() {
         ("a.ply", ASCII_PLY.into(), model),
     ];
     files.extend(["a.mha", "a.nrrd", "a.nii", "a.nii.gz"].map(|name| (name, small_volume(name), volume)));
+    let odd: Reader = |bytes, path| assert_clear(volume_file::parse(bytes, path), ".");
+    files.extend(odd_volumes().into_iter().map(|(name, content)| (name, content, odd)));
     files.extend(small_tiffs().into_iter().map(|tiff| ("a.tif", tiff, volume)));
     for (name, valid, read) in files {
         let path = Path::new(name);

@@ -77,7 +77,8 @@ fn seven_tenths_of_the_lanes_that_a_run_goes_through_are_within_supports() {
     let field = Field::<f32>::new(&run(&dataset, &config).primitives, config.cutoff);
     for angle in [0.0, 0.4, 2.0] {
         let pairs = field.view(&scanner, angle, config.projection).utilisation();
-        assert!(pairs.active > 500_000 && pairs.ratio() > 0.7, "{angle}: {} of {pairs:?}", pairs.ratio());
+        assert!(pairs.active > 500_000, "{angle}: {pairs:?}");
+        beyond!(pairs.ratio(), "{angle}: {pairs:?}");
     }
 }
 
@@ -111,7 +112,7 @@ fn every_pair_of_density_control_and_optimiser_learns_and_stops_and_goes_on_to_t
         let what = format!("{:?} {:?} {:?}", config.method, config.density_control.method, config.optimiser.position);
         let whole = threads::install(1, || run(&dataset, &config)).unwrap();
         let (first, last) = (&whole.log[0], whole.log.last().unwrap());
-        assert!(last.l1 < 0.8 * first.l1, "{what}: from {} to {}", first.l1, last.l1);
+        within!(last.l1 / first.l1, "{what}: from {} to {}", first.l1, last.l1);
         assert!(last.primitives > 300, "{what}: {} primitives", last.primitives);
         assert!(results.insert(bits(&whole)), "{what} is the same as another pair");
 
@@ -169,7 +170,8 @@ fn a_strong_pull_leads_nu_to_its_targets() {
         run(&dataset, &config).log.last().unwrap().spearman.unwrap()
     };
     let (weak, strong) = (spearman(1e-6), spearman(10.0));
-    assert!(strong > 0.9 && strong > weak, "Spearman's ρ: {weak} with a weak pull, {strong} with a strong one");
+    beyond!(strong);
+    assert!(strong > weak, "Spearman's ρ: {weak} with a weak pull, {strong} with a strong one");
 }
 
 #[test]

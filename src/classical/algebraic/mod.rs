@@ -15,7 +15,6 @@
 //! total-variation minimization*, Phys. Med. Biol. 53 (2008) 4777.
 //! `[HS52]`: M. R. Hestenes, E. Stiefel, *Methods of conjugate gradients*, J. Res. NBS 49 (1952) 409.
 
-mod alignment;
 mod asd_pocs;
 mod cgls;
 mod held_out;
@@ -26,7 +25,6 @@ mod tests;
 mod total_variation;
 mod tv;
 
-pub use alignment::{Alignment, alignment};
 pub use asd_pocs::{AsdPocsSettings, asd_pocs};
 pub use cgls::cgls;
 pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};

@@ -78,7 +78,7 @@ mod tests {
             };
             let step = 1e-5;
             let difference = (moved(step) - moved(-step)) / (2.0 * step);
-            assert!((exact[j] - difference).abs() < 1e-7, "{j}: {} and {difference}", exact[j]);
+            within!((exact[j] - difference).abs(), "{j}: {} and {difference}", exact[j]);
         }
     }
 }

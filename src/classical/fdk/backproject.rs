@@ -114,7 +114,7 @@ mod tests {
                     touched[k] += usize::from(near > 0.0);
                     expected += weight * near * g;
                 }
-                assert!((f64::from(value) - expected).abs() < 1e-5, "{beam:?} {voxel:?}: {value} against {expected}");
+                within!((f64::from(value) - expected).abs(), "{beam:?} {voxel:?}: {value} against {expected}");
             }
             assert!(touched.iter().all(|&n| n > 5), "{touched:?}");
         }

@@ -10,16 +10,47 @@
 //! where h is the ramp filter along the rows, on a detector scaled to the rotation axis. Projections are interpolated
 //! bilinearly, with 0 outside the detector. In a parallel beam both weights are 1. Δφ is half the angle between the two
 //! neighbours of a view, so the views of a full turn may be uneven. A parallel view equals its opposite view, so half a
-//! turn suffices. [`Turn`] treats short scans of a cone beam and displaced detectors. Nothing is clipped: values may be
-//! negative.
+//! turn suffices. Nothing is clipped: values may be negative.
+//!
+//! # Conditions
+//!
+//! Each ray through the object must be measured, by itself or from the opposite side. With [`Turn::Measured`] the
+//! weights follow from the views, from the position of the detector, and from the borders of the projections
+//! ([`Borders`]): the object is *cut off* where they are clearly above air. The first row that applies decides:
+//!
+//! | detector | views | result |
+//! |---|---|---|
+//! | does not reach the axis | any | refused: the middle was not measured |
+//! | any | one, or an arc of less than 180° and the fan (parallel: 180°) | refused |
+//! | any | groups with several wide gaps | refused |
+//! | displaced, object cut off at the near side | less than a full turn, in any beam | refused |
+//! | displaced, object or volume cut off at the near side | full turn | weights of `[Wang02]` |
+//! | any other, cone | arc of at least 180° and the fan | weights of `[Parker82]` |
+//! | any other, cone | full turn | every ray counts half |
+//! | any other, parallel | at least 180° | every direction counts once |
+//!
+//! - The detector is displaced if one side of the axis is wider than the other by 5 %; that is the far side.
+//! - The fan is that of the volume or of the object, if that is wider; the detector limits both.
+//! - An arc ends where a gap is 1.5 times as wide as all others. A full turn of a displaced detector lacks at most four
+//!   mean steps. A gap is wide beyond 30° and six times the median gap.
+//! - Where the object is cut off and no opposite view sees the rest, each row is continued as an ellipse. The middle
+//!   of an ellipsoid up to 2.3 times as wide as the detector is right within 3 %, as in every cell of the table. Other
+//!   objects are continued roughly; [`crate::scene::plausibility`] warns of them.
+//! - Few views cause streaks, and no error of the mean in the middle. They are not refused.
+//!
+//! # Poses
 //!
 //! Poses are accepted if they make one circle: detectors parallel to the axis, and the same distances, offsets, heights
 //! and axis shift τ in all views. The distance of a ray from the axis is then `s = dso·sin γ + τ·cos γ`, `tan γ = u/dsd`,
 //! so that `ds/dγ` has the factor `1 - τ·u/(dso·dsd)` on that of the plain circle, and angles from the ray through the
 //! axis are `γ + atan(τ/dso)`. Both are exact. All other poses are refused.
+//!
+//! Tests: `every_cell_is_right_in_the_middle_or_refused` goes through all combinations.
 
 mod backproject;
 mod circle;
+mod conditions;
+mod continuation;
 mod filter;
 mod redundancy;
 
@@ -27,6 +58,7 @@ use super::columns::Columns;
 use crate::error::{Error, Result};
 use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
+use crate::scene::borders::Borders;
 use crate::scene::{Projections, Scanner, Volume};
 use backproject::voxels;
 use circle::Circle;
@@ -80,9 +112,7 @@ impl Window {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
-    /// The measured range: a full turn, or an arc of at least half a turn plus the fan.
-    ///
-    /// Arcs are weighted by `[Parker82]`, and a displaced detector on a full turn by `[Wang02]`.
+    /// The measured range, by the table of conditions of `classical::fdk`.
     #[default]
     Measured,
     /// A full turn of a centred detector, even if views are missing: for a first guess from any scan.
@@ -96,15 +126,16 @@ pub enum Turn {
 /// source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
-/// When the scanner is invalid, the projections do not have its detector's size, the views cover too short an arc, or
-/// their poses make no circle.
+/// When the scanner is invalid, the projections do not have its detector's size, the views lack rays (see the table of
+/// conditions on this page), or their poses make no circle.
 ///
-/// Tests: known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
+/// Tests: `every_cell_is_right_in_the_middle_or_refused`; known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
 pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
     let images = projections.images.view();
     check(scanner, &projections.angles, images.shape())?;
     let Circle { scanner: circle, angles, shift } = Circle::of(scanner, projections)?;
-    let weights = RayWeights::new(&circle, &angles, turn, shift)?;
+    let seen = (turn == Turn::Measured).then(|| Borders::of(images));
+    let weights = RayWeights::new(&circle, &angles, shift, seen.as_ref())?;
     let volume = match weights.widen(&circle, images) {
         Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, &angles, shift),
         None => voxels(&filtered(&circle, &weights, images, window), &circle, &angles, shift),
@@ -140,7 +171,7 @@ pub fn filter<R: Sample>(
     window: Window,
 ) -> Result<Array3<R>> {
     check(scanner, angles, projections.shape())?;
-    let weights = RayWeights::new(scanner, angles, Turn::Full, 0.0)?;
+    let weights = RayWeights::new(scanner, angles, 0.0, None)?;
     Ok(filtered(scanner, &weights, projections, window).images())
 }
 
@@ -172,6 +203,10 @@ fn check(scanner: &Scanner, angles: &[f64], shape: &[usize]) -> Result<()> {
         (format!("shape {shape:?}"), format!("[view, {rows}, {columns}] with an angle for each view"));
     Err(Error::invalid("projections", got, expected, "give one image [v, u] per angle"))
 }
+
+#[cfg(test)]
+#[path = "tests.rs"]
+mod cells;
 
 #[cfg(test)]
 mod tests {
@@ -213,23 +248,24 @@ mod tests {
         (sums[0].0 / f64::from(sums[0].1), sums[1].0 / f64::from(sums[1].1))
     }
 
-    fn assert_ball(scanner: &Scanner, angles: &[f64], tolerance: f64) {
+    fn assert_ball(scanner: &Scanner, angles: &[f64]) {
         let projections = ball().project(scanner, angles).unwrap();
         let (inside, outside) = means(&fdk(scanner, &projections, Window::RamLak, Turn::Measured).unwrap());
-        assert!((inside / 0.6 - 1.0).abs() < tolerance && outside.abs() < 0.01, "inside {inside}, outside {outside}");
+        within!("inside", (inside / 0.6 - 1.0).abs());
+        within!("outside", outside.abs());
     }
 
     #[test]
     fn a_ball_has_its_density_in_a_cone_beam() {
-        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &turn(180), 0.01);
+        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &turn(180));
     }
 
     #[test]
     fn a_ball_has_its_density_in_a_parallel_beam_from_a_full_or_half_turn() {
         let scanner = scanner(Beam::Parallel { dso: 5.0 });
-        assert_ball(&scanner, &turn(180), 0.01);
-        assert_ball(&scanner, &turn(91), 0.01);
-        assert_ball(&scanner, &Scanner::uniform_angles(90, 0.7, PI), 0.01);
+        assert_ball(&scanner, &turn(180));
+        assert_ball(&scanner, &turn(91));
+        assert_ball(&scanner, &Scanner::uniform_angles(90, 0.7, PI));
     }
 
     #[test]
@@ -238,7 +274,7 @@ mod tests {
             let mut scanner = scanner(beam);
             (scanner.detector.offset_u, scanner.detector.offset_v) = (0.2, -0.15);
             scanner.grid = Grid::new([31, 40, 24], DVec3::new(-0.8, -0.9, -1.0), DVec3::new(0.95, 0.7, 0.9)).unwrap();
-            assert_ball(&scanner, &turn(180), 0.01);
+            assert_ball(&scanner, &turn(180));
         }
     }
 
@@ -247,7 +283,7 @@ mod tests {
         let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
         // Half a turn and a fan of 2·asin(1/5), 23°; then more.
         for span in [3.56, 4.4, 5.5] {
-            assert_ball(&scanner, &Scanner::uniform_angles(150, 0.9, span), 0.01);
+            assert_ball(&scanner, &Scanner::uniform_angles(150, 0.9, span));
         }
         let short = Scanner::uniform_angles(150, 0.9, 3.4);
         let projections = ball().project(&scanner, &short).unwrap();
@@ -263,10 +299,10 @@ mod tests {
             for side in [1.0, -1.0] {
                 let mut scanner = scanner(beam);
                 (scanner.detector.columns, scanner.detector.offset_u) = (66, side * 0.59);
-                assert_ball(&scanner, &turn(180), 0.01);
+                assert_ball(&scanner, &turn(180));
                 let projections = ball().project(&scanner, &turn(180)).unwrap();
                 let (inside, _) = means(&fdk(&scanner, &projections, Window::RamLak, Turn::Full).unwrap());
-                assert!((inside / 0.6 - 1.0).abs() > 0.02, "weights make no difference: {inside}");
+                beyond!((inside / 0.6 - 1.0).abs(), "weights make no difference: {inside}");
             }
         }
     }
@@ -274,8 +310,8 @@ mod tests {
     #[test]
     fn uneven_views_are_weighted_by_the_angle_they_stand_for() {
         let uneven: Vec<f64> = turn(180).into_iter().map(|a| a + 0.7 * sin(a)).rev().collect();
-        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &uneven, 0.01);
-        assert_ball(&scanner(Beam::Parallel { dso: 5.0 }), &uneven, 0.01);
+        assert_ball(&scanner(Beam::Cone { dso: 5.0, dsd: 7.0 }), &uneven);
+        assert_ball(&scanner(Beam::Parallel { dso: 5.0 }), &uneven);
     }
 
     #[test]
@@ -285,7 +321,7 @@ mod tests {
         let roughness = |window: Window| {
             let volume = fdk(&scanner, &noisy, window, Turn::Measured).unwrap();
             let (inside, _) = means(&volume);
-            assert!((inside / 0.6 - 1.0).abs() < 0.015, "{window:?}: {inside}");
+            within!((inside / 0.6 - 1.0).abs(), "{window:?}: {inside}");
             volume.values.var(0.0)
         };
         let values = Window::NAMED.map(|(_, window)| roughness(window));

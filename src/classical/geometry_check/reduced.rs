@@ -111,6 +111,7 @@ fn shares(n: usize, parts: usize) -> Vec<Vec<(usize, f64)>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tolerances::largest;
 
     #[test]
     fn shares_add_up_to_one_and_elements_to_their_width() {
@@ -118,10 +119,10 @@ mod tests {
             let shares = shares(n, parts);
             let mut used = vec![0.0; n];
             for part in &shares {
-                assert!((part.iter().map(|(_, share)| share).sum::<f64>() - 1.0).abs() < 1e-12);
+                within!((part.iter().map(|(_, share)| share).sum::<f64>() - 1.0).abs());
                 part.iter().for_each(|&(k, share)| used[k] += share * n as f64 / parts as f64);
             }
-            assert!(used.iter().all(|used| (used - 1.0).abs() < 1e-9), "{n} {parts}: {used:?}");
+            within!("elements", largest(used.iter().map(|used| used - 1.0)), "{n} {parts}: {used:?}");
         }
     }
 
@@ -139,8 +140,8 @@ mod tests {
     fn the_grid_holds_all_mirror_images_of_a_shifted_volume_and_stays_away_from_the_source() {
         let grid = Grid::new([20, 10, 8], DVec3::new(-0.3, -0.4, 0.1), DVec3::new(0.9, 0.2, 0.7)).unwrap();
         let held = symmetric(&grid, &Beam::Cone { dso: 5.0, dsd: 7.0 }, 24);
-        assert!((held.min + held.max()).abs().max_element() < 1e-12);
-        assert!(held.max().cmpge(DVec3::new(0.9, 0.9, 0.7) - 1e-9).all());
+        within!((held.min + held.max()).abs().max_element());
+        within!((DVec3::new(0.9, 0.9, 0.7) - held.max()).max_element());
         assert_eq!(held.shape, [24, 24, 19]);
         let near = symmetric(&grid, &Beam::Cone { dso: 1.0, dsd: 7.0 }, 24);
         assert!(near.max().truncate().length() < 1.0);

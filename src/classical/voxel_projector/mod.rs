@@ -115,7 +115,7 @@ impl VoxelProjector {
     }
 
     /// The scanner.
-    pub(super) fn scanner(&self) -> &Scanner {
+    pub(crate) fn scanner(&self) -> &Scanner {
         &self.scanner
     }
 

@@ -58,7 +58,7 @@ fn fast_rays_are_the_naive_ones() {
                 hit += usize::from(!weights.is_empty());
                 let per_voxel = (ray.direction / scanner.grid.spacing).abs();
                 steep += usize::from(!weights.is_empty() && per_voxel.z > per_voxel.x.max(per_voxel.y));
-                assert!((value - plain).abs() < 1e-13, "{number} {model:?} {view} {row} {column}: {value}, {plain}");
+                within!((value - plain).abs(), "{number} {model:?} {view} {row} {column}: {value}, {plain}");
             }
             assert!(hit > 500 && (steep > 20) == (number == 2), "{number}: {hit} rays, {steep} steep");
         }
@@ -75,9 +75,9 @@ fn the_adjoint_is_the_transpose() {
             let adjoint = projector.adjoint(&ANGLES, y.view()).unwrap();
             let (left, right) = (dot(&forward, &y), dot(&x, &adjoint));
             let size = dot(&forward, &forward).sqrt() * dot(&y, &y).sqrt();
-            assert!((left - right).abs() < 1e-12 * size, "{model:?}: {left} and {right}");
+            within!((left - right).abs() / size, "{model:?}: {left} and {right}");
             // The factor that fits one product to the other.
-            assert!((left / right - 1.0).abs() < 1e-12, "{model:?}: {}", left / right);
+            within!((left / right - 1.0).abs(), "{model:?}: {}", left / right);
         }
     }
 }
@@ -91,7 +91,7 @@ fn single_precision_is_the_same_to_rounding() {
             let near = |a: Array3<f64>, b: Array3<f32>| {
                 let peak = a.iter().fold(0.0_f64, |peak, value| peak.max(value.abs()));
                 let error = a.iter().zip(&b).fold(0.0_f64, |error, (a, &b)| error.max((a - f64::from(b)).abs()));
-                assert!(error < 2e-6 * peak, "{model:?}: {error} of {peak}");
+                within!(error / peak, "{model:?}: {error} of {peak}");
             };
             let (x32, y32) = (x.mapv(|v| v as f32), y.mapv(|v| v as f32));
             let (x, y) = (x32.mapv(f64::from), y32.mapv(f64::from));
@@ -110,7 +110,7 @@ fn siddons_lengths_in_a_full_box_add_up_to_its_chord() {
         let cuboid = Solid::new(Shape::Cuboid, 1.0, centre, half);
         for ((view, row, column), length) in lengths.indexed_iter() {
             let chord = cuboid.line_integral(&scanner.ray(&scanner.view(ANGLES[view]), row, column));
-            assert!((length - chord).abs() < 1e-12, "{length} of {chord}");
+            within!((length - chord).abs(), "{length} of {chord}");
         }
     }
 }

@@ -6,12 +6,13 @@ mod scan;
 mod stack;
 mod volume;
 
-use crate::cli::Output;
+use crate::cli::{Output, messages};
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use trgs::scene::npz::Npz;
 use trgs::{Error, Result};
 
 /// Convert volumes, models, scans and raw projections between formats
@@ -19,6 +20,7 @@ use trgs::{Error, Result};
 #[command(after_help = "Examples:
   trgs convert run/volume.npy volume.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
+  trgs convert thorax_in_hu.nii.gz thorax.npy --mu-water 1
   trgs convert run/model.npz model.ply --scanner scan
   trgs convert run/model.npz point_cloud.npz --r2
   trgs convert point_cloud.pickle model.npz
@@ -26,19 +28,22 @@ use trgs::{Error, Result};
   trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
 
-Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif, a folder of .tif, a folder with a DICOM series (read
-only, in builds with --features dicom), and .raw. A .raw states size and type in its name, or in a side file
-name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5,
+Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif and .raw; read only are .npz with one array of three
+axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, and a folder with a DICOM series (in builds
+with --features dicom). A .raw states size and type in its name (name_256x256x256_uint8.raw, name_256x256_uint16be.raw
+for a slice), in that of its folder, or in a side file name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5,
 1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32 with
 axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu), R²-Gaussian's
 point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a folder, written as a
 folder in scene units.
 
-A stack of projections (.npy [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, x = u)
-becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
+A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v,
+x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
 with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam,
 detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or
-evenly spaced over its totalAngle from startAngle.
+evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose
+heading has angle, theta, phi, deg or rad. Frames that are flat or dark fields, by path, content or name, are left out.
+Gaps in the numbers of the names, several patterns of names and different types of numbers are warned of.
 
 Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the
 detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no
@@ -54,6 +59,9 @@ pub(super) struct Convert {
     /// Scan that gives a volume its spacing and origin, or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
+    /// Read a volume as Hounsfield units: write attenuation X (1 + HU/1000), where X is that of water
+    #[arg(long, value_name = "X", value_parser = crate::cli::arguments::finite)]
+    mu_water: Option<f64>,
     /// Write a model as R²-Gaussian's arrays, with values before activation
     #[arg(long)]
     r2: bool,
@@ -96,7 +104,7 @@ impl Convert {
             // Scans of NAF and point clouds of R²-Gaussian share the extension: the output's name decides.
             "pickle" | "pkl" if out == Kind::Model => Kind::Model,
             "pickle" | "pkl" => Kind::Scan,
-            _ if kind(&self.source) == Kind::Model => Kind::Model,
+            _ if kind(&self.source) == Kind::Model && !holds_arrays(&self.source) => Kind::Model,
             _ if out == Kind::Scan => Kind::Stack,
             _ => Kind::Volume,
         };
@@ -116,6 +124,9 @@ impl Convert {
             }
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");
+            }
+            _ if self.mu_water.is_some() && (source, out) != (Kind::Volume, Kind::Volume) => {
+                return refuse("--mu-water", "a volume to read and a volume to write, .nii.gz for example");
             }
             _ => {}
         }
@@ -155,12 +166,18 @@ fn kind(path: &Path) -> Kind {
     }
 }
 
+/// Whether an archive holds other arrays than those of a model: a volume or a stack.
+fn holds_arrays(path: &Path) -> bool {
+    let is_other = |npz: Npz| !npz.keys().any(|key| ["mean", "xyz"].contains(&key));
+    extension(path) == "npz" && Npz::read(path).is_ok_and(is_other)
+}
+
 fn extension(path: &Path) -> &str {
     path.extension().and_then(OsStr::to_str).unwrap_or_default()
 }
 
 fn warn(path: &Path, oddities: &[String]) {
     for oddity in oddities {
-        tracing::warn!("{}: {oddity}", path.display());
+        messages::warning(path, oddity);
     }
 }

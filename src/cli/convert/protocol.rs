@@ -3,9 +3,9 @@
 use crate::cli::arguments::seed;
 use crate::cli::check_size;
 use clap::Args;
-use trgs::Result;
 use trgs::classical::with_pseudo_truth;
 use trgs::scene::Dataset;
+use trgs::{Error, Result};
 
 #[derive(Args)]
 #[command(next_help_heading = "Measured scans")]
@@ -34,7 +34,12 @@ impl Protocol {
     pub(super) fn apply(&self, mut dataset: Dataset) -> Result<Dataset> {
         if self.pseudo_truth {
             check_size("volume", &dataset.scanner.grid.shape)?;
-            dataset = with_pseudo_truth(dataset)?;
+            dataset = with_pseudo_truth(dataset).map_err(|error| match error {
+                Error::Invalid { what, got, expected, .. } => {
+                    Error::invalid(what, got, expected, "omit --pseudo-truth: FDK makes no truth of this scan")
+                }
+                other => other,
+            })?;
         }
         match self.views {
             Some(views) => dataset.subsample(views, self.test_views, self.seed.unwrap_or(0)),

@@ -2,7 +2,7 @@
 
 use super::{Convert, Converted, warn};
 use crate::cli::{Output, interrupt};
-use trgs::scene::Dataset;
+use trgs::scene::{Dataset, plausibility};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
@@ -13,6 +13,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     }
     let dataset = Dataset::read(source)?;
     warn(source, &dataset.oddities);
+    warn(source, &plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(out))?;
     let (shape, notes) = (dataset.scanner.grid.shape, dataset.notes);

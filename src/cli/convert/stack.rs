@@ -8,15 +8,20 @@ use ndarray::{Array2, Array3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::scene::dataset::Description;
-use trgs::scene::intensities::{Air, Corrected, Correction, White, mean_frame};
-use trgs::scene::stack::{self, Orientation, RtkGeometry};
+use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame};
+use trgs::scene::plausibility;
+use trgs::scene::stack::{self, Orientation, RtkGeometry, Series};
 use trgs::{Error, Result};
+
+/// The fields in messages.
+const FLAT: &str = "flat field";
+const DARK: &str = "dark field";
 
 /// Flags for stacks of projections.
 #[derive(Args)]
 #[command(next_help_heading = "Stacks of projections")]
 pub(super) struct StackArgs {
-    /// Angles of the views in radians: a text of numbers, or .npy
+    /// Angles of the views in radians: a text of numbers, a table with a header, or .npy
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
     /// Angles and poses of the views: geometry of RTK, in the unit of length of the scanner
@@ -111,18 +116,20 @@ impl StackArgs {
     /// Converts intensities to line integrals.
     fn correct(&self, readings: &Array3<f32>) -> Result<Corrected> {
         let white = match (&self.flat, self.white, self.normalise) {
-            (Some(flat), _, _) => White::Flat(field("flat field", flat)?),
+            (Some(flat), _, _) => White::Flat(field(FLAT, flat)?),
             (None, Some(reading), _) => White::Reading(reading),
             (None, None, Some(Normalise::Frame)) => White::OfFrame,
             (None, None, _) => White::OfStack,
         };
-        let dark = self.dark.as_deref().map(|dark| field("dark field", dark)).transpose()?;
+        let dark = self.dark.as_deref().map(|dark| field(DARK, dark)).transpose()?;
         Correction { dark, white, air: self.air.clone() }.apply(readings)
     }
 }
 
 fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
-    mean_frame(what, &stack::read(path)?).map_err(|error| error.in_file(path))
+    let frames = stack::read(path)?;
+    warn(path, &full_scale(what, &frames).into_iter().collect::<Vec<_>>());
+    mean_frame(what, &frames).map_err(|error| error.in_file(path))
 }
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
@@ -138,7 +145,12 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         warn(path, &oddities);
         description = description.with_poses(&poses).map_err(|error| error.in_file(scanner))?;
     }
-    let frames = stack::read(source)?;
+    let fields: Vec<(&str, &Path)> = [(FLAT, &arguments.flat), (DARK, &arguments.dark)]
+        .into_iter()
+        .filter_map(|(what, path)| Some((what, path.as_deref()?)))
+        .collect();
+    let Series { values: frames, remarks, .. } = stack::read_series(source, &fields)?;
+    warn(source, &remarks);
     let angles = match &arguments.angles {
         Some(path) => stack::read_angles(path, arguments.degrees)?,
         None => description.angles(frames.dim().0).map_err(|error| error.in_file(scanner))?,
@@ -160,6 +172,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let dataset = stack::scan(&name, &description, line_integrals, angles, orientation);
     let dataset = dataset.map_err(|error| error.in_file(source))?;
     warn(scanner, &dataset.oddities);
+    warn(source, &plausibility::remarks(&dataset));
+    tracing::info!("{}", stack::span(&dataset.train.angles));
     let dataset = protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(out))?;
     let detector = dataset.scanner.detector;

@@ -2,6 +2,7 @@
 
 use super::{Convert, Converted, warn};
 use crate::cli::Output;
+use crate::cli::messages::hounsfield_to_attenuation;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::volume_file;
 use trgs::{Error, Result};
@@ -10,6 +11,9 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let (source, out) = (&command.source, &command.out);
     let mut volume = volume_file::read(source)?;
     warn(source, &volume.oddities);
+    if let Some(mu_water) = command.mu_water {
+        hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
+    }
     let shape: [usize; 3] = volume.values.dim().into();
     if let Some(path) = &command.scanner {
         let grid = read_scanner(path)?.grid;

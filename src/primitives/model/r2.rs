@@ -130,6 +130,7 @@ mod tests {
     use super::super::read;
     use super::*;
     use crate::primitives::Group;
+    use crate::tolerances::relative;
 
     fn primitives(nu: [f64; 3]) -> Primitives {
         let parameters = Parameters {
@@ -154,9 +155,10 @@ mod tests {
             for group in Group::ALL {
                 for (x, y) in found.parameters.group(group).iter().zip(written.parameters.group(group)) {
                     // The precision of a scale is that of the upper end of its interval.
-                    let close =
-                        if group == Group::Scale { (x - y).abs() < 1e-15 } else { (x - y).abs() < 1e-14 * y.abs() };
-                    assert!(x == y || close, "{group:?}: {x} instead of {y}");
+                    match group {
+                        Group::Scale => within!("scale", (x - y).abs(), "{x} instead of {y}"),
+                        _ => within!(relative(*x, *y), "{group:?}: {x} instead of {y}"),
+                    }
                 }
             }
         }
@@ -184,11 +186,11 @@ mod tests {
         let found = read(&path).unwrap();
         assert_eq!(found.kernel, KernelKind::Gaussian);
         let e = std::f64::consts::E;
-        approx::assert_relative_eq!(found.parameters.density[0], std::f64::consts::LN_2, max_relative = 1e-15);
-        approx::assert_relative_eq!(found.parameters.scale[0][0], 0.5005, max_relative = 1e-15);
-        approx::assert_relative_eq!(found.parameters.scale[0][1], 0.001 + 0.999 * e / (1.0 + e), max_relative = 1e-15);
+        within!(relative(found.parameters.density[0], std::f64::consts::LN_2));
+        within!(relative(found.parameters.scale[0][0], 0.5005));
+        within!(relative(found.parameters.scale[0][1], 0.001 + 0.999 * e / (1.0 + e)));
         npz::write(&path, &arrays(false)).unwrap();
-        approx::assert_relative_eq!(read(&path).unwrap().parameters.scale[0][1], e, max_relative = 1e-15);
+        within!(relative(read(&path).unwrap().parameters.scale[0][1], e));
     }
 
     #[test]

@@ -368,7 +368,7 @@ mod tests {
             Footprint::support_boxes([&whitened(mean, scale, 1e-2); LANES], &fine.view(0.8), Projection::Exact);
         assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
         for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
-            assert!((a - b).abs() < 1e-13, "{a} against {b}");
+            within!((a - b).abs(), "{a} against {b}");
         }
     }
 

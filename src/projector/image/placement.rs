@@ -250,11 +250,10 @@ mod tests {
 
     #[test]
     fn registers_of_one_row_make_the_same_image_and_gradient_as_those_of_two() {
-        for ((row_layouts, worst), limit) in
-            [(difference_of_shapes::<f32>(), 2e-6), (difference_of_shapes::<f64>(), 5e-15)]
-        {
-            assert!(row_layouts > 50 && worst < limit, "{row_layouts}: {worst:e}");
-        }
+        let [single, double] = [difference_of_shapes::<f32>(), difference_of_shapes::<f64>()];
+        assert!(single.0 > 50 && double.0 > 50, "{single:?} {double:?}");
+        within!("f32", single.1);
+        within!("f64", double.1);
     }
 
     /// Largest difference of images and of gradients, relative to their sizes, between roots computed near 1 and anywhere.
@@ -284,7 +283,9 @@ mod tests {
             [difference::<f32, StudentT>(), difference::<f64, StudentT>()],
             [difference::<f32, Gaussian>(), difference::<f64, Gaussian>()],
         ] {
-            assert!(single > 0.0 && single < 2e-6 && double > 0.0 && double < 5e-15, "{single:e} {double:e}");
+            assert!(single > 0.0 && double > 0.0, "{single:e} {double:e}");
+            within!("f32", single);
+            within!("f64", double);
         }
     }
 }

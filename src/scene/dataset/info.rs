@@ -4,6 +4,7 @@ use super::meta::{Interpreted, Meta};
 use super::poses::Motion;
 use super::{Dataset, find_points, meta_path, naf};
 use crate::error::Result;
+use crate::scene::borders::{Borders, Side};
 use crate::scene::geometry::Scanner;
 use ndarray::Array2;
 use std::path::Path;
@@ -26,11 +27,14 @@ pub struct DatasetInfo {
     pub has_truth: bool,
     /// Upper bound on the number of initial points.
     pub points: usize,
+    /// Whether the object is wider than the detector; false as long as the arrays are not read.
+    pub is_cut: bool,
 }
 
 impl DatasetInfo {
     /// The sizes of a dataset in memory.
     pub fn of(dataset: &Dataset) -> Self {
+        let borders = Borders::of(dataset.train.images.view());
         Self {
             scanner: dataset.scanner,
             train: dataset.train.len(),
@@ -38,6 +42,7 @@ impl DatasetInfo {
             is_posed: dataset.train.poses.is_some(),
             has_truth: dataset.truth.is_some(),
             points: dataset.initial_points.as_ref().map_or(0, Array2::nrows),
+            is_cut: [Side::Left, Side::Right].into_iter().any(|side| borders.at(side).is_cut()),
         }
     }
 
@@ -63,6 +68,7 @@ impl DatasetInfo {
             is_posed: motion != Motion::Circle,
             has_truth: meta.vol.or(meta.ct).is_some(),
             points: points.map_or(0, |file| (file.len() / POINT) as usize),
+            is_cut: false,
         }))
     }
 }

@@ -8,6 +8,9 @@
 //! init_<name>.npy                    initial points [M, 4] = x, y, z, density, optional
 //! ```
 //!
+//! Projections may also be images with one page (such as `.tif`), and the true volume any file of
+//! [`volume_file`](super::volume_file) (such as `.nii.gz`).
+//!
 //! A key of our own, `notes`, holds facts needed to judge results: that the truth is a pseudo truth, for instance.
 //!
 //! The files may use any one unit of length. Reading multiplies lengths and projections by `scale = 2/max(sVoxel)`,
@@ -26,6 +29,7 @@
 //! ```
 
 mod fields;
+mod files;
 mod info;
 mod meta;
 mod naf;
@@ -42,7 +46,7 @@ use super::npy;
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder};
 use meta::{Meta, ScannerMeta, ViewMeta};
-use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2, Ix3};
+use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
 use std::path::{Path, PathBuf};
 
@@ -215,6 +219,22 @@ pub fn read_at_angles(path: &Path, angles: &[f64]) -> Result<(Scanner, Option<Ve
 }
 
 impl Dataset {
+    /// A scan with these training views alone, without test views and truth.
+    pub(crate) fn of_views(&self, views: &[usize]) -> Self {
+        Self {
+            name: self.name.clone(),
+            scanner: self.scanner,
+            scale: self.scale,
+            noise: self.noise,
+            train: self.train.select(views),
+            test: None,
+            truth: None,
+            initial_points: self.initial_points.clone(),
+            notes: Vec::new(),
+            oddities: Vec::new(),
+        }
+    }
+
     /// Reads a dataset; `path` is the folder, its `meta_data.json`, or a `.pickle` of NAF.
     ///
     /// # Errors
@@ -252,14 +272,15 @@ impl Dataset {
             }
             let trajectory = Trajectory { angles: &angles, poses: poses.as_deref() };
             trajectory.validate(&scanner).map_err(|error| error.in_file(&meta_path))?;
-            read_views(folder, &meta_path, views, &scanner, scale, trajectory)
+            read_views(folder, &meta_path, views, &scanner, scale, trajectory, &mut oddities)
         };
         let train = read(&meta.proj_train, 0)?;
         let test = match meta.proj_test.as_slice() {
             [] => None,
             views => Some(read(views, meta.proj_train.len())?),
         };
-        let truth = meta.vol.as_ref().or(meta.ct.as_ref()).map(|file| read_volume(&folder.join(file), &scanner));
+        let truth = meta.vol.as_ref().or(meta.ct.as_ref());
+        let truth = truth.map(|file| read_volume(&folder.join(file), &scanner, &mut oddities));
         let initial_points = find_points(folder, &name, &mut oddities)?.map(|path| read_points(&path));
         Ok(Self {
             name,
@@ -355,12 +376,13 @@ fn read_views(
     scanner: &Scanner,
     scale: f64,
     trajectory: Trajectory<'_>,
+    oddities: &mut Vec<String>,
 ) -> Result<Projections> {
     let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
     let mut values = Vec::new();
     for view in views {
         let path = folder.join(&view.file_path);
-        let image = npy::read_f32::<Ix2>(&path, "[v, u]")?;
+        let image = files::read_image(&path, oddities)?;
         if image.dim() != (rows, columns) {
             return Err(Error::format(
                 &path,
@@ -384,8 +406,8 @@ fn read_views(
     Projections::along(trajectory, images).map_err(|error| error.in_file(meta))
 }
 
-fn read_volume(path: &Path, scanner: &Scanner) -> Result<Volume> {
-    let values = npy::read_f32::<Ix3>(path, "[x, y, z]")?;
+fn read_volume(path: &Path, scanner: &Scanner, oddities: &mut Vec<String>) -> Result<Volume> {
+    let values = files::read_values(path, &scanner.grid, oddities)?;
     check_finite(path, "volume", values.view())?;
     Volume::new(scanner.grid, values).map_err(|error| error.in_file(path))
 }

@@ -215,7 +215,7 @@ fn missing(path: &Path, what: &str) -> Error {
 mod tests {
     use super::*;
     use crate::scene::geometry::Beam;
-    use approx::assert_relative_eq;
+    use crate::tolerances::{largest, relative};
     use glam::DVec3;
 
     fn sample(protocol: u8) -> &'static [u8] {
@@ -244,25 +244,25 @@ mod tests {
         // 4 × 5 × 6 voxels of 20 mm: the longest side is 0.12 m, so a metre is 2/0.12 scene units.
         let scan = parsed(sample(4)).unwrap();
         let metre = 2.0 / 0.12;
-        assert_relative_eq!(scan.scale, metre, max_relative = 1e-12);
+        within!(relative(scan.scale, metre));
         assert_eq!(scan.scanner.grid.shape, [4, 5, 6]);
-        assert_relative_eq!(scan.scanner.grid.spacing.x, 0.02 * metre, max_relative = 1e-12);
+        within!(relative(scan.scanner.grid.spacing.x, 0.02 * metre));
         let Beam::Cone { dso, dsd } = scan.scanner.beam else { panic!("a cone") };
-        assert_relative_eq!(dso, 0.5 * metre, max_relative = 1e-12);
-        assert_relative_eq!(dsd, 0.7 * metre, max_relative = 1e-12);
+        within!(relative(dso, 0.5 * metre));
+        within!(relative(dsd, 0.7 * metre));
         let detector = scan.scanner.detector;
         assert_eq!((detector.rows, detector.columns), (3, 7));
-        assert_relative_eq!(detector.pitch_v, 0.05 * metre, max_relative = 1e-12);
-        assert_relative_eq!(detector.pitch_u, 0.04 * metre, max_relative = 1e-12);
-        assert_relative_eq!(detector.offset_u, 0.002 * metre, max_relative = 1e-12);
-        assert_relative_eq!(scan.scanner.grid.min.x, (0.001 - 0.04) * metre, max_relative = 1e-12);
+        within!(relative(detector.pitch_v, 0.05 * metre));
+        within!(relative(detector.pitch_u, 0.04 * metre));
+        within!(relative(detector.offset_u, 0.002 * metre));
+        within!(relative(scan.scanner.grid.min.x, (0.001 - 0.04) * metre));
         // The generator's values are 0.01 times the number of the element.
         assert_eq!(scan.train.angles, [0.0, 1.5]);
-        assert_relative_eq!(f64::from(scan.train.images[[1, 2, 3]]), 0.01 * 38.0 * metre, max_relative = 1e-6);
+        within!("f32", relative(f64::from(scan.train.images[[1, 2, 3]]), 0.01 * 38.0 * metre));
         assert_eq!(scan.test.unwrap().angles, [0.25]);
         assert_eq!(scan.truth.unwrap().values[[1, 2, 3]], 45.0 / 120.0);
         assert_eq!(scan.noise, Noise::relative(1e5, 2.0));
-        assert!(scan.scanner.grid.size().abs_diff_eq(DVec3::new(0.08, 0.1, 0.12) * metre, 1e-9));
+        within!(largest((scan.scanner.grid.size() - DVec3::new(0.08, 0.1, 0.12) * metre).to_array()));
     }
 
     #[test]

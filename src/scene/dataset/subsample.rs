@@ -3,6 +3,7 @@
 use super::Dataset;
 use crate::error::{Error, Result};
 use crate::numeric::rng::{Purpose, stream};
+use crate::setting::Setting;
 use rand::seq::SliceRandom;
 
 /// Default number of test views.
@@ -31,7 +32,7 @@ impl Dataset {
                 "test views",
                 count,
                 expected,
-                "lower the number of test views or the number of views kept",
+                format!("give {} {}, or keep fewer {}", Setting::TestViews, others.len(), Setting::Views),
             ));
         }
         others.shuffle(&mut stream(seed, Purpose::TestViews, 0, 0));
@@ -57,7 +58,7 @@ fn evenly_spaced(views: usize, n: usize) -> Result<Vec<usize>> {
             "views to keep",
             views,
             format!("1 to {n}, the training views"),
-            "choose a number in that range",
+            format!("give {} {n} for all of them", Setting::Views),
         ));
     }
     if views == 1 {

@@ -24,6 +24,10 @@
 //! the median is dead and gets the median of its neighbours' line integrals. Negative line integrals, from readings
 //! brighter than the beam without an object, are kept, because clamping them would bias air. All three are counted.
 
+mod range;
+
+pub use range::full_scale;
+
 use super::arrays::check_finite;
 use crate::error::{Error, Result};
 use crate::numeric::elementary::log;
@@ -172,6 +176,7 @@ impl Correction {
         let line_integrals = Array3::from_shape_vec(readings.dim(), values).expect("a value for each reading");
         let mut corrected = Corrected { line_integrals, white, clamped, dead: dead.len(), drift, remarks: Vec::new() };
         corrected.remarks = self.remarks(&corrected);
+        corrected.remarks.extend(full_scale("frames", readings));
         Ok(corrected)
     }
 

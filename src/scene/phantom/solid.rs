@@ -362,15 +362,14 @@ mod tests {
                 });
                 let expected = 0.8 * inside.count() as f64 * length / n as f64;
                 let exact = solid.line_integral(&ray);
-                assert!(
-                    (exact - expected).abs() <= 0.8 * 2.0 * length / n as f64,
-                    "{exact} instead of {expected}: {solid:?}"
-                );
+                // In steps of the quadrature.
+                let error = (exact - expected).abs() / (0.8 * length / n as f64);
+                within!("quadrature", error, "{exact} instead of {expected}: {solid:?}");
                 let chord = solid.chord(&ray).map_or(0.0, |(from, to)| {
                     assert!(solid.contains(ray.origin + ray.direction * (0.5 * (from + to))));
                     to - from
                 });
-                assert!((0.8 * chord - exact).abs() < 1e-14);
+                within!((0.8 * chord - exact).abs());
             }
         }
         assert!(solids().iter().all(|s| rays().iter().filter(|r| s.line_integral(r) > 0.1).count() > 10));
@@ -383,7 +382,7 @@ mod tests {
         for ray in rays() {
             let distance = (centre - ray.origin).cross(ray.direction).length();
             let expected = 1.5 * 2.0 * (radius * radius - distance * distance).max(0.0).sqrt();
-            assert!((sphere.line_integral(&ray) - expected).abs() < 1e-13);
+            within!((sphere.line_integral(&ray) - expected).abs());
         }
     }
 
@@ -394,7 +393,7 @@ mod tests {
             let through = |shift: DVec3| {
                 cuboid.line_integral(&Ray { origin: cuboid.centre() + shift - axis * 3.0, direction: axis })
             };
-            assert!((through(DVec3::ZERO) - length).abs() < 1e-15);
+            within!((through(DVec3::ZERO) - length).abs());
             assert_eq!(through(axis.any_orthogonal_vector() * 0.71), 0.0);
         }
     }
@@ -417,7 +416,7 @@ mod tests {
             }
             let (_, half, volume) = SHAPES[i / 2];
             let exact = volume * half.element_product();
-            assert!((total / exact - 1.0).abs() < 4e-3, "{total} instead of {exact}: {solid:?}");
+            within!((total / exact - 1.0).abs(), "{total} instead of {exact}: {solid:?}");
             assert!(partial > 100, "no surface found: {solid:?}");
         }
     }
@@ -439,7 +438,8 @@ mod tests {
                 reach = reach.max((direction * length).abs());
             }
             let ratio = reach / solid.reach();
-            assert!(ratio.max_element() < 1.0 + 1e-9 && ratio.min_element() > 0.97, "{ratio}: {solid:?}");
+            within!("above", ratio.max_element() - 1.0, "{ratio}: {solid:?}");
+            within!("below", 1.0 - ratio.min_element(), "{ratio}: {solid:?}");
         }
     }
 }

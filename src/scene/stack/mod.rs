@@ -5,6 +5,14 @@
 //! | `.npy` | `[view, v, u]`; `[v, u]` is one frame |
 //! | folder of `.npy` | `[v, u]` each, in natural order of names |
 //! | formats of [`super::volume_file`] | z is the view, y is v, x is u: a TIFF page is a view, its rows are v |
+//!
+//! A folder of images (`.tif`, `.png`, `.jpg`, `.raw`) has one frame per file.
+
+mod angles;
+mod series;
+
+pub use angles::{AngleUnit, parse_angles, read_angles};
+pub use series::{Series, read_series};
 
 pub mod rtk;
 
@@ -15,10 +23,13 @@ use super::dataset::{Dataset, Description, look_like_degrees};
 use super::geometry::Trajectory;
 use super::noise::Noise;
 use super::npy;
-use super::volume_file::{self, files, with_extension};
+use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::error::{Error, Result};
-use ndarray::{Array3, Axis, Ix1, Ix2, Ix3};
+use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
+
+/// Relative difference of steps between angles from which on both are stated.
+const UNEVEN: f64 = 1e-3;
 
 /// How frames are oriented relative to the geometry page.
 ///
@@ -39,19 +50,32 @@ pub struct Orientation {
 /// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
 /// not fit.
 pub fn read(path: &Path) -> Result<Array3<f32>> {
+    read_with_oddities(path).map(|(stack, _)| stack)
+}
+
+/// [`read`], with the unusual properties of the files, one sentence each.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_with_oddities(path: &Path) -> Result<(Array3<f32>, Vec<String>)> {
     if path.is_dir() {
         let files = files(path)?;
         let frames = with_extension(&files, &["npy"]);
         if !frames.is_empty() {
-            return read_frames(&frames);
+            return Ok((read_frames(&frames)?, Vec::new()));
         }
     } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         let values = npy::read(path)?.numbers.into_f32();
         let values = if values.ndim() == 2 { values.insert_axis(Axis(0)) } else { values };
-        return npy::with_axes::<f32, Ix3>(values, path, "stack", "[view, v, u]");
+        return Ok((npy::with_axes::<f32, Ix3>(values, path, "stack", "[view, v, u]")?, Vec::new()));
+    } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
+        // NumPy's axes, as in `.npy`; a volume's are [x, y, z].
+        let volume = volume_file::read(path)?;
+        return Ok((volume.values, volume.oddities));
     }
-    let values = volume_file::read_in_any_order(path)?.values.reversed_axes();
-    Ok(if values.is_standard_layout() { values } else { values.as_standard_layout().into_owned() })
+    let VolumeFile { values, oddities, .. } = volume_file::read_in_any_order(path)?;
+    let values = values.reversed_axes();
+    Ok((if values.is_standard_layout() { values } else { values.as_standard_layout().into_owned() }, oddities))
 }
 
 fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
@@ -68,50 +92,6 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
         values.extend(frame);
     }
     Ok(Array3::from_shape_vec((paths.len(), shape.0, shape.1), values).expect("every frame has the shape of the first"))
-}
-
-/// Reads angles and returns radians.
-///
-/// The file is a one-dimensional `.npy` array, or a text of numbers separated by spaces, commas or line ends, in which
-/// `#` starts a comment. `in_degrees` states the unit of the file.
-///
-/// # Errors
-/// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number.
-pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
-    let angles = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
-        npy::read_f64::<Ix1>(path, "[view]")?.to_vec()
-    } else {
-        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        parse_angles(&text, path)?
-    };
-    Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles })
-}
-
-/// Parses the numbers of a text; `path` names it in errors.
-///
-/// # Errors
-/// [`Error::Format`] for the first word that is not a finite number.
-pub fn parse_angles(text: &[u8], path: &Path) -> Result<Vec<f64>> {
-    const LONGEST: usize = 40;
-    let text = String::from_utf8_lossy(text);
-    let mut angles = Vec::new();
-    for (i, line) in text.lines().enumerate() {
-        let numbers = line.split('#').next().unwrap_or_default();
-        for word in numbers.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|word| !word.is_empty()) {
-            let angle = word.parse().ok().filter(|angle: &f64| angle.is_finite()).ok_or_else(|| {
-                let got = word.chars().take(LONGEST).collect::<String>();
-                Error::format(
-                    path,
-                    format!("line {}", i + 1),
-                    got,
-                    "a finite number",
-                    "correct the number, or start comments with #",
-                )
-            })?;
-            angles.push(angle);
-        }
-    }
-    Ok(angles)
 }
 
 /// A scan from a stack of dimensionless line integrals `[view, v, u]` and its angles (radians).
@@ -140,7 +120,7 @@ pub fn scan(
             "angles",
             angles.len(),
             format!("one for each of {views} frames"),
-            "give one angle per frame",
+            format!("give {views} angles, one for each frame, or take out the frames that are no views"),
         ));
     }
     // Rounding once, from f64, keeps a scale of 1 exact.
@@ -167,6 +147,22 @@ pub fn scan(
         oddities,
         notes: Vec::new(),
     })
+}
+
+/// The number of views, their first and last angle, and the step between them, as a sentence; angles in radians.
+pub fn span(angles: &[f64]) -> String {
+    let degrees = |angle: f64| format!("{:.2}°", angle.to_degrees());
+    let (Some(&first), Some(&last)) = (angles.first(), angles.last()) else { return "no views".into() };
+    let steps: Vec<f64> = angles.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let fold = |pick: fn(f64, f64) -> bool| steps.iter().copied().reduce(|a, b| if pick(b, a) { b } else { a });
+    let text = match (fold(|b, a| b < a), fold(|b, a| b > a)) {
+        (Some(least), Some(most)) if most - least > UNEVEN * most.abs().max(least.abs()) => {
+            format!("in steps of {} to {}", degrees(least), degrees(most))
+        }
+        (Some(_), Some(_)) => format!("in steps of {}", degrees((last - first) / steps.len() as f64)),
+        _ => return format!("1 view at {}", degrees(first)),
+    };
+    format!("{} views from {} to {}, {text}", angles.len(), degrees(first), degrees(last))
 }
 
 #[cfg(test)]

@@ -74,6 +74,13 @@ fn what_does_not_fit_the_scanner_is_an_error_that_names_it() {
 }
 
 #[test]
+fn the_span_of_the_views_is_a_sentence() {
+    assert_eq!(span(&Scanner::uniform_angles(12, 0.0, 2.0 * PI)), "12 views from 0.00° to 330.00°, in steps of 30.00°");
+    assert_eq!(span(&[0.0, -PI / 2.0, -PI / 4.0]), "3 views from 0.00° to -45.00°, in steps of -90.00° to 45.00°");
+    assert_eq!(span(&[PI]), "1 view at 180.00°");
+}
+
+#[test]
 fn angles_come_from_a_list_a_file_or_the_arc() {
     let mut description = description();
     assert_eq!(description.angles(2).unwrap(), [0.5, 0.5 + PI / 2.0]);

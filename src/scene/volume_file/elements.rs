@@ -1,11 +1,15 @@
 //! Conversion between bytes and arrays of numbers.
 
+use super::header::{lossy, shown};
+use bzip2::read::MultiBzDecoder;
 use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use ndarray::Array3;
 use std::io::Read;
 
 /// Largest expansion of a byte of deflated data.
-const MOST_INFLATION: usize = 1032;
+pub(super) const MOST_INFLATION: usize = 1032;
+/// Largest expansion of a byte of bzip2: a block of 900 kB of one value takes some forty bytes.
+const MOST_BZIP2: usize = 1 << 15;
 
 /// A number type and its byte order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,12 +33,41 @@ pub(super) enum Number {
     F64,
 }
 
-/// Compression of the bytes.
+/// How numbers became the bytes of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Raw,
     Gzip,
     Zlib,
+    Bzip2,
+    /// Decimal numbers, separated by white space.
+    Text,
+}
+
+/// Where the numbers are among the decoded bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// After a number of bytes.
+    After(usize),
+    /// At the end: whatever precedes them is skipped.
+    AtEnd,
+}
+
+/// How a volume with x fastest is stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layout {
+    pub(super) element: Element,
+    pub(super) encoding: Encoding,
+    /// `[x, y, z]`.
+    pub(super) shape: [usize; 3],
+    pub(super) start: Start,
+}
+
+/// A volume `[x, y, z]` with x fastest in memory.
+pub(super) struct Voxels {
+    pub(super) values: Array3<f32>,
+    /// Whether bytes follow the last number.
+    pub(super) has_more: bool,
 }
 
 impl Number {
@@ -95,40 +128,76 @@ impl Element {
         let size = voxels.and_then(|voxels| voxels.checked_mul(self.number.size())).filter(|&size| size > 0);
         size.ok_or_else(|| format!("shape {shape:?}"))
     }
+}
 
-    /// A volume `[x, y, z]` from bytes with x fastest; the memory order is kept.
+impl Layout {
+    /// The volume in the bytes of a file, or an error message.
     ///
     /// `means` maps a stored number to its value. Memory is bounded by what the bytes can expand to.
-    pub(super) fn volume(
-        self,
-        bytes: &[u8],
-        encoding: Encoding,
-        shape: [usize; 3],
-        means: impl Fn(f64) -> f64,
-    ) -> std::result::Result<Array3<f32>, String> {
-        let size = self.size(shape)?;
-        let unpacked;
-        let bytes = match encoding {
-            Encoding::Raw => bytes,
-            _ if size / MOST_INFLATION > bytes.len() => {
-                return Err(format!("{} compressed bytes for shape {shape:?}", bytes.len()));
-            }
-            Encoding::Gzip => {
-                unpacked = unpack(MultiGzDecoder::new(bytes), size)?;
-                &unpacked
-            }
-            Encoding::Zlib => {
-                unpacked = unpack(ZlibDecoder::new(bytes), size)?;
-                &unpacked
-            }
+    pub(super) fn read(&self, bytes: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, String> {
+        let (shape, encoding) = (self.shape, self.encoding);
+        let size = self.element.size(shape)?;
+        let (skip, at_end) = match self.start {
+            Start::After(skip) => (skip, false),
+            Start::AtEnd => (0, true),
         };
-        if bytes.len() < size {
-            return Err(format!("{} bytes for shape {shape:?} of {} bytes each", bytes.len(), self.number.size()));
+        let total = size.checked_add(skip).ok_or_else(|| format!("{skip} bytes to skip"))?;
+        let expansion = match encoding {
+            Encoding::Raw | Encoding::Text => 1,
+            Encoding::Gzip | Encoding::Zlib => MOST_INFLATION,
+            Encoding::Bzip2 => MOST_BZIP2,
+        };
+        if encoding == Encoding::Text {
+            return self.read_text(bytes.get(skip..).unwrap_or_default(), means);
         }
-        let [x, y, z] = shape;
-        let values = self.numbers(&bytes[..size], means);
-        Ok(Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes())
+        let describe = |count: usize| {
+            let after = if skip > 0 { format!(" after the first {skip}") } else { String::new() };
+            format!("{count} bytes{after} for shape {shape:?} of {} bytes each", self.element.number.size())
+        };
+        if total / expansion > bytes.len() {
+            let kind = if expansion > 1 { "compressed " } else { "" };
+            return Err(format!("{} {kind}bytes for shape {shape:?}", bytes.len()));
+        }
+        // A byte more shows whether there are more.
+        let limit = total.saturating_add(1);
+        let unpacked = match encoding {
+            Encoding::Raw | Encoding::Text => None,
+            // All of it, in order to know its end.
+            _ if at_end => return Err("compressed numbers at an unknown place".into()),
+            Encoding::Gzip => Some(unpack(MultiGzDecoder::new(bytes), limit)?),
+            Encoding::Zlib => Some(unpack(ZlibDecoder::new(bytes), limit)?),
+            Encoding::Bzip2 => Some(unpack(MultiBzDecoder::new(bytes), limit)?),
+        };
+        let bytes = unpacked.as_deref().unwrap_or(bytes);
+        let skip = if at_end { bytes.len().saturating_sub(size) } else { skip };
+        let numbers = bytes.get(skip..).unwrap_or_default();
+        if numbers.len() < size {
+            return Err(describe(numbers.len()));
+        }
+        let values = self.element.numbers(&numbers[..size], means);
+        Ok(Voxels { values: with_x_fastest(values, shape), has_more: numbers.len() > size })
     }
+
+    fn read_text(&self, text: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, String> {
+        let count: usize = self.shape.iter().product();
+        let separates = |byte: &u8| byte.is_ascii_whitespace() || *byte == b',';
+        let mut words = text.split(separates).filter(|word| !word.is_empty());
+        let mut values = Vec::new();
+        for word in words.by_ref().take(count) {
+            let number = std::str::from_utf8(word).ok().and_then(|word| word.parse::<f64>().ok());
+            let number = number.ok_or_else(|| format!("{} where a number should be", shown(&lossy(word))))?;
+            values.push(means(number) as f32);
+        }
+        if values.len() < count {
+            return Err(format!("{} numbers for shape {:?}", values.len(), self.shape));
+        }
+        Ok(Voxels { values: with_x_fastest(values, self.shape), has_more: words.next().is_some() })
+    }
+}
+
+/// The array `[x, y, z]` of values with x fastest.
+fn with_x_fastest(values: Vec<f32>, [x, y, z]: [usize; 3]) -> Array3<f32> {
+    Array3::from_shape_vec((z, y, x), values).expect("the size was checked").reversed_axes()
 }
 
 /// Decompresses at most `size` bytes.

@@ -5,17 +5,19 @@
 //! | `.npy` | NumPy, `[x, y, z]` | nothing |
 //! | `.mha`, `.mhd` | MetaImage, x fastest | spacing, origin |
 //! | `.nrrd`, `.nhdr` | NRRD, x fastest | spacing, origin |
-//! | `.nii`, `.nii.gz` | NIfTI-1, x fastest | spacing, origin |
-//! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | nothing |
+//! | `.nii`, `.nii.gz` | NIfTI-1 and NIfTI-2, x fastest | spacing, origin |
+//! | `.npz` | the one array with three axes, `[x, y, z]`; read only | nothing |
+//! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | spacing, if ImageJ or OME states it |
+//! | `.png`, `.jpg`, `.jpeg` | one grey slice: row y, column x; read only | nothing |
 //! | `.raw` | numbers, x fastest | size and type by name: `name_256x256x256_uint8.raw`, `_uint16be` for big-endian |
 //! | `.raw`, `.raw.json` | the same, described by a side file: see [`SideFile`] | size, type, spacing, origin |
-//! | folder of `.tif` | one page each, in natural order of the names: `s2.tif` before `s10.tif` | nothing |
+//! | folder of `.tif`, `.png`, `.jpg` or `.raw` | one slice each, in natural order: `s2.tif` before `s10.tif` | nothing |
 //! | folder of DICOM slices, `.dcm` | a series, ordered by position; needs the feature `dicom` | spacing, origin |
 //!
 //! # Axes
 //!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or rotated. Spacing and origin
-//! (the centre of the first voxel) are in the file's unit. Directions of the axes stated by a file are reported and
+//! (the centre of the first voxel) are in the file's unit, or in millimetres where it states its unit. Directions of the axes stated by a file are reported and
 //! copied to a written file, but do not rotate the array.
 //!
 //! Positions are in the coordinates of ITK: x grows to the patient's left, y to the back, z to the head (LPS). A
@@ -25,20 +27,27 @@
 //! spacing, origin and directions from the files written here, and nibabel reads the affine `diag(-1,-1,1,1)` times it.
 //! The x, y and z of [`geometry`](super::geometry), which knows no patient, are taken as those of ITK.
 //!
-//! Sizes in a header are accepted only if the file has enough bytes for them.
+//! Sizes in a header are accepted only if the file has enough bytes for them. Fields that are not read, more data than
+//! the header describes, and numbers that cannot be lengths are listed as oddities: `reference/FORMATS.md` has a table.
 
+mod archive;
+mod detached;
 // Test builds include it without the feature, so that one test build covers it.
 #[cfg(any(feature = "dicom", test))]
 mod dicom;
 mod elements;
 mod folder;
+mod header;
+mod images;
 mod meta_image;
 mod nifti;
 mod nrrd;
+mod pages;
 mod raw;
 mod tiff;
 
-pub(super) use folder::{files, with_extension};
+pub(super) use folder::{GAP, SLICES, files, with_extension};
+pub(super) use header::without_bom;
 pub use raw::SideFile;
 
 use super::{Volume, npy};
@@ -46,6 +55,7 @@ use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
 use ndarray::{Array3, Ix3};
+use std::fmt::Display;
 use std::io::Write;
 use std::path::Path;
 
@@ -88,38 +98,71 @@ impl VolumeFile {
 #[derive(Clone, Copy)]
 enum Format {
     Npy,
+    Npz,
     MetaImage,
     Nrrd,
     Nifti,
     Tiff,
+    Image,
     Dicom,
     Raw,
 }
 
+/// Endings of the names of each format.
+const ENDINGS: [(&str, Format); 15] = [
+    (".npy", Format::Npy),
+    (".npz", Format::Npz),
+    (".mha", Format::MetaImage),
+    (".mhd", Format::MetaImage),
+    (".nrrd", Format::Nrrd),
+    (".nhdr", Format::Nrrd),
+    (".nii", Format::Nifti),
+    (".nii.gz", Format::Nifti),
+    (".tif", Format::Tiff),
+    (".tiff", Format::Tiff),
+    (".png", Format::Image),
+    (".jpg", Format::Image),
+    (".jpeg", Format::Image),
+    (".dcm", Format::Dicom),
+    (".raw", Format::Raw),
+];
+
+/// Endings of formats that are not read, and how to convert them.
+const FOREIGN: [(&str, &str); 14] = [
+    (".h5", HDF5),
+    (".hdf5", HDF5),
+    (".hdf", HDF5),
+    (".nxs", HDF5),
+    (".nx", HDF5),
+    (".mat", "python -c \"import numpy, scipy.io; numpy.save('OUT.npy', scipy.io.loadmat('IN.mat')['NAME'])\""),
+    (".hdr", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.hdr'), 'OUT.nii')\""),
+    (".img", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.img'), 'OUT.nii')\""),
+    (".mgz", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.mgz'), 'OUT.nii')\""),
+    (".vtk", "python -c \"import SimpleITK as s; s.WriteImage(s.ReadImage('IN.vtk'), 'OUT.mha')\""),
+    (".vti", "open it in ParaView or 3D Slicer, and save it as .nrrd or .mha"),
+    (".bmp", "magick mogrify -format png *.bmp"),
+    (".vol", "rename it with its size and type, as in name_256x256x256_float32.raw"),
+    (".bin", "rename it with its size and type, as in name_256x256x256_float32.raw"),
+];
+const HDF5: &str = "python -c \"import h5py, numpy; numpy.save('OUT.npy', h5py.File('IN')['NAME'][:])\"";
+
 impl Format {
     fn of(path: &Path) -> Result<Self> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-        let known = [
-            (".npy", Self::Npy),
-            (".mha", Self::MetaImage),
-            (".mhd", Self::MetaImage),
-            (".nrrd", Self::Nrrd),
-            (".nhdr", Self::Nrrd),
-            (".nii", Self::Nifti),
-            (".nii.gz", Self::Nifti),
-            (".tif", Self::Tiff),
-            (".tiff", Self::Tiff),
-            (".dcm", Self::Dicom),
-            (".raw", Self::Raw),
-        ];
-        known.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| format).ok_or_else(|| {
-            let endings = known.map(|(ending, _)| ending).join(", ");
-            Error::invalid(
-                "volume's file",
-                path.display(),
-                format!("a name that ends with {endings}"),
-                "rename the file, or convert it to one of these formats",
-            )
+        if let Some((_, format)) = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)) {
+            return Ok(*format);
+        }
+        let endings = ENDINGS.map(|(ending, _)| ending).join(", ");
+        let expected = format!("a name that ends with {endings}");
+        Err(match FOREIGN.iter().find(|(ending, _)| name.ends_with(ending)) {
+            Some((ending, how)) => {
+                let got = format!("{}: {ending}, which is not supported", path.display());
+                Error::invalid("volume's file", got, expected, format!("convert it: {how}"))
+            }
+            None => {
+                let remedy = "rename the file, or convert it to one of these formats";
+                Error::invalid("volume's file", path.display(), expected, remedy)
+            }
         })
     }
 }
@@ -127,6 +170,12 @@ impl Format {
 /// Whether the name has an extension of this page.
 pub fn is_volume(path: &Path) -> bool {
     Format::of(path).is_ok()
+}
+
+/// Whether the name has an extension of this page, or of a format whose error says how to convert it.
+pub fn has_known_ending(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    is_volume(path) || FOREIGN.iter().any(|(ending, _)| name.ends_with(ending))
 }
 
 /// Reads a volume; the format follows from the name.
@@ -166,10 +215,12 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
             let values = npy::parse(content, path)?.numbers.into_f32();
             npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]").map(VolumeFile::bare)
         }
+        Format::Npz => archive::parse(content, path),
         Format::MetaImage => meta_image::parse(content, path),
         Format::Nrrd => nrrd::parse(content, path),
         Format::Nifti => nifti::parse(content, path),
         Format::Tiff => tiff::parse(content, path),
+        Format::Image => images::parse(content, path),
         #[cfg(any(feature = "dicom", test))]
         Format::Dicom => dicom::parse(content, path),
         #[cfg(not(any(feature = "dicom", test)))]
@@ -195,8 +246,8 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
         Format::Nrrd => nrrd::header(path, shape, spacing, origin, volume.directions)?,
         Format::Nifti => return nifti::write(path, volume, spacing, origin),
         Format::Tiff => return tiff::write(path, &volume.values),
-        Format::Dicom => {
-            let expected = "another format: DICOM is read but not written";
+        Format::Dicom | Format::Image | Format::Npz => {
+            let expected = "another format: DICOM, PNG, JPEG and volumes as .npz are read but not written";
             return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
         }
         Format::Raw => {
@@ -231,11 +282,27 @@ impl VolumeFile {
     /// A volume with the metadata of a file.
     ///
     /// `axes` are the steps between voxels or their directions, in ITK's coordinates. `None` means that the file states
-    /// no directions.
+    /// no directions. Lengths that cannot be a spacing are replaced by 1, and an origin that is not finite is unknown;
+    /// both are remarked on. A negative spacing reverses its axis, as in ITK.
     fn new(values: Array3<f32>, spacing: Option<DVec3>, origin: Option<DVec3>, axes: Option<[DVec3; 3]>) -> Self {
+        let mut oddities = Vec::new();
+        let mut axes = axes.unwrap_or(STRAIGHT.to_cols_array_2d().map(DVec3::from));
+        let spacing = spacing.map(|stated| {
+            let is_length = |side: f64| side != 0.0 && side.is_finite();
+            if !stated.to_array().into_iter().all(is_length) {
+                oddities.push(format!("its spacing {stated} has zero or non-finite lengths, which are read as 1"));
+            }
+            let sound = stated.to_array().map(|side| if is_length(side) { side } else { 1.0 });
+            (0..3).filter(|&axis| sound[axis] < 0.0).for_each(|axis| axes[axis] = -axes[axis]);
+            DVec3::from_array(sound.map(f64::abs))
+        });
+        if let Some(stated) = origin.filter(|origin| !origin.is_finite()) {
+            oddities.push(format!("its origin {stated} is not finite: it is read as unknown"));
+        }
         // Adding 0 turns -0 into 0.
-        let [x, y, z] = axes.unwrap_or(STRAIGHT.to_cols_array_2d().map(DVec3::from)).map(|axis| axis.normalize() + 0.0);
-        let mut volume = Self { values, spacing, origin: origin.map(|origin| origin + 0.0), ..Self::default() };
+        let [x, y, z] = axes.map(|axis| axis.normalize() + 0.0);
+        let origin = origin.filter(|origin| origin.is_finite()).map(|origin| origin + 0.0);
+        let mut volume = Self { values, spacing, origin, oddities, ..Self::default() };
         let directions = DMat3::from_cols(x, y, z);
         if !directions.is_finite() {
             volume.oddities.push("its axes have no directions; they are read as x, y and z".into());
@@ -247,17 +314,19 @@ impl VolumeFile {
     }
 }
 
-/// An error about the content of a file; a message of a library may be long and is shortened.
+/// Longest part of an error that a library may fill, characters.
+const LONGEST: usize = 400;
+
+/// An error about damaged content of a file.
 fn damaged(path: &Path, found: &str) -> Error {
-    const LONGEST: usize = 400;
     let found: String = found.chars().take(LONGEST).collect();
     Error::format(path, "volume", found, "a whole file with one number per voxel", "copy or export the file again")
 }
 
-/// The numbers of a text, if there are exactly N.
-fn numbers<const N: usize, T: std::str::FromStr>(text: &str) -> Option<[T; N]> {
-    let numbers: Option<Vec<T>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-    numbers?.try_into().ok()
+/// An error about content that is sound, but of a kind that is not read.
+fn unsupported(path: &Path, what: &str, got: impl Display, expected: &str, remedy: &str) -> Error {
+    let got: String = got.to_string().chars().take(LONGEST).collect();
+    Error::format(path, what, format!("{got}, which is not supported"), expected, remedy)
 }
 
 #[cfg(test)]

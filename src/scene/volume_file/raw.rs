@@ -1,6 +1,7 @@
 //! Raw numbers, described by the file's name or by a side file.
 
-use super::elements::{Element, Encoding, Number};
+use super::elements::{Element, Encoding, Layout, Number, Start};
+use super::header::without_bom;
 use super::{VolumeFile, damaged};
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -55,7 +56,7 @@ impl SideFile {
                             origin, skip_bytes";
             Error::format(path, "side file", got, expected, "compare it with the one in `trgs help convert`")
         };
-        let side: Self = serde_json::from_slice(text).map_err(|error| wrong(error.to_string()))?;
+        let side: Self = serde_json::from_slice(without_bom(text)).map_err(|error| wrong(error.to_string()))?;
         if Number::named(&side.kind).is_none() {
             return Err(wrong(format!("type {:?}", side.kind)));
         }
@@ -97,11 +98,13 @@ fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path
     let size = element.size(shape).map_err(|found| damaged(path, &found))?;
     let numbers = content.get(skip..).unwrap_or_default();
     if numbers.len() != size {
-        let found = format!("{} bytes after the first {skip}, {size} expected for shape {shape:?}", numbers.len());
-        return Err(damaged(path, &found));
+        let got = format!("{} bytes after the first {skip}", numbers.len());
+        let remedy = "correct the size and type in the name or side file; skip_bytes of a side file skips a header";
+        return Err(Error::format(path, "volume", got, format!("{size} bytes for shape {shape:?}"), remedy));
     }
-    let values = element.volume(numbers, Encoding::Raw, shape, |x| x).map_err(|found| damaged(path, &found))?;
-    Ok(VolumeFile::bare(values))
+    let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(0) };
+    let voxels = layout.read(numbers, |x| x).map_err(|found| damaged(path, &found))?;
+    Ok(VolumeFile::bare(voxels.values))
 }
 
 /// The path of the side file, `name.raw.json`.
@@ -125,13 +128,23 @@ pub(super) fn check_name(path: &Path, shape: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// Size and type stated by the name of a `.raw` file.
+/// Size and type stated by the name of a `.raw` file, or else by that of its folder.
+///
+/// Two numbers are the columns and rows of one slice.
 fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
-    let sides = |part: &str| -> Option<[usize; 3]> {
-        let sides: Option<Vec<usize>> = part.split('x').map(|n| n.parse().ok()).collect();
-        sides?.try_into().ok()
-    };
+    let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy().to_lowercase();
+    let found = [stem, folder].iter().find_map(|name| size_and_type(name));
+    found.ok_or_else(|| {
+        let expected = "size and type, as in name_256x256x256_uint8.raw, or name_256x256_uint8.raw for a slice; be \
+                        after the type means big-endian";
+        let remedy = "rename the file, or describe it in a side file named like it with .json appended";
+        Error::invalid("name of the file", path.display(), expected, remedy)
+    })
+}
+
+fn size_and_type(name: &str) -> Option<([usize; 3], Element)> {
+    let sides = |part: &str| -> Option<Vec<usize>> { part.split('x').map(|n| n.parse().ok()).collect() };
     let element = |part: &str| {
         let (name, big_endian) = match part.strip_suffix("be") {
             Some(name) => (name, true),
@@ -139,11 +152,11 @@ fn of_name(path: &Path) -> Result<([usize; 3], Element)> {
         };
         Number::named(name).map(|number| Element { number, big_endian })
     };
-    let found = (stem.split('_').find_map(sides), stem.split('_').find_map(element));
-    let (Some(shape), Some(element)) = found else {
-        let expected = "size and type, as in name_256x256x256_uint8.raw; be after the type means big-endian";
-        let remedy = "rename the file, or describe it in a side file named like it with .json appended";
-        return Err(Error::invalid("name of the file", path.display(), expected, remedy));
+    let sizes: Vec<Vec<usize>> = name.split('_').filter_map(sides).collect();
+    let shape = match (sizes.iter().find(|sides| sides.len() == 3), sizes.iter().find(|sides| sides.len() == 2)) {
+        (Some(sides), _) => [sides[0], sides[1], sides[2]],
+        (None, Some(sides)) => [sides[0], sides[1], 1],
+        (None, None) => return None,
     };
-    Ok((shape, element))
+    Some((shape, name.split('_').find_map(element)?))
 }

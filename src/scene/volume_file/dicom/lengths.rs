@@ -20,14 +20,28 @@ const DEEPEST: usize = 32;
 
 type Parsed<T> = Result<T, String>;
 
+/// Why a file is not read.
+pub(super) enum Defect {
+    /// Its pixels are stored in a form that is not supported.
+    Syntax(String),
+    /// A length in it is impossible.
+    Damage(String),
+}
+
+impl<T: Into<String>> From<T> for Defect {
+    fn from(found: T) -> Self {
+        Self::Damage(found.into())
+    }
+}
+
 /// Walks through a file and returns the first defect.
-pub(super) fn check(content: &[u8]) -> Parsed<()> {
+pub(super) fn check(content: &[u8]) -> Result<(), Defect> {
     let rest = content.get(128..).and_then(|rest| rest.strip_prefix(MARK)).ok_or("no DICM behind 128 bytes")?;
     // The file's own group: its length, then its elements, including the transfer syntax.
     let mut walk = Walk { rest, explicit: true };
     let (tag, _, length) = walk.header()?;
     if (tag, length) != (Tag(2, 0), 4) {
-        return Err(format!("{tag} of {length} bytes instead of the length of group 2"));
+        return Err(format!("{tag} of {length} bytes instead of the length of group 2").into());
     }
     let length = walk.number()?;
     let mut group = Walk { rest: walk.take(length)?, explicit: true };
@@ -42,13 +56,10 @@ pub(super) fn check(content: &[u8]) -> Parsed<()> {
     walk.explicit = match String::from_utf8_lossy(&syntax).trim_end_matches(['\0', ' ']) {
         "1.2.840.10008.1.2" => false,
         "1.2.840.10008.1.2.1" => true,
-        other => {
-            return Err(format!(
-                "the transfer syntax {other:?} instead of plain little-endian pixels (convert with gdcmconv -w or dcmdjpeg)"
-            ));
-        }
+        "" => return Err("no transfer syntax".into()),
+        other => return Err(Defect::Syntax(other.into())),
     };
-    walk.elements(false, 0)
+    Ok(walk.elements(false, 0)?)
 }
 
 struct Walk<'a> {

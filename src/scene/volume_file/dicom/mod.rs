@@ -8,11 +8,12 @@
 
 mod lengths;
 
-use super::{VolumeFile, damaged};
+use super::{VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
 use dicom_core::header::HasLength;
 use dicom_object::{DefaultDicomObject, Tag};
 use glam::DVec3;
+use lengths::Defect;
 use ndarray::Array3;
 use std::fmt::Display;
 use std::io::Read;
@@ -22,6 +23,8 @@ use std::path::{Path, PathBuf};
 const UNEVEN: f64 = 0.01;
 /// Allowed difference between unit vectors.
 const TURNED: f64 = 1e-3;
+/// Characters of a transfer syntax that a message shows: identifiers have at most 64.
+const LONGEST_SYNTAX: usize = 64;
 
 const MODALITY: Tag = Tag(0x0008, 0x0060);
 const SLICE_THICKNESS: Tag = Tag(0x0018, 0x0050);
@@ -82,7 +85,14 @@ struct Slice {
 
 impl Slice {
     fn parse(content: &[u8], path: &Path) -> Result<Self> {
-        lengths::check(content).map_err(|found| damaged(path, &found))?;
+        lengths::check(content).map_err(|defect| match defect {
+            Defect::Damage(found) => damaged(path, &found),
+            Defect::Syntax(syntax) => {
+                let remedy = "convert the series, for example with gdcmconv -w IN OUT or dcmdjpeg IN OUT";
+                let got = format!("{:?}", syntax.chars().take(LONGEST_SYNTAX).collect::<String>());
+                unsupported(path, "transfer syntax", got, "plain little-endian pixels", remedy)
+            }
+        })?;
         let object = dicom_object::from_reader(content).map_err(|error| damaged(path, &error.to_string()))?;
         let wrong = |what: &str, got: &dyn Display, expected: &str| {
             let remedy = "give a series with one slice per file and one number per pixel";
@@ -90,7 +100,8 @@ impl Slice {
         };
         let fields = Fields { object: &object, path };
         if fields.optional(FRAMES)?.is_some_and(|frames: f64| frames != 1.0) {
-            return Err(wrong("number of frames", &"several", "1"));
+            let remedy = "write one file for each slice, for example with emf2sf of dcm4che";
+            return Err(unsupported(path, "number of frames", "several frames in one file", "1", remedy));
         }
         if fields.vector(SAMPLES, "samples per pixel")? != [1.0] {
             return Err(wrong("samples per pixel", &"several", "1: grey values"));

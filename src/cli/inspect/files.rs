@@ -1,0 +1,68 @@
+//! Summaries of volumes, stacks and angles: the files that `trgs convert` reads.
+
+use super::range;
+use serde_json::{Value, json};
+use std::f64::consts::PI;
+use std::path::Path;
+use trgs::Result;
+use trgs::scene::stack;
+use trgs::scene::volume_file::{self, VolumeFile};
+
+/// Angles beyond two turns are probably degrees.
+const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
+
+/// A volume, or a folder of slices: one of `.npy` is a stack of projections.
+pub(super) fn volume(path: &Path) -> Result<Value> {
+    let (kind, volume) = match volume_file::read(path) {
+        Ok(volume) => ("volume [x, y, z], or projections with x = u, y = v, z = view", volume),
+        Err(error) if !path.is_dir() => return Err(error),
+        Err(error) => match stack::read_with_oddities(path) {
+            Ok((values, oddities)) => {
+                let volume = VolumeFile { values, oddities, ..VolumeFile::default() };
+                ("stack of projections [view, v, u]", volume)
+            }
+            Err(_) => return Err(error),
+        },
+    };
+    let VolumeFile { values, spacing, origin, directions, mut oddities } = volume;
+    let not_finite = values.iter().filter(|value| !value.is_finite()).count();
+    if not_finite > 0 {
+        oddities.push(format!("{not_finite} values are not finite"));
+    }
+    let ends = range(&values);
+    if matches!(ends.as_array().map(Vec::as_slice), Some([low, high]) if low == high) {
+        oddities.push("all values are equal".into());
+    }
+    let is_straight = directions == volume_file::STRAIGHT;
+    Ok(json!({
+        "kind": kind,
+        "shape": <[usize; 3]>::from(values.dim()),
+        "values": ends,
+        "spacing": spacing.map(|spacing| spacing.to_array()),
+        "origin": origin.map(|origin| origin.to_array()),
+        "directions": (!is_straight).then(|| directions.to_cols_array()),
+        "oddities": oddities,
+    }))
+}
+
+/// Angles of views in a text or a table.
+pub(super) fn angles(path: &Path) -> Result<Value> {
+    // A header may state degrees, which are then asked for.
+    let (angles, in_degrees) = match stack::read_angles(path, false) {
+        Ok(angles) => (angles, false),
+        Err(error) => (stack::read_angles(path, true).map_err(|_| error)?, true),
+    };
+    let largest = angles.iter().fold(0.0_f64, |largest, angle| largest.max(angle.abs()));
+    let oddities = [
+        angles.is_empty().then(|| "there is no angle".to_owned()),
+        (!in_degrees && largest > LARGEST_USUAL_ANGLE)
+            .then(|| format!("angles reach {largest}: as radians they are more than two turns, they may be degrees")),
+        in_degrees.then(|| "its header states degrees: give --degrees to trgs convert".to_owned()),
+    ];
+    Ok(json!({
+        "kind": "angles",
+        "views": angles.len(),
+        "radians": range(&angles),
+        "oddities": oddities.into_iter().flatten().collect::<Vec<_>>(),
+    }))
+}

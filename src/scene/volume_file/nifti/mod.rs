@@ -1,0 +1,218 @@
+//! NIfTI-1 and NIfTI-2, with or without gzip.
+//!
+//! Lengths are converted to millimetres from the unit that the header states. The position of the volume is that of the
+//! matrix (sform), else that of the quaternion (qform).
+
+mod header;
+
+use super::elements::{Element, Encoding, Layout, MOST_INFLATION, Number, Start, unpack};
+use super::header::{surplus, three_axes};
+use super::{RAS, VolumeFile, damaged, unsupported};
+use crate::error::{Error, Result};
+use crate::output::write_atomically;
+use flate2::read::MultiGzDecoder;
+use glam::{DMat3, DQuat, DVec3};
+use header::{Header, SMALLEST_OFFSET};
+use nifti::NiftiHeader;
+use nifti::writer::WriterOptions;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+/// NIfTI's code for a transformation to the coordinates of the scanner.
+const SCANNER: i16 = 1;
+/// Relative difference of two spacings from which on they disagree: they are stored in single precision.
+const DIFFERS: f64 = 1e-3;
+/// Remedy for content that is not one volume of one number per voxel.
+const TO_PLAIN: &str = "write one volume of one number per voxel, for example with nibabel";
+
+/// The types with one number per voxel.
+const TYPES: [(i64, Number, usize); 10] = [
+    (2, Number::U8, 1),
+    (4, Number::I16, 2),
+    (8, Number::I32, 4),
+    (16, Number::F32, 4),
+    (64, Number::F64, 8),
+    (256, Number::I8, 1),
+    (512, Number::U16, 2),
+    (768, Number::U32, 4),
+    (1024, Number::I64, 8),
+    (1280, Number::U64, 8),
+];
+/// The names of other types.
+const OTHER_TYPES: [(i64, &str); 7] = [
+    (1, "bits"),
+    (32, "complex numbers"),
+    (128, "colours"),
+    (1536, "numbers of 128 bits"),
+    (1792, "complex numbers"),
+    (2048, "complex numbers"),
+    (2304, "colours"),
+];
+
+pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+    let is_packed = content.starts_with(&[0x1f, 0x8b]);
+    let first = |count: usize| {
+        if is_packed {
+            unpack(MultiGzDecoder::new(content), count)
+        } else {
+            Ok(content[..count.min(content.len())].into())
+        }
+    };
+    let broken = |found: &str| damaged(path, found);
+    let head = first(SMALLEST_OFFSET[1]).map_err(|found| broken(&found))?;
+    let header = Header::parse(&head).map_err(|found| broken(&found))?;
+    if !header.is_single {
+        let remedy = "write it as one file .nii, for example with nibabel";
+        return Err(unsupported(path, "NIfTI", "numbers in another file (.img), or Analyze 7.5", "one file", remedy));
+    }
+    let mut oddities = Vec::new();
+    let shape = shape(&header, path)?;
+    let Some((_, number, bytes)) = TYPES.iter().find(|(code, ..)| *code == header.datatype) else {
+        return Err(match OTHER_TYPES.iter().find(|(code, _)| *code == header.datatype) {
+            Some((_, name)) => unsupported(path, "datatype", name, "one number per voxel", TO_PLAIN),
+            None => broken(&format!("datatype {}", header.datatype)),
+        });
+    };
+    let start = start(&header, &mut oddities).ok_or_else(|| broken(&format!("vox_offset {}", header.vox_offset)))?;
+    let element = Element { number: *number, big_endian: header.big_endian };
+    let size = shape.iter().try_fold(*bytes, |product, &n| product.checked_mul(n)).unwrap_or(usize::MAX);
+    // A byte more shows whether there are more.
+    let total = start.saturating_add(size).saturating_add(1);
+    let most = if is_packed { content.len().saturating_mul(MOST_INFLATION) } else { content.len() };
+    if total - 1 > most {
+        return Err(broken(&format!("{} bytes for shape {shape:?} of {bytes} bytes each", content.len())));
+    }
+    let unpacked = if is_packed { Some(first(total).map_err(|found| broken(&found))?) } else { None };
+    let means = meaning(&header, &mut oddities);
+    let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(start) };
+    let voxels = layout.read(unpacked.as_deref().unwrap_or(content), means).map_err(|found| broken(&found))?;
+    if header.intent != 0 {
+        oddities.push(format!("intent code {}: its numbers may not be attenuation", header.intent));
+    }
+    let (spacing, origin, axes) = place(&header, &mut oddities);
+    let mut volume = VolumeFile::new(voxels.values, Some(spacing), origin, axes);
+    volume.oddities.extend(oddities.into_iter().chain(surplus(voxels.has_more)));
+    Ok(volume)
+}
+
+fn shape(header: &Header, path: &Path) -> Result<[usize; 3]> {
+    let count = usize::try_from(header.dim[0]).ok().filter(|count| (1..=7).contains(count));
+    let sides = count.map(|count| header.dim[1..=count].iter().map(|&n| usize::try_from(n).ok().filter(|&n| n > 0)));
+    let sides: Option<Vec<usize>> = sides.and_then(Iterator::collect);
+    let sides = sides.ok_or_else(|| damaged(path, &format!("dim {:?}", header.dim)))?;
+    let expected = "at most three axes longer than 1";
+    three_axes(&sides).ok_or_else(|| unsupported(path, "shape", format!("{sides:?}"), expected, TO_PLAIN))
+}
+
+/// Position of the first number.
+fn start(header: &Header, oddities: &mut Vec<String>) -> Option<usize> {
+    let smallest = SMALLEST_OFFSET[usize::from(header.is_second)];
+    let stated = header.vox_offset;
+    if !(0.0..=1e15).contains(&stated) || stated.fract() != 0.0 {
+        return None;
+    }
+    if (stated as usize) < smallest {
+        oddities.push(format!("vox_offset {stated} is within the header; numbers are read from {smallest} on"));
+    }
+    Some((stated as usize).max(smallest))
+}
+
+/// The value of a stored number.
+fn meaning(header: &Header, oddities: &mut Vec<String>) -> impl Fn(f64) -> f64 {
+    let (slope, intercept) = (header.slope, header.intercept);
+    let is_scaled = slope != 0.0 && slope.is_finite() && intercept.is_finite();
+    if !is_scaled && (!slope.is_finite() || !intercept.is_finite() || intercept != 0.0) {
+        oddities.push(format!("scl_slope {slope} and scl_inter {intercept} are not applied: numbers are as stored"));
+    }
+    move |stored| if is_scaled { stored * slope + intercept } else { stored }
+}
+
+/// Spacing, centre of the first voxel and axes in ITK's coordinates, in millimetres.
+fn place(header: &Header, oddities: &mut Vec<String>) -> (DVec3, Option<DVec3>, Option<[DVec3; 3]>) {
+    // The lowest three bits are for space, the others for time.
+    let unit = match header.units & 7 {
+        0 | 2 => 1.0,
+        1 => {
+            oddities.push("its unit is metres: lengths are converted to millimetres".into());
+            1000.0
+        }
+        3 => {
+            oddities.push("its unit is micrometres: lengths are converted to millimetres".into());
+            1e-3
+        }
+        other => {
+            oddities.push(format!("its unit of length has the unknown code {other}: lengths are kept"));
+            1.0
+        }
+    };
+    let [_, x, y, z, ..] = header.pixdim;
+    let stated = DVec3::new(x, y, z);
+    if stated.min_element() < 0.0 {
+        oddities.push(format!("pixdim {stated} has negative lengths: they are read as positive"));
+    }
+    let sides = stated.abs() * unit;
+    let sform = (header.sform_code > 0).then(|| {
+        let column = |j: usize| DVec3::from_array(header.srow.map(|row| row[j])) * RAS * unit;
+        (column(3), [0, 1, 2].map(column))
+    });
+    let is_sound = |(origin, axes): &(DVec3, [DVec3; 3])| {
+        let volume = axes[0].cross(axes[1]).dot(axes[2]).abs();
+        origin.is_finite() && volume > 0.0 && volume.is_finite()
+    };
+    let usable = sform.filter(is_sound);
+    if sform.is_some() && usable.is_none() {
+        let instead = if header.qform_code > 0 { "qform" } else { "pixdim" };
+        oddities.push(format!("the matrix of its sform spans no volume: {instead} is read instead"));
+    }
+    if let Some((origin, axes)) = usable {
+        // The matrix contains the spacing, which takes precedence; a quaternion contains none.
+        let spacing = DVec3::from(axes.map(DVec3::length));
+        if (spacing - sides).abs().max_element() > DIFFERS * spacing.max_element() {
+            oddities.push(format!("pixdim {sides} differs from the spacing {spacing} of its sform, which is read"));
+        }
+        return (spacing, Some(origin), Some(axes));
+    }
+    if header.qform_code > 0 {
+        let [b, c, d] = header.quaternion;
+        let real = (1.0 - b * b - c * c - d * d).max(0.0).sqrt();
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(b, c, d, real).normalize());
+        let mirror = if header.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
+        let axes = [rotation.x_axis, rotation.y_axis, rotation.z_axis * mirror];
+        return (sides, Some(DVec3::from_array(header.q_offset) * RAS * unit), Some(axes.map(|axis| axis * RAS)));
+    }
+    (sides, None, None)
+}
+
+pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DVec3) -> Result<()> {
+    let origin = (origin * RAS).as_vec3();
+    let axes = [0, 1, 2].map(|axis| volume.directions.col(axis) * RAS);
+    let mirror = if DMat3::from_cols_array_2d(&axes.map(Into::into)).determinant() < 0.0 { -1.0 } else { 1.0 };
+    let quaternion = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2] * mirror));
+    // The real part is not stored; it is not negative.
+    let q = if quaternion.w < 0.0 { -quaternion } else { quaternion }.as_quat();
+    let s = spacing.as_vec3();
+    let row = |i: usize| [0, 1, 2, 3].map(|j| if j < 3 { (axes[j][i] * spacing[j]) as f32 } else { origin[i] });
+    let header = NiftiHeader {
+        pixdim: [mirror as f32, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0],
+        sform_code: SCANNER,
+        qform_code: SCANNER,
+        srow_x: row(0),
+        srow_y: row(1),
+        srow_z: row(2),
+        quatern_b: q.x,
+        quatern_c: q.y,
+        quatern_d: q.z,
+        quatern_x: origin.x,
+        quatern_y: origin.y,
+        quatern_z: origin.z,
+        ..NiftiHeader::default()
+    };
+    let is_packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
+    let fail = |source: io::Error| Error::write(path, source);
+    let folder = tempfile::tempdir().map_err(fail)?;
+    let file = folder.path().join(if is_packed { "volume.nii.gz" } else { "volume.nii" });
+    let written = WriterOptions::new(&file).reference_header(&header).write_nifti(&volume.values);
+    written.map_err(|error| fail(io::Error::other(error.to_string())))?;
+    write_atomically(path, |out| io::copy(&mut File::open(&file)?, out).map(|_| ()))
+}

@@ -1,0 +1,69 @@
+//! Slices of equal size, from the pages of a file or from the files of a folder.
+
+use super::{VolumeFile, damaged};
+use crate::error::{Error, Result};
+use glam::DVec3;
+use ndarray::Array3;
+use std::path::Path;
+
+/// Pages of equal size, row by row.
+#[derive(Default)]
+pub(super) struct Pages {
+    /// Rows and columns.
+    shape: (usize, usize),
+    count: usize,
+    values: Vec<f32>,
+    pub(super) spacing: Option<DVec3>,
+    oddities: Vec<String>,
+}
+
+impl Pages {
+    /// Checks the size of the next page.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for another size than that of the pages before, and for a page without pixels.
+    pub(super) fn check(&mut self, rows: usize, columns: usize, path: &Path) -> Result<()> {
+        if self.count == 0 {
+            self.shape = (rows, columns);
+        }
+        if rows == 0 || columns == 0 {
+            return Err(damaged(path, &format!("a page of {rows} rows and {columns} columns")));
+        }
+        if (rows, columns) != self.shape {
+            let (r, c) = self.shape;
+            let got =
+                format!("a page of {rows} rows and {columns} columns after {} of {r} rows and {c} columns", self.count);
+            let remedy = "take out the page, or crop all to one size";
+            return Err(Error::format(path, "page", got, "pages of equal size", remedy));
+        }
+        Ok(())
+    }
+
+    /// Adds the values of a checked page, or of several at once.
+    pub(super) fn add(&mut self, values: impl IntoIterator<Item = f32>) {
+        self.values.extend(values);
+        self.count = self.values.len() / (self.shape.0 * self.shape.1).max(1);
+    }
+
+    /// Adds a remark, once.
+    pub(super) fn remark(&mut self, oddity: String) {
+        if !self.oddities.contains(&oddity) {
+            self.oddities.push(oddity);
+        }
+    }
+
+    /// Number of pages.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The volume `[x, y, z]` = column, row, page; columns are fastest in memory.
+    pub(super) fn volume(self) -> VolumeFile {
+        let (rows, columns) = self.shape;
+        let pages = Array3::from_shape_vec((self.count, rows, columns), self.values);
+        let values = pages.expect("every page has the shape of the first").reversed_axes();
+        let mut volume = VolumeFile::new(values, self.spacing, None, None);
+        volume.oddities.extend(self.oddities);
+        volume
+    }
+}
