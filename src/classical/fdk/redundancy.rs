@@ -36,7 +36,7 @@ pub(super) struct RayWeights {
 }
 
 impl RayWeights {
-    /// Weights of the views at `angles`; `seen` are the borders of the projections, with [`Turn::Measured`].
+    /// Weights of the views at `angles`; `seen` are the borders of the projections, with [`super::Turn::Measured`].
     ///
     /// # Errors
     /// Those of [`Plan::of`].
