@@ -1,8 +1,8 @@
 //! What the borders of projections see: air, or an object that goes on outside the detector.
 //!
 //! Not in the paper. The profile of a view along one axis of the detector is the mean over the other axis. A border is
-//! the mean of the outermost two entries of a profile, or its last one if it is short. The object is *cut off* there in a view whose border
-//! exceeds [`CLEARLY`] of the view's largest entry.
+//! the mean of the outermost two entries of a profile, or its last one if it is short. The object is *cut off* there in
+//! a view whose border exceeds [`CLEARLY`] of the view's largest entry.
 
 use crate::numeric::Real;
 use ndarray::{ArrayView1, ArrayView3, Axis};
@@ -111,7 +111,9 @@ impl Borders {
         self.sides[side as usize]
     }
 
-    /// The sides among `of` where the object is cut off, with numbers: `left (in 40 of 40 views, up to 31 % of the largest mean)`.
+    /// The sides among `of` where the object is cut off, with numbers.
+    ///
+    /// Example: `left (in 40 of 40 views, up to 31 % of the view's largest)`.
     pub fn cut(&self, of: &[Side], views: usize) -> Vec<String> {
         let cut = of.iter().map(|&side| (side, self.at(side))).filter(|(_, border)| border.is_cut());
         cut.map(|(side, border)| {

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Thresholds that select data or repeat a definition: file, text of the comparison, reason.
-const NO_TOLERANCES: [(&str, &str, &str); 18] = [
+const NO_TOLERANCES: [(&str, &str, &str); 19] = [
     ("src/classical/algebraic/tests.rs", "length > 0.5 * scanner", "the definition of a ray that counts"),
     ("src/classical/fdk/mod.rs", "distance > 0.5", "inside or outside of the ball"),
     ("src/classical/fdk/mod.rs", "(0.35..0.65).contains(", "the shell that no mean contains"),
@@ -29,6 +29,7 @@ const NO_TOLERANCES: [(&str, &str, &str); 18] = [
     ),
     ("tests/contracts/oracle.rs", "x < 0.05", "what the README prints as 0"),
     ("tests/contracts/parity.rs", "dropped > 1e-9", "pixels at which the cutoff drops anything"),
+    ("tests/contracts/tolerance_rows.rs", "max_relative", "approx judges the measures of errors"),
 ];
 
 fn root() -> PathBuf {
@@ -353,6 +354,17 @@ fn checks_fail_beyond_their_rows_and_for_what_is_not_a_number() {
         (0.0, 0.0, 1.5, 0.3)
     );
     assert!(relative(f64::NAN, 1.0).is_nan() && largest([1.0, f64::NAN, 2.0]).is_nan());
+}
+
+/// approx judges the two measures, just above and just below the limit.
+#[test]
+fn errors_are_those_of_approx() {
+    for (a, b) in [(1.0, 1.5), (-3.0, 2.0), (1e-300, 3e-300), (7.0, 7.0 + 1e-12), (0.0, -4.0)] {
+        let holds = |factor| approx::Relative { epsilon: 0.0, max_relative: factor * relative(a, b) }.eq(&a, &b);
+        assert_eq!([holds(1.0 + 1e-9), holds(1.0 - 1e-9)], [true, false], "relative, {a} {b}");
+        let holds = |factor| approx::AbsDiff { epsilon: factor * largest([a - b]) }.eq(&a, &b);
+        assert_eq!([holds(1.0 + 1e-9), holds(1.0 - 1e-9)], [true, false], "largest, {a} {b}");
+    }
 }
 
 #[test]

@@ -67,6 +67,13 @@ pub struct Choice {
     pub iterations: Option<usize>,
 }
 
+impl Choice {
+    /// The given value, where there are too few views to hold any out.
+    fn without_folds(key: &str, value: f64) -> Self {
+        Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None }
+    }
+}
+
 /// Observer of a choice: gets the setting's name and each trial; breaking ends it with an error.
 pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
 
@@ -98,14 +105,7 @@ pub fn choose_weight<R: Real>(
     const KEY: &str = "tv.weight";
     let used = weight_folds(projector, projections);
     if used.is_empty() {
-        return Ok(Choice {
-            key: KEY.into(),
-            value: settings.weight,
-            curve: Vec::new(),
-            folds: 0,
-            cost: 0.0,
-            iterations: None,
-        });
+        return Ok(Choice::without_folds(KEY, settings.weight));
     }
     // Power of the factor → sums over the folds of the squared residual and of the squared measured values.
     let mut sums: BTreeMap<i32, [f64; 2]> = BTreeMap::new();
@@ -184,14 +184,7 @@ pub fn choose_passes<R: Real>(
     };
     let folds = folds(projector, projections, PASS_FOLDS);
     let Some([train, held]) = folds.get(1).filter(|_| projections.len() > 2) else {
-        return Ok(Choice {
-            key: KEY.into(),
-            value: most as f64,
-            curve: Vec::new(),
-            folds: 0,
-            cost: 0.0,
-            iterations: None,
-        });
+        return Ok(Choice::without_folds(KEY, most as f64));
     };
     let (train, held) = (projections.select(train), projections.select(held));
     let share = train.len() as f64 / projections.len() as f64;

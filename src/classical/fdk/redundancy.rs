@@ -39,7 +39,7 @@ pub(super) struct RayWeights {
 
 impl RayWeights {
     /// Weights of the views at `angles`; `shift` of source and detector along u, scene units; `seen` are the borders of the
-    /// projections, with [`Turn::Measured`].
+    /// projections, with [`super::Turn::Measured`].
     ///
     /// # Errors
     /// Those of [`Plan::of`].

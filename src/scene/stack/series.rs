@@ -57,12 +57,12 @@ pub struct Series {
     pub remarks: Vec<String>,
 }
 
-/// Reads a stack like [`read`], without the frames that are fields.
+/// Reads a stack like [`read`](super::read()), without the frames that are fields.
 ///
 /// `fields` are the stacks given as flat and dark field, with their names.
 ///
 /// # Errors
-/// Those of [`read`].
+/// Those of [`read`](super::read()).
 pub fn read_series(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
     let (values, remarks) = read_with_oddities(path)?;
     let mut series = Series { values, names: Vec::new(), remarks };
