@@ -1,8 +1,8 @@
 //! Views with poses: projections, gradients and adjoints in any position of source and detector, and what
 //! reconstructions from helices, rolled detectors and shifted axes are worth.
 
-use crate::common::precision::{FAST_AGAINST_NAIVE_F64, GRADIENT_FAST_AGAINST_NAIVE_F64};
 use crate::common::scenes;
+use crate::tolerances::relative;
 use glam::DVec3;
 use ndarray::{Array2, Array3};
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -60,9 +60,9 @@ fn images_and_gradients_of_posed_views_agree_with_the_naive_twin() {
                 let fast = projector::forward::<f64>(&primitives, &scanner, views, projection, cutoff);
                 let naive = naive::forward(&primitives, &scanner, views, projection, cutoff);
                 let error = peak(&(&fast - &naive)) / peak(&naive);
-                assert!(error <= FAST_AGAINST_NAIVE_F64, "{kernel:?} {projection:?} {:?}: {error:e}", scanner.beam);
+                within!("image", error, "{kernel:?} {projection:?} {:?}", scanner.beam);
                 let plain = projector::forward::<f64>(&primitives, &scanner, &ANGLES, projection, cutoff);
-                assert!(peak(&(&fast - &plain)) > 0.1 * peak(&naive), "the poses do something");
+                beyond!("poses ignored", peak(&(&fast - &plain)) / peak(&naive));
             }
             let cotangent = scenes::cotangent(9, (4, scanner.detector.rows, scanner.detector.columns));
             let fast = projector::vjp::<f64>(&primitives, &scanner, views, projection, 0.0, cotangent.view());
@@ -70,7 +70,7 @@ fn images_and_gradients_of_posed_views_agree_with_the_naive_twin() {
             for group in Group::ALL {
                 let (a, b) = (fast.group(group), naive.group(group));
                 let error = a.iter().zip(b).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs())) / peak(b);
-                assert!(error <= GRADIENT_FAST_AGAINST_NAIVE_F64, "{projection:?} {}: {error:e}", group.key());
+                within!("gradient", error, "{projection:?} {}", group.key());
             }
         }
     }
@@ -98,8 +98,8 @@ fn gradients_of_posed_views_match_central_differences() {
                     value(&moved)
                 };
                 let difference = (at(STEP) - at(-STEP)) / (2.0 * STEP);
-                let size = peak(gradient);
-                assert!((found - difference).abs() < 2e-7 * size, "{} {k}: {found} and {difference}", group.key());
+                let error = (found - difference).abs() / peak(gradient);
+                within!(error, "{} {k}: {found} and {difference}", group.key());
             }
         }
     }
@@ -154,7 +154,7 @@ fn a_posed_view_and_its_gradient_are_right_to_twelve_digits() {
         .reduce(|a, b| a + b)
         .unwrap();
     let error = image.iter().zip(&truth).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs())) / peak(&truth);
-    assert!(error < 1e-13, "{error:e}");
+    within!("image", error);
     for (part, first) in parts.iter().zip([0, 2]) {
         let found = projector::vjp(part, &scanner, views, Projection::Exact, 0.0, factors.view());
         for group in Group::ALL {
@@ -162,8 +162,12 @@ fn a_posed_view_and_its_gradient_are_right_to_twelve_digits() {
             let truth: Vec<f64> = all[first..first + part.len()].concat();
             let (found, size) = (found.group(group), peak(&truth));
             let error = found.iter().zip(&truth).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs())) / size;
-            eprintln!("{} of {first}: {error:e}", group.key());
-            assert!(error < 1e-12 || peak(&truth) == f64::MIN_POSITIVE, "{}: {error:e}", group.key());
+            // A Gaussian has no gradient to nu.
+            if peak(&truth) == f64::MIN_POSITIVE {
+                assert!(found.iter().all(|&found| found == 0.0), "{}", group.key());
+            } else {
+                within!("gradient", error, "{} of {first}", group.key());
+            }
         }
     }
 }
@@ -179,7 +183,7 @@ fn contributions_boxes_and_confidence_follow_the_poses() {
             let image: Array2<f64> = view.image();
             for (row, column) in [(5, 8), (20, 30), (36, 2)] {
                 let sum: f64 = view.contributions(row, column).iter().sum();
-                assert!((sum - image[[row, column]]).abs() < 1e-13, "{sum} against {}", image[[row, column]]);
+                within!((sum - image[[row, column]]).abs(), "{sum} against {}", image[[row, column]]);
             }
             let boxes = view.support_boxes();
             for (row, column) in [(5, 8), (20, 30)] {
@@ -214,7 +218,7 @@ fn line_integrals_of_phantoms_and_volumes_follow_the_poses() {
             let ray = trgs::scene::Ray { origin: pose.source, direction: (pixel - pose.source).normalize() };
             let expected = ball.line_integral(&ray) as f32;
             let found = exact.images[[number, row, column]];
-            assert!((found - expected).abs() <= 2e-6 * expected.abs().max(0.1), "{found} and {expected}");
+            within!(relative(found.into(), expected.into()), "{found} and {expected}");
         }
     }
     let volume = Volume::new(scanner.grid, Array3::from_elem(scanner.grid.shape, 1.0)).unwrap();
@@ -242,7 +246,7 @@ fn the_voxel_projector_of_posed_views_is_the_naive_one_and_its_adjoint_the_trans
             let weights = trgs::classical::voxel_projector::naive::weights(model, &scanner.grid, &ray);
             let plain: f64 = weights.iter().map(|&(voxel, weight)| weight * x[voxel]).sum();
             hit += usize::from(!weights.is_empty());
-            assert!((value - plain).abs() < 1e-13, "{model:?} {number} {row} {column}: {value} and {plain}");
+            within!("projection", (value - plain).abs(), "{model:?} {number} {row} {column}: {value} and {plain}");
         }
         assert!(hit > 400, "{hit} rays");
         let adjoint = projector.adjoint(views, y.view()).unwrap();
@@ -252,7 +256,7 @@ fn the_voxel_projector_of_posed_views_is_the_naive_one_and_its_adjoint_the_trans
         };
         let (left, right) = (dot(&forward, &y), dot(&x, &adjoint));
         let size = dot(&forward, &forward).sqrt() * dot(&y, &y).sqrt();
-        assert!((left - right).abs() < 1e-14 * size, "{model:?}: {left} and {right}, {:e}", (left - right) / size);
+        within!("transpose", (left - right).abs() / size, "{model:?}: {left} and {right}");
         let (x32, y32) = (x.mapv(|v| v as f32), y.mapv(|v| v as f32));
         let run = || (projector.forward(views, x32.view()).unwrap(), projector.adjoint(views, y32.view()).unwrap());
         assert!(threads::install(1, run).unwrap() == threads::install(3, run).unwrap());
@@ -309,11 +313,10 @@ fn posed_scans_reconstruct_as_well_as_plain_ones() {
         let found = [of_sart(&posed, &posed.train), of_tv(&posed), of_primitives(&posed)];
         let without = Projections { poses: None, ..posed.train.clone() };
         let ignored = of_sart(&posed, &without);
-        eprintln!("{name}: SART, tv, TR-GS {found:?}, plain {expected:?}, poses ignored {ignored}");
         for (found, expected) in found.into_iter().zip(expected) {
-            assert!((found - expected).abs() < 0.3, "{name}: {found} instead of {expected}");
+            within!("plain", expected - found, "{name}: {found} instead of {expected}");
         }
-        assert!(ignored < found[0] - 1.0, "{name}: ignored {ignored}");
+        beyond!("poses ignored", found[0] - ignored, "{name}: {ignored} dB");
     }
 }
 
@@ -326,9 +329,9 @@ fn filtered_backprojection_honours_a_shifted_axis_and_refuses_a_helix_with_the_r
     let found = psnr(&shifted, &of(&shifted, Turn::Measured).unwrap());
     let ignored = Dataset { train: Projections { poses: None, ..shifted.train.clone() }, ..shifted.clone() };
     let ignored = psnr(&ignored, &of(&ignored, Turn::Measured).unwrap());
-    eprintln!("plain {expected}, shifted {found}, ignored {ignored}");
     // Opposite rays of the shifted axis lie between each other, which even helps.
-    assert!(found > expected - 0.3 && ignored < expected - 2.0, "{expected} {found} {ignored}");
+    within!("plain", expected - found, "{found} instead of {expected}");
+    beyond!("poses ignored", expected - ignored, "{ignored} dB");
     for (orbit, reason) in [
         (Orbit { turns: 3.0, pitch: 0.15, ..Orbit::CIRCLE }, "height"),
         (Orbit { roll: 0.05, ..Orbit::CIRCLE }, "v = "),
@@ -343,7 +346,7 @@ fn filtered_backprojection_honours_a_shifted_axis_and_refuses_a_helix_with_the_r
     let phantom = Phantom::by_name("torso", 0).unwrap();
     let train = phantom.project(&scanner, Trajectory { angles: &plain.train.angles, poses: Some(&poses) }).unwrap();
     let found = psnr(&plain, &fdk(&scanner, &train, Window::RamLak, Turn::Measured).unwrap());
-    assert!(found > expected - 0.6, "{found}");
+    within!("height", expected - found, "{found} instead of {expected}");
 }
 
 #[test]
@@ -359,7 +362,7 @@ fn shifted_axes_keep_the_weights_of_short_scans_and_displaced_detectors_exact() 
     let mean = |volume: &Volume| {
         let inside = |index: (usize, usize, usize)| {
             let at = volume.grid.centre(index.into());
-            at.distance(centre) < 0.35 && (at.z - 0.0).abs() < 0.2
+            (0.0..0.35).contains(&at.distance(centre)) && (-0.2..0.2).contains(&at.z)
         };
         let values: Vec<f64> =
             volume.values.indexed_iter().filter(|(i, _)| inside(*i)).map(|(_, v)| f64::from(*v)).collect();
@@ -375,8 +378,7 @@ fn shifted_axes_keep_the_weights_of_short_scans_and_displaced_detectors_exact() 
             let poses: Vec<Pose> = angles.iter().map(|&angle| deviation.pose(angle)).collect();
             let train = ball.project(&scanner, Trajectory { angles: &angles, poses: Some(&poses) }).unwrap();
             let found = mean(&fdk(&scanner, &train, Window::RamLak, Turn::Measured).unwrap());
-            eprintln!("{what}, shift {shift}: {found}");
-            assert!((found / 0.6 - 1.0).abs() < 0.01, "{what}, shift {shift}: {found}");
+            within!(relative(found, 0.6), "{what}, shift {shift}: {found}");
         }
     }
 }
@@ -405,8 +407,8 @@ fn a_posed_scan_is_written_and_read_again_and_selections_keep_their_poses() {
         for (read, written) in [(&read.train, &scan.train), (read.test.as_ref().unwrap(), scan.test.as_ref().unwrap())]
         {
             for (a, b) in read.poses.as_ref().unwrap().iter().zip(written.poses.as_ref().unwrap()) {
-                assert!((a.source - b.source).length() < 1e-13 && (a.centre - b.centre).length() < 1e-13);
-                assert!((a.u - b.u).length() < 1e-15 && (a.v - b.v).length() < 1e-15);
+                within!("places", a.source.distance(b.source).max(a.centre.distance(b.centre)));
+                within!("axes", a.u.distance(b.u).max(a.v.distance(b.v)));
             }
         }
         let few = scan.train.select(&[3, 1]);

@@ -265,6 +265,7 @@ impl Trajectory<'_> {
 mod tests {
     use super::*;
     use crate::scene::Grid;
+    use crate::tolerances::largest;
     use std::f64::consts::FRAC_PI_2;
 
     fn scanner() -> Scanner {
@@ -284,16 +285,17 @@ mod tests {
                 let posed = pose.view(&scanner, angle);
                 assert_eq!((posed.u, posed.v, posed.w, posed.source), (plain.u, plain.v, plain.w, plain.source));
                 let d = [posed.detector.offset_u - 0.3, posed.detector.offset_v + 0.2];
-                assert!(d.iter().all(|d| d.abs() < 1e-14), "{d:?}");
+                within!("detector", largest(d), "{d:?}");
                 if let Beam::Cone { dso, dsd } = posed.beam {
-                    assert!((dso - 5.0).abs() < 1e-14 && (dsd - 7.0).abs() < 1e-14);
+                    within!("distances", largest([dso - 5.0, dsd - 7.0]));
                 }
                 let again = Pose::of(&plain);
-                assert!((again.source - pose.source).length() < 1e-14 && (again.u, again.v) == (pose.u, pose.v));
+                assert_eq!((again.u, again.v), (pose.u, pose.v));
+                within!("source", again.source.distance(pose.source));
                 // In a parallel beam the detector may lie anywhere along the rays.
                 let across = again.centre - pose.centre;
-                assert!((across - plain.w * across.dot(plain.w)).length() < 1e-14);
-                assert!(sin(pose.angle() - angle).abs() < 1e-14);
+                within!("centre", across.reject_from(plain.w).length());
+                within!("angle", sin(pose.angle() - angle).abs());
             }
         }
     }
@@ -310,18 +312,18 @@ mod tests {
         let (a, b) = (plain.pose(FRAC_PI_2), deviation.pose(FRAC_PI_2));
         // At 90° u is -x.
         let moved = |z: f64| DVec3::new(-0.14 - 0.01, -0.02, z - 0.03);
-        assert!((b.source - a.source - moved(0.2)).length() < 1e-14);
-        assert!((b.centre - a.centre - moved(0.3)).length() < 1e-14);
+        within!("places", (b.source - a.source).distance(moved(0.2)));
+        within!("places", (b.centre - a.centre).distance(moved(0.3)));
         // A roll turns u towards v, which is down.
-        assert!((b.u - (a.u * cos(0.1) + a.v * sin(0.1))).length() < 1e-14);
-        assert!((b.v - (a.v * cos(0.1) - a.u * sin(0.1))).length() < 1e-14);
+        within!("axes", b.u.distance(a.u * cos(0.1) + a.v * sin(0.1)));
+        within!("axes", b.v.distance(a.v * cos(0.1) - a.u * sin(0.1)));
         // TIGRE's matrix Rz(roll)·Ry(pitch)·Rx(yaw) at angle 0: the images of y and z.
         let [r, p, y] = [0.1, -0.2, 0.3];
         let turned = Deviation { turns: [r, p, y], ..plain }.pose(0.0);
         let ([sr, sp, sy], [cr, cp, cy]) = ([r, p, y].map(sin), [r, p, y].map(cos));
         let of_y = DVec3::new(cr * sp * sy - sr * cy, sr * sp * sy + cr * cy, cp * sy);
         let of_z = DVec3::new(cr * sp * cy + sr * sy, sr * sp * cy - cr * sy, cp * cy);
-        assert!((turned.u - of_y).length() < 1e-15 && (turned.v + of_z).length() < 1e-15);
+        within!("turns", turned.u.distance(of_y).max(turned.v.distance(-of_z)));
     }
 
     #[test]
@@ -334,12 +336,12 @@ mod tests {
             let ray = scanner.ray(&view, row, column);
             let (u, v) = view.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
             let (r, c) = view.detector.pixel(u, v);
-            assert!((r - row as f64).abs() < 1e-12 && (c - column as f64).abs() < 1e-12, "({row},{column}): ({r},{c})");
+            within!("pixel", largest([r - row as f64, c - column as f64]), "({row},{column}): ({r},{c})");
             // The pixel lies on the plane of the detector where the pose says.
             let pose = deviation.pose(1.1);
             let pixel =
                 pose.centre + pose.u * ((column as f64 + 0.5 - 4.5) * 0.4) + pose.v * ((row as f64 + 0.5 - 3.0) * 0.5);
-            assert!((pixel - ray.origin).normalize().abs_diff_eq(ray.direction, 1e-14));
+            within!("direction", (pixel - ray.origin).normalize().distance(ray.direction));
         }
     }
 
@@ -350,8 +352,9 @@ mod tests {
         good.validate(&scanner).unwrap();
         let refused = |pose: Pose| pose.validate(&scanner).unwrap_err().to_string();
         assert!(refused(Pose { v: -good.v, ..good }).contains("sign of u or of v"));
-        assert!(refused(Pose { u: good.u * 1.1, ..good }).contains("perpendicular"));
-        assert!(refused(Pose { source: DVec3::new(0.2, 0.0, 0.0), ..good }).contains("behind the source"));
+        let (long, inside) = (Pose { u: good.u * 1.1, ..good }, Pose { source: good.u * 0.2, ..good });
+        assert!(refused(long).contains("perpendicular"));
+        assert!(refused(inside).contains("behind the source"));
         let away = Pose { centre: good.centre + good.u * 90.0, ..good };
         let poses = [good, Pose { source: DVec3::NAN, ..good }];
         let of = |poses: &[Pose]| {

@@ -144,6 +144,7 @@ fn wrong(what: &str, got: impl ToString, expected: &str) -> Error {
 mod tests {
     use super::*;
     use crate::scene::geometry::{Beam, Detector, Deviation, Grid, Scanner};
+    use crate::tolerances::largest;
 
     const FILE: &str = r#"<?xml version="1.0"?>
 <!DOCTYPE RTKGEOMETRY>
@@ -166,7 +167,7 @@ mod tests {
         let plain = Deviation::none(&scanner);
         let near = |a: Pose, b: Pose| {
             let apart = [a.source - b.source, a.centre - b.centre, a.u - b.u, a.v - b.v];
-            assert!(apart.iter().all(|apart| apart.length() < 1e-14), "{a:?} and {b:?}");
+            within!(largest(apart.map(DVec3::length)), "{a:?} and {b:?}");
         };
         near(found.poses[0], plain.pose(40.0_f64.to_radians()));
         // RTK turns the frame, which has y upwards, against our roll; and the offsets with it.
