@@ -242,9 +242,9 @@ pub struct LossConfig {
     /// Weight of 1-SSIM of the projection.
     #[default = 0.25]
     pub d_ssim: f64,
-    /// Weight of the total variation of the block; 0 leaves it out.
-    #[default = 0.05]
-    pub tv: f64,
+    /// Weight of the total variation of the block; 0 leaves it out. auto: 0.05 n/256 for a volume of n³ voxels.
+    #[default(Auto::Auto)]
+    pub tv: Auto<f64>,
     /// Side of the block in voxels.
     #[default = 32]
     pub tv_block: usize,

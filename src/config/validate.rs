@@ -75,7 +75,7 @@ impl Config {
 
         for (key, weight) in [
             ("loss.d_ssim", loss.d_ssim),
-            ("loss.tv", loss.tv),
+            ("loss.tv", loss.tv.or(0.0)),
             ("confidence.weight", confidence.weight),
             ("wavelet.enhancement", wavelet.enhancement),
             ("wavelet.suppress", wavelet.suppress),
