@@ -2,7 +2,7 @@
 
 The view is turned about all axes, shifted and out of the plane of the orbit. Pixels are line integrals from the source
 to the pixel's point in the plane of the detector; the gradient is that of their sum with given factors, by central
-differences. Run: /tmp/venv/bin/python poses.py
+differences. Needs mpmath.
 """
 
 import json
