@@ -42,6 +42,8 @@ pub struct Reconstruction {
     pub unit: Option<f64>,
     /// What was chosen by views held out, if anything was.
     pub choice: Option<Choice>,
+    /// Iterations after which a run that fits primitives was given another length: see [`train::Checkpoint::extend`].
+    pub continued: Vec<usize>,
 }
 
 /// How far a method has come.
@@ -111,7 +113,8 @@ fn reconstruct_with(
         (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
         (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, unfinished: None, log: Vec::new(), sampled: None, unit, choice })
+    let (log, continued) = (Vec::new(), Vec::new());
+    Ok(Reconstruction { primitives: None, volume, unfinished: None, log, sampled: None, unit, choice, continued })
 }
 
 /// The volume of trained primitives, sampled and finished as `config` has it.
@@ -121,7 +124,7 @@ fn after_training(
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let train::TrainedModel { primitives, volume, log, unit } = found;
+    let train::TrainedModel { primitives, volume, log, unit, continued } = found;
     // The pilot run has fewer views, which would make another unit.
     let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
     let piloted = match config.has_pilot() {
@@ -147,7 +150,7 @@ fn after_training(
         choice = chosen;
     }
     let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice })
+    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued })
 }
 
 /// The checkpoints as training takes them.

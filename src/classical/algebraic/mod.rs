@@ -24,13 +24,15 @@ mod sart;
 mod tests;
 mod total_variation;
 mod tv;
+mod voxel_run;
 
-pub use asd_pocs::{AsdPocsSettings, asd_pocs};
-pub use cgls::cgls;
+pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
+pub use cgls::{CglsRun, cgls};
 pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
-pub use sart::{SartSettings, sart};
-pub use tv::{TvRun, TvSettings, TvState, tv};
+pub use sart::{SartRun, SartSettings, sart};
+pub use tv::{TvRun, TvSettings, tv};
+pub use voxel_run::{VoxelRun, VoxelState};
 
 pub(crate) use held_out::{FinishSearch, choose_finish, pilot_folds};
 
@@ -124,33 +126,24 @@ impl<'a, R: Real> System<'a, R> {
     }
 }
 
-/// Counts iterations and reports them.
-struct Counter<'a, 'b> {
-    observe: &'a mut Observe<'b>,
-    iterations: usize,
+/// The record of an iteration whose residual must be finite.
+fn pass(iteration: usize, iterations: usize, residual: f64) -> Result<Pass> {
+    if !residual.is_finite() {
+        return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
+    }
+    Ok(Pass { iteration, iterations, residual, objective: None, change: None })
 }
 
-impl<'a, 'b> Counter<'a, 'b> {
-    fn new(iterations: usize, observe: &'a mut Observe<'b>) -> Self {
-        Self { observe, iterations }
-    }
-
-    fn done(&mut self, iteration: usize, residual: f64) -> Result<()> {
-        if !residual.is_finite() {
-            return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
-        }
-        self.show(&Pass { iteration, iterations: self.iterations, residual, objective: None, change: None })
-    }
-
-    fn show(&mut self, pass: &Pass) -> Result<()> {
-        match (self.observe)(pass) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => {
-                let remedy = "nothing was written; run the same command again".into();
-                Err(Error::Interrupted { step: pass.iteration, remedy })
-            }
+/// Runs a method to its end.
+fn run_to_the_end(mut run: impl VoxelRun, observe: &mut Observe<'_>) -> Result<Volume> {
+    while !run.is_finished() {
+        let Some(pass) = run.step()? else { break };
+        if observe(&pass).is_break() {
+            let remedy = "nothing was written; run the same command again".into();
+            return Err(Error::Interrupted { step: pass.iteration, remedy });
         }
     }
+    Box::new(run).into_volume()
 }
 
 /// `‖values‖₂`.
