@@ -359,10 +359,11 @@ fn shifted_axes_keep_the_weights_of_short_scans_and_displaced_detectors_exact() 
         DVec3::splat(0.5),
     );
     let ball = Phantom { name: "ball".into(), solids: vec![solid] };
+    let (radius, half) = (0.35, 0.2);
     let mean = |volume: &Volume| {
         let inside = |index: (usize, usize, usize)| {
             let at = volume.grid.centre(index.into());
-            (0.0..0.35).contains(&at.distance(centre)) && (-0.2..0.2).contains(&at.z)
+            at.distance(centre) < radius && at.z.abs() < half
         };
         let values: Vec<f64> =
             volume.values.indexed_iter().filter(|(i, _)| inside(*i)).map(|(_, v)| f64::from(*v)).collect();
