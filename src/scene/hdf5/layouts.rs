@@ -120,17 +120,10 @@ impl Hdf5 {
         let (views, flats, darks) = (scan.frames.dim().0, count(&scan.flat), count(&scan.dark));
         scan.remarks
             .push(format!("{layout}: {views} views, {flats} frames of flat field, {darks} of dark field, {angles}"));
-        let others = self.entries.iter().filter(|entry| !read.iter().any(|read| read.is_same(entry)));
-        let others: Vec<Entry> = others.cloned().collect();
+        let others: Vec<&Entry> =
+            self.distinct().into_iter().filter(|entry| !read.iter().any(|read| read.is_same(entry))).collect();
         if !others.is_empty() {
             scan.remarks.push(format!("arrays that are not read: {}", list(&others)));
         }
-    }
-}
-
-impl Entry {
-    /// Whether two names are of one array.
-    fn is_same(&self, other: &Self) -> bool {
-        self.dataset.address() == other.dataset.address()
     }
 }

@@ -16,7 +16,6 @@ use crate::error::{Error, Result};
 use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
 use ndarray::{ArrayD, Axis, Ix3};
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Deflate makes at most so many bytes of one.
@@ -25,6 +24,8 @@ const EXPANSION: usize = 1032;
 const LEAST: usize = 1 << 20;
 /// Nested groups that are searched.
 const DEEPEST: usize = 16;
+/// Groups that are searched.
+const MOST_GROUPS: usize = 1000;
 /// Arrays that a message names.
 const LISTED: usize = 12;
 /// Characters of a name or of a cause that a message shows.
@@ -40,6 +41,13 @@ pub struct Entry {
     /// Type of the numbers, such as `uint16`.
     pub numbers: String,
     dataset: Dataset,
+}
+
+impl Entry {
+    /// Whether two names are of one array.
+    fn is_same(&self, other: &Self) -> bool {
+        self.dataset.address() == other.dataset.address()
+    }
 }
 
 /// The arrays of a file.
@@ -71,15 +79,19 @@ impl Hdf5 {
             Hdf5File::from_vec_with_options(content.to_vec(), options).map_err(|error| cause(path, "file", &error))?;
         let root = file.root_group().map_err(|error| cause(path, "root group", &error))?;
         let mut found = Self { path: path.to_owned(), entries: Vec::new(), others: Vec::new() };
-        found.search(&root, "", &mut BTreeSet::new(), DEEPEST)?;
+        let mut left = MOST_GROUPS;
+        found.search(&root, "", &mut Vec::new(), &mut left)?;
         Ok(found)
     }
 
-    fn search(&mut self, group: &Group, name: &str, seen: &mut BTreeSet<u64>, depth: usize) -> Result<()> {
+    /// Adds the arrays of a group and of those below it; `above` are the groups that contain it.
+    fn search(&mut self, group: &Group, name: &str, above: &mut Vec<u64>, left: &mut usize) -> Result<()> {
         // Links may form cycles, and several may lead to one group.
-        if depth == 0 || !seen.insert(group.address()) {
+        if *left == 0 || above.len() == DEEPEST || above.contains(&group.address()) {
             return Ok(());
         }
+        *left -= 1;
+        above.push(group.address());
         let what = if name.is_empty() { "root group" } else { name };
         let (groups, datasets) = group.members().map_err(|error| cause(&self.path, &shorter(what), &error))?;
         for dataset in datasets {
@@ -92,8 +104,9 @@ impl Hdf5 {
         }
         for child in groups {
             let name = format!("{name}/{}", child.name());
-            self.search(&child, &name, seen, depth - 1)?;
+            self.search(&child, &name, above, left)?;
         }
+        above.pop();
         Ok(())
     }
 
@@ -119,22 +132,38 @@ impl Hdf5 {
                     remedy,
                 );
             }
-            let remedy = format!("name one of its arrays: {}", list(&self.entries));
+            let remedy = format!("name one of its arrays: {}", list(&self.distinct()));
             Error::format(&self.path, "array", shorter(&full), "an array of numbers of this file", remedy)
         })
     }
 
     /// The only array with three axes longer than 1, or with three axes.
     fn only_volume(&self) -> Result<&Entry> {
-        let with_axes: Vec<&Entry> = self.entries.iter().filter(|entry| entry.shape.len() == 3).collect();
-        let solid = || with_axes.iter().copied().filter(|entry| entry.shape.iter().all(|&n| n > 1));
-        if with_axes.len() != 1 && solid().count() != 1 {
-            let expected = "one array with three axes, or a name";
-            let name = with_axes.first().map_or("/group/name", |entry| &entry.name);
-            let remedy = format!("name the array: {}:{}", self.path.display(), shorter(name));
-            return Err(Error::format(&self.path, "arrays", list(&self.entries), expected, remedy));
+        let distinct = self.distinct();
+        let with_axes: Vec<&Entry> = distinct.iter().copied().filter(|entry| entry.shape.len() == 3).collect();
+        let solid: Vec<&Entry> = with_axes.iter().copied().filter(|entry| entry.shape.iter().all(|&n| n > 1)).collect();
+        match (with_axes.as_slice(), solid.as_slice()) {
+            (&[entry], _) | (_, &[entry]) => Ok(entry),
+            _ => {
+                let expected = "one array with three axes, or a name";
+                let name = with_axes.first().map_or("/group/name", |entry| &entry.name);
+                let remedy = format!("name the array: {}:{}", self.path.display(), shorter(name));
+                Err(Error::format(&self.path, "arrays", list(&distinct), expected, remedy))
+            }
         }
-        Ok(if with_axes.len() == 1 { with_axes[0] } else { solid().next().expect("there is one") })
+    }
+
+    /// Each array once, under the shortest of its names.
+    fn distinct(&self) -> Vec<&Entry> {
+        let mut found: Vec<&Entry> = Vec::new();
+        for entry in &self.entries {
+            match found.iter().position(|other| other.is_same(entry)) {
+                Some(at) if entry.name.len() < found[at].name.len() => found[at] = entry,
+                Some(_) => {}
+                None => found.push(entry),
+            }
+        }
+        found
     }
 
     /// The values of an array, in the order of the file: the last axis is fastest.
@@ -191,9 +220,11 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     };
     let values = hdf5.slices(entry)?.reversed_axes();
     let mut oddities = Vec::new();
-    if name.is_none() && hdf5.entries.len() > 1 {
-        let others: Vec<Entry> = hdf5.entries.iter().filter(|other| other.name != entry.name).cloned().collect();
-        oddities.push(format!("{} is read, and not {}", shorter(&entry.name), list(&others)));
+    if name.is_none() {
+        let others: Vec<&Entry> = hdf5.distinct().into_iter().filter(|other| !other.is_same(entry)).collect();
+        if !others.is_empty() {
+            oddities.push(format!("{} is read, and not {}", shorter(&entry.name), list(&others)));
+        }
     }
     Ok(VolumeFile { values, oddities, ..VolumeFile::default() })
 }
@@ -210,7 +241,7 @@ fn type_of(datatype: &Datatype) -> Option<String> {
 }
 
 /// Names and shapes of arrays, as far as a message has room for them.
-fn list(entries: &[Entry]) -> String {
+fn list(entries: &[&Entry]) -> String {
     let text: Vec<String> =
         entries.iter().take(LISTED).map(|entry| format!("{} {:?}", shorter(&entry.name), entry.shape)).collect();
     match entries.len() {

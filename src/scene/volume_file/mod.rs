@@ -135,8 +135,11 @@ const ENDINGS: [(&str, Format); 21] = [
     (".mat", Format::Hdf5),
 ];
 
-/// Endings of formats that are not read, and how to convert them.
-const FOREIGN: [(&str, &str); 8] = [
+/// Endings of formats that are not read, or not as the slices of a folder, and how to convert them.
+const FOREIGN: [(&str, &str); 11] = [
+    (".h5", HDF5),
+    (".hdf5", HDF5),
+    (".nxs", HDF5),
     (".hdr", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.hdr'), 'OUT.nii')\""),
     (".img", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.img'), 'OUT.nii')\""),
     (".mgz", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.mgz'), 'OUT.nii')\""),
@@ -146,6 +149,8 @@ const FOREIGN: [(&str, &str); 8] = [
     (".vol", "rename it with its size and type, as in name_256x256x256_float32.raw"),
     (".bin", "rename it with its size and type, as in name_256x256x256_float32.raw"),
 ];
+
+const HDF5: &str = "python -c \"import h5py, numpy; numpy.save('OUT.npy', h5py.File('IN')['NAME'][:])\"";
 
 impl Format {
     fn of(path: &Path) -> Result<Self> {
@@ -290,8 +295,7 @@ fn no_dicom(path: &Path) -> Error {
 /// The error of a build without the feature.
 #[cfg(not(any(feature = "hdf5", test)))]
 pub(super) fn no_hdf5(path: &Path) -> Error {
-    let remedy = "build with the feature hdf5: `cargo build -r -F hdf5`, or convert it: \
-                  python -c \"import h5py, numpy; numpy.save('OUT.npy', h5py.File('IN')['NAME'][:])\"";
+    let remedy = format!("build with the feature hdf5: `cargo build -r -F hdf5`, or convert it: {HDF5}");
     Error::invalid("HDF5", path.display(), "a build that reads HDF5", remedy)
 }
 
