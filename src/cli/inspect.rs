@@ -16,7 +16,7 @@ use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
 use trgs::scene::stack::RtkGeometry;
-use trgs::scene::{Beam, Dataset, Projections, Volume, plausibility, volume_file};
+use trgs::scene::{Beam, Dataset, Projections, Volume, array_path, plausibility, volume_file};
 use trgs::{Error, Result};
 
 /// Ratio of longest to shortest scale from which on a primitive counts as a needle.
@@ -51,6 +51,7 @@ impl Inspect {
         }
         let found = match path.extension().and_then(OsStr::to_str) {
             _ if path.join("meta_data.json").exists() => dataset(path)?,
+            _ if array_path::is_hdf5(path) => files::hdf5(path)?,
             _ if path.join("provenance.json").exists() => run_folder(path)?,
             Some("json") => dataset(path)?,
             Some("pickle" | "pkl") => pickle(path)?,

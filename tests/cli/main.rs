@@ -21,6 +21,9 @@ mod experiments;
 mod formats;
 // The check of a geometry.
 mod geometry_check;
+// Scans and volumes in HDF5.
+#[cfg(feature = "hdf5")]
+mod hdf5;
 // Estimates of memory.
 mod memory;
 // `trgs oracle` and `trgs compare`.

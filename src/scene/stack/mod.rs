@@ -9,9 +9,11 @@
 //! A folder of images (`.tif`, `.png`, `.jpg`, `.raw`) has one frame per file.
 
 mod angles;
+mod scan_file;
 mod series;
 
 pub use angles::{AngleUnit, parse_angles, read_angles};
+pub use scan_file::{ScanFile, read_scan_file};
 pub use series::{Series, read_series};
 
 pub mod rtk;
