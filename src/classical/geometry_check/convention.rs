@@ -80,6 +80,17 @@ impl Convention {
             && (parallel || handed(self) == handed(other))
     }
 
+    /// The roll of the corrected images where `stated` is that of the images as they are: reflections reverse it.
+    pub fn roll(&self, stated: f64) -> f64 {
+        let reflected = self.transposed ^ self.rows_reversed ^ self.columns_reversed;
+        if reflected { 0.0 - stated } else { stated }
+    }
+
+    /// The axis shift along u of the corrected images where `stated` is that along their columns.
+    pub fn axis_shift(&self, stated: f64) -> f64 {
+        if self.columns_reversed { 0.0 - stated } else { stated }
+    }
+
     /// The offset `[u, v]` at which this convention explains the data as `other` does at `offset`.
     pub fn offset_from(&self, other: &Self, offset: [f64; 2]) -> [f64; 2] {
         let signed = |same: bool, value: f64| if same { value } else { 0.0 - value };
