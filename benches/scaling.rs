@@ -54,7 +54,8 @@ fn memory(scanner: Scanner, views: usize, points: usize, workers: usize) -> f64 
     let mut config = Config::default();
     (config.model.points, config.density_control.cap) = (points, points);
     config.initialisation.from = trgs::config::Start::Random;
-    let info = DatasetInfo { scanner, train: views, test: 0, has_truth: false, points: 0, is_cut: false };
+    let info =
+        DatasetInfo { scanner, train: views, test: 0, is_posed: false, has_truth: false, points: 0, is_cut: false };
     Estimate::new(&info, views, &config, workers).peak() as f64
 }
 

@@ -78,7 +78,10 @@ impl Estimate {
         let sizes = Sizes::new(scan, views, config, threads);
         let mut phases = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
-            Method::Fdk => vec![sizes.fdk("reconstruction", scan.scanner.detector.offset_u != 0.0 || scan.is_cut)],
+            Method::Fdk => {
+                let pads = scan.scanner.detector.offset_u != 0.0 || scan.is_posed || scan.is_cut;
+                vec![sizes.fdk("reconstruction", pads)]
+            }
             Method::Sart | Method::OsSart => vec![sizes.sart(config)],
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
@@ -175,7 +178,7 @@ impl Sizes {
         let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
         let points = match config.initialisation.from {
             Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => config.model.points.min(grid.voxels()),
-            Start::Random => config.model.points,
+            Start::Random | Start::Model => config.model.points,
             Start::Dataset => scan.points,
         };
         Self {
@@ -222,7 +225,8 @@ impl Sizes {
         let physical = allocation("physical values", m, NUMBERS * F64);
         let prepared = allocation("primitives, prepared", m, projector::bytes::FIELD);
         let mut start = match config.initialisation.from {
-            Start::Sart => self.sart(config).allocations,
+            // The pilot run of a run from a model starts from SART.
+            Start::Sart | Start::Model => self.sart(config).allocations,
             _ => self.fdk("first volume", false).allocations,
         };
         start.push(allocation("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
@@ -304,7 +308,7 @@ impl Sizes {
         let allocations = vec![
             allocation("projections and lengths of rays", self.pixels, 3 * self.real),
             allocation("corrections of a set of views", subset, 3 * self.real),
-            allocation("volume, and as it is written", self.voxels, self.real + F32),
+            allocation("volume, its copy in the state, and as it is written", self.voxels, 2 * self.real + F32),
             allocation("sums of slices at work", self.slice, self.at_work(2)),
         ];
         Phase { name: "reconstruction", allocations }
@@ -322,7 +326,11 @@ impl Sizes {
     fn cgls(&self) -> Phase {
         let allocations = vec![
             allocation("projections, residual, image and pairs", self.pixels, 4 * self.real),
-            allocation("volume, direction and gradient", self.voxels, 3 * self.real + F32),
+            allocation(
+                "volume, direction, and their gradient or copies in the state",
+                self.voxels,
+                4 * self.real + F32,
+            ),
             allocation("sums of slices at work", self.slice, self.at_work(1)),
         ];
         Phase { name: "reconstruction", allocations }
@@ -389,7 +397,7 @@ mod tests {
     fn scan() -> DatasetInfo {
         let detector = Detector { rows: 64, columns: 80, pitch_v: 0.05, pitch_u: 0.05, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(32) };
-        DatasetInfo { scanner, train: 18, test: 5, has_truth: true, points: 0, is_cut: false }
+        DatasetInfo { scanner, train: 18, test: 5, is_posed: false, has_truth: true, points: 0, is_cut: false }
     }
 
     #[test]

@@ -33,6 +33,9 @@ pub struct Provenance {
     /// Attenuation per scene unit that counted as density 1 in the run; `None` if its method has no unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density_unit: Option<f64>,
+    /// Iterations after which the run was continued to another number of iterations than it had before.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub continued: Vec<usize>,
     /// The command line, program name first.
     pub command: Vec<String>,
     /// Every seed by its purpose.
@@ -55,6 +58,7 @@ impl Provenance {
             threads,
             memory: None,
             density_unit: None,
+            continued: Vec::new(),
             command: command.into_iter().collect(),
             seeds: BTreeMap::new(),
             inputs: BTreeMap::new(),
@@ -73,6 +77,7 @@ impl Provenance {
             ("threads", self.threads.to_string()),
             ("memory, estimated", self.memory.map_or(String::new(), |bytes| ByteSize(bytes).to_string())),
             ("unit of density", self.density_unit.map_or(String::new(), |unit| unit.to_string())),
+            ("continued after iteration", join(&self.continued)),
             ("seeds", seeds.join(", ")),
         ];
         facts.into_iter().filter(|(_, value)| !value.is_empty()).map(|(label, value)| (label.into(), value)).collect()
@@ -93,6 +98,10 @@ impl Provenance {
     pub fn add_output(&mut self, path: &Path) -> Result<()> {
         add(&mut self.outputs, path)
     }
+}
+
+fn join(numbers: &[usize]) -> String {
+    numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// The commit this program was built from, if the build was given it.

@@ -19,7 +19,7 @@ use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
 use crate::primitives::Primitives;
 use crate::projector::forward;
-use crate::scene::{Dataset, Projections, Scanner, Volume, trilinear};
+use crate::scene::{Dataset, Projections, Scanner, Trajectory, Volume, trilinear};
 use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -42,6 +42,8 @@ pub struct Reconstruction {
     pub unit: Option<f64>,
     /// What was chosen by views held out, if anything was.
     pub choice: Option<Choice>,
+    /// Iterations after which a run that fits primitives was given another length: see [`train::Checkpoint::extend`].
+    pub continued: Vec<usize>,
 }
 
 /// How far a method has come.
@@ -111,7 +113,8 @@ fn reconstruct_with(
         (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
         (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
-    Ok(Reconstruction { primitives: None, volume, unfinished: None, log: Vec::new(), sampled: None, unit, choice })
+    let (log, continued) = (Vec::new(), Vec::new());
+    Ok(Reconstruction { primitives: None, volume, unfinished: None, log, sampled: None, unit, choice, continued })
 }
 
 /// The volume of trained primitives, sampled and finished as `config` has it.
@@ -121,7 +124,7 @@ fn after_training(
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let train::TrainedModel { primitives, volume, log, unit } = found;
+    let train::TrainedModel { primitives, volume, log, unit, continued } = found;
     // The pilot run has fewer views, which would make another unit.
     let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
     let piloted = match config.has_pilot() {
@@ -147,7 +150,7 @@ fn after_training(
         choice = chosen;
     }
     let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice })
+    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued })
 }
 
 /// The checkpoints as training takes them.
@@ -180,8 +183,8 @@ pub fn evaluate(
     let projections = match &dataset.test {
         Some(test) => {
             let seen = match primitives {
-                Some(primitives) => project(primitives, &dataset.scanner, &test.angles, config)?,
-                None => trilinear::project(volume, &dataset.scanner, &test.angles)?,
+                Some(primitives) => project(primitives, &dataset.scanner, test.trajectory(), config)?,
+                None => trilinear::project(volume, &dataset.scanner, test)?,
             };
             Some((test, seen))
         }
@@ -195,11 +198,11 @@ pub fn evaluate(
 }
 
 /// Projections of primitives as they were fitted.
-fn project(primitives: &Primitives, scanner: &Scanner, angles: &[f64], config: &Config) -> Result<Projections> {
+fn project(primitives: &Primitives, scanner: &Scanner, views: Trajectory<'_>, config: &Config) -> Result<Projections> {
     let (projection, cutoff) = (config.projection, config.cutoff);
     let images = match config.precision {
-        Precision::F32 => forward::<f32>(primitives, scanner, angles, projection, cutoff),
-        Precision::F64 => forward::<f64>(primitives, scanner, angles, projection, cutoff).mapv(|value| value as f32),
+        Precision::F32 => forward::<f32>(primitives, scanner, views, projection, cutoff),
+        Precision::F64 => forward::<f64>(primitives, scanner, views, projection, cutoff).mapv(|value| value as f32),
     };
-    Projections::new(angles.to_vec(), images)
+    Projections::along(views, images)
 }

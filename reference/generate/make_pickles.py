@@ -1,5 +1,9 @@
-"""Writes scans in NAF's format for tests of the pickle reader: tests/data/naf_{2,3,4,5}.pickle, one per protocol."""
+"""Writes scans in NAF's format for tests of the pickle reader: tests/data/naf_{2,3,4,5}.pickle, one per protocol.
 
+naf_odd.pickle has angles in degrees, a COR for each view, and entries that no reader of scans needs.
+"""
+
+import datetime
 import pickle
 from pathlib import Path
 
@@ -25,6 +29,13 @@ def main():
     }
     for protocol in range(2, 6):
         (DATA / f"naf_{protocol}.pickle").write_bytes(pickle.dumps(scan, protocol=protocol))
+    odd = scan | {
+        "COR": np.array([1.0, 2.0, 3.0]), "date": datetime.datetime(2024, 5, 17, 12, 30), "tags": {"bone", "dry"},
+        "names": np.array(["a", "bc"]), "objects": np.array([None, {"a": 1}], dtype=object), "big": 1 << 80,
+        "path": Path("data/scan"), "complex": complex(1, 2),
+        "train": {"angles": np.array([0.0, 90.0]), "projections": scan["train"]["projections"], "seconds": [1, 2]},
+    }
+    (DATA / "naf_odd.pickle").write_bytes(pickle.dumps(odd, protocol=4))
 
 
 if __name__ == "__main__":

@@ -47,7 +47,8 @@ pub(crate) fn in_unit(dataset: &Dataset, unit: f64) -> Cow<'_, Dataset> {
         return Cow::Borrowed(dataset);
     }
     let divided = |value: &f32| (f64::from(*value) / unit) as f32;
-    let train = Projections { angles: dataset.train.angles.clone(), images: dataset.train.images.map(divided) };
+    let images = dataset.train.images.map(divided);
+    let train = Projections { angles: dataset.train.angles.clone(), poses: dataset.train.poses.clone(), images };
     let mut initial_points = dataset.initial_points.clone();
     if let Some(points) = &mut initial_points {
         points.column_mut(3).mapv_inplace(|density| density / unit);

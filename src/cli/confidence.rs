@@ -70,14 +70,14 @@ impl Confidence {
     pub(super) fn run(&self) -> Result<Output> {
         let (settings, nu) = (self.settings()?, self.nu()?);
         let primitives = model::read(&self.model)?;
-        let (scanner, angles) = self.views.read()?;
-        let c = Coverage::new(settings).confidence(&primitives, &scanner, &angles);
+        let views = self.views.read()?;
+        let c = Coverage::new(settings).confidence(&primitives, &views.scanner, views.trajectory());
         let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
-        interrupt::shielded(|| self.write(&c, &targets, &angles))?;
+        interrupt::shielded(|| self.write(&c, &targets, &views.angles))?;
         Ok(Output::list(&Found {
             out: &self.out,
             primitives: primitives.len(),
-            views: angles.len(),
+            views: views.angles.len(),
             c: Spread::of(&c),
             nu_target: Spread::of(&targets),
             spearman: spearman(&c, &primitives.parameters.nu),

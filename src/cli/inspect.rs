@@ -12,9 +12,11 @@ use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
 use trgs::primitives::{Group, KernelKind, Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
+use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
-use trgs::scene::{Beam, Dataset, Projections, Volume, plausibility, volume_file};
+use trgs::scene::stack::RtkGeometry;
+use trgs::scene::{Beam, Dataset, Projections, Volume, array_path, plausibility, volume_file};
 use trgs::{Error, Result};
 
 /// Ratio of longest to shortest scale from which on a primitive counts as a needle.
@@ -49,9 +51,11 @@ impl Inspect {
         }
         let found = match path.extension().and_then(OsStr::to_str) {
             _ if path.join("meta_data.json").exists() => dataset(path)?,
+            _ if array_path::is_hdf5(path) => files::hdf5(path)?,
             _ if path.join("provenance.json").exists() => run_folder(path)?,
             Some("json") => dataset(path)?,
             Some("pickle" | "pkl") => pickle(path)?,
+            Some("xml") => geometry(path)?,
             Some("npz") => archive(path)?,
             Some("npy") => array(path)?,
             Some("ply") => of_model(&model::read(path)?),
@@ -59,7 +63,7 @@ impl Inspect {
             _ => {
                 let is_folder = std::fs::metadata(path).map_err(|source| Error::read(path, source))?.is_dir();
                 if !is_folder && !volume_file::has_known_ending(path) {
-                    let expected = "a folder of a scan, a run or images, or a file .json, .pickle, .npz, .npy, .ply, \
+                    let expected = "a folder of a scan, a run or images, or a file .json, .pickle, .xml, .npz, .npy, .ply, \
                                     .txt or .csv, or a volume";
                     let remedy = "give one of these; trgs help convert lists the formats of volumes";
                     return Err(Error::invalid("path to inspect", path.display(), expected, remedy));
@@ -77,6 +81,7 @@ fn dataset(path: &Path) -> Result<Value> {
     let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } = dataset;
     oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
+    let poses = trajectory_words(&scanner, &train);
     let beam = match scanner.beam {
         Beam::Cone { dso, dsd } => json!({ "kind": "cone", "dso": dso, "dsd": dsd }),
         Beam::Parallel { .. } => json!({ "kind": "parallel" }),
@@ -86,7 +91,7 @@ fn dataset(path: &Path) -> Result<Value> {
     if negative(&train) > 0 {
         oddities.push(format!("{} pixels of the training views are negative", negative(&train)));
     }
-    Ok(json!({
+    let mut found = json!({
         "kind": "dataset",
         "name": name,
         "beam": beam,
@@ -100,6 +105,24 @@ fn dataset(path: &Path) -> Result<Value> {
         "truth": truth.map(|Volume { values, .. }| json!({ "values": range(&values) })),
         "initial_points": initial_points.map(|points| points.nrows()),
         "notes": notes,
+        "oddities": oddities,
+    });
+    if let (Some(found), Some(poses)) = (found.as_object_mut(), poses) {
+        found.insert("poses".into(), json!(poses));
+    }
+    Ok(found)
+}
+
+/// A geometry file of RTK.
+fn geometry(path: &Path) -> Result<Value> {
+    let RtkGeometry { poses, oddities } = RtkGeometry::read(path)?;
+    let angles: Vec<f64> = poses.iter().map(|pose| pose.angle().to_degrees()).collect();
+    let heights: Vec<f64> = poses.iter().map(|pose| pose.source.z).collect();
+    Ok(json!({
+        "kind": "geometry of RTK",
+        "views": poses.len(),
+        "angles_in_degrees": range(&angles),
+        "heights_of_the_source": range(&heights),
         "oddities": oddities,
     }))
 }

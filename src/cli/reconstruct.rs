@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use trgs::config::{Config, Method, Precision, Preset};
+use trgs::config::{Config, Method, Precision, Preset, Start};
 use trgs::evaluation::Metrics;
 use trgs::memory::Estimate;
 use trgs::numeric::elementary::pow;
@@ -19,6 +19,7 @@ use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, PILOT_PART, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume, plausibility};
+use trgs::train::{primitives_of_model, with_points_of_model};
 use trgs::{Error, Result};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
@@ -38,9 +39,15 @@ const AUTO: usize = 10;
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
   trgs reconstruct data/torso --out out/torso --resume
   trgs reconstruct data/torso --out out/torso --max-memory 3GB
+  trgs reconstruct data/torso --out out/torso --resume --iterations 5000
+  trgs reconstruct data/torso --out out/again --set initialisation.from=model --set initialisation.model=out/torso/model.npz
 
 A value given by --set overrides a flag, a flag overrides FILE.toml, and FILE.toml overrides the method's default.
-The config.toml of any run lists and documents all keys."
+The config.toml of any run lists and documents all keys.
+
+--resume with more --iterations continues a run beyond its end. sart, os-sart, asd-pocs, cgls and tv end with the bits
+of a run of so many iterations. tr-gs and r2-gaussian follow the schedule of the longer run (learning rates, sampler,
+density control) from the iteration reached; this is deterministic, but differs from the longer run from its start."
 )]
 pub(super) struct Reconstruct {
     /// Folder of the scan, its meta_data.json, or a pickle of NAF
@@ -85,15 +92,15 @@ pub(super) struct Reconstruct {
     /// Reject a run that may need more memory than this, for example 3GB or 512MiB
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
-    /// Continue from the last checkpoint of RUN; the result is bit-identical to an uninterrupted run
+    /// Continue from the last checkpoint of RUN, bit-identical to an uninterrupted run; with more --iterations see below
     #[arg(long)]
     resume: bool,
 }
 
 impl Reconstruct {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
-        let checkpoint = self.checkpoint()?;
-        let config = self.config(checkpoint.as_ref())?;
+        let mut checkpoint = self.checkpoint()?;
+        let config = self.config(&mut checkpoint)?;
         self.check_memory(&self.estimate(&config)?)?;
         let mut dataset = Dataset::read(&self.dataset)?;
         for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
@@ -113,7 +120,14 @@ impl Reconstruct {
             let shape = dataset.scanner.grid.shape;
             tracing::warn!("wavelets are left out: a volume of {shape:?} voxels is too thin for their blocks");
         }
-        checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check_config(&config))?;
+        if let Some(saved) = &mut checkpoint {
+            extend(saved, config.iterations)?;
+            saved.check_config(&config)?;
+            tell_of_pilot(saved, &config);
+        } else if config.method.fits_primitives() && config.initialisation.from == Start::Model {
+            let (_, remarks) = primitives_of_model(&dataset.scanner.grid, &config)?;
+            remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
+        }
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
@@ -154,19 +168,22 @@ impl Reconstruct {
     }
 
     /// The configuration of the checkpoint or file, changed by flags, then by --set.
-    fn config(&self, checkpoint: Option<&Checkpoint>) -> Result<Config> {
+    fn config(&self, checkpoint: &mut Option<Checkpoint>) -> Result<Config> {
         let method = self.method.unwrap_or(Method::TrGs);
-        let mut config = match (&self.config, checkpoint) {
+        let mut config = match (&self.config, &checkpoint) {
             (Some(file), _) => Config::read(file, method)?,
             (None, Some(checkpoint)) => checkpoint.config()?,
             (None, None) => Config::of(method),
         };
         config.method = self.method.unwrap_or(config.method);
-        if let (Some(preset), None) = (self.preset, checkpoint) {
+        if let (Some(preset), None) = (self.preset, &checkpoint) {
             config.apply(preset);
         }
         if self.auto {
-            (config.algebraic.auto, config.iterations) = (true, AUTO * config.iterations);
+            config.algebraic.auto = true;
+            if checkpoint.is_none() {
+                config.iterations *= AUTO;
+            }
         }
         config.iterations = self.iterations.unwrap_or(config.iterations);
         config.model.points = self.points.unwrap_or(config.model.points);
@@ -175,11 +192,40 @@ impl Reconstruct {
         config.seed = self.seed.unwrap_or(config.seed);
         self.set.iter().try_for_each(|setting| config.set(setting))?;
         // A configuration from a file is compared once it is complete.
-        if let (Some(checkpoint), None) = (checkpoint, &self.config) {
+        if let (Some(checkpoint), None) = (checkpoint.as_mut(), &self.config) {
+            extend(checkpoint, config.iterations)?;
             checkpoint.check_config(&config)?;
         }
         config.validate()?;
-        Ok(config)
+        if checkpoint.is_some() { Ok(config) } else { with_points_of_model(&config) }
+    }
+}
+
+/// Makes a checkpoint one of a run of `iterations`, and says what that means.
+fn extend(checkpoint: &mut Checkpoint, iterations: usize) -> Result<()> {
+    let (before, done) = (checkpoint.config()?.iterations, checkpoint.iteration());
+    if iterations == before {
+        return Ok(());
+    }
+    checkpoint.extend(iterations)?;
+    let meaning = match checkpoint {
+        Checkpoint::Primitives(_) => format!(
+            "learning rates, sampler and density control follow the schedule of {iterations} iterations from here, so the \
+             result differs from a run of {iterations} from its start"
+        ),
+        Checkpoint::Voxels(_) => format!("the result is that of a run of {iterations} from its start"),
+    };
+    tracing::info!("continuing after iteration {done} to {iterations} instead of {before}: {meaning}");
+    Ok(())
+}
+
+/// Says that a pilot run decides again for a run that was continued.
+fn tell_of_pilot(checkpoint: &Checkpoint, config: &Config) {
+    if matches!(checkpoint, Checkpoint::Primitives(saved) if saved.is_continued()) && config.has_pilot() {
+        tracing::warn!(
+            "a pilot run of the new length decides sampling and finish anew; what it decided before can be kept with \
+             --set sampling=... --set tv.weight=... --set tv.finish_iterations=..., from the report of the shorter run"
+        );
     }
 }
 
@@ -226,10 +272,14 @@ pub(super) fn reconstruct(
             Some(checkpoints) => run.checkpoints(checkpoints),
             None => run,
         };
-        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice } = run.reconstruct()?;
+        let found = run.reconstruct()?;
+        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued } = found;
         drop(bar);
         if let Some(unit) = unit {
             tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");
+        }
+        if let Some(TimedPass { pass, .. }) = passes.last().filter(|last| last.pass.iteration < last.pass.iterations) {
+            tracing::info!("converged after iteration {} of {}", pass.iteration, pass.iterations);
         }
         let seconds = began.elapsed().as_secs_f64();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
@@ -239,8 +289,20 @@ pub(super) fn reconstruct(
             tracing::info!("{sampled}");
         }
         let method = config.method;
-        let outcome =
-            Outcome { method, primitives, volume, unfinished, log, passes, choice, seconds, unit, evaluation, sampled };
+        let outcome = Outcome {
+            method,
+            primitives,
+            volume,
+            unfinished,
+            log,
+            passes,
+            choice,
+            seconds,
+            unit,
+            evaluation,
+            sampled,
+            continued,
+        };
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })

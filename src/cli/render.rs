@@ -2,7 +2,7 @@
 
 use super::arguments::{choice, cutoff, list};
 use super::explain::{self, Written};
-use super::views::ViewArgs;
+use super::views::{ViewArgs, Views};
 use super::{Output, check_size, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
@@ -12,8 +12,8 @@ use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Parameters, Primitives, model};
 use trgs::projector::{Field, Kernels, Projection, forward, vjp};
+use trgs::scene::npy;
 use trgs::scene::npy::Element;
-use trgs::scene::{Scanner, npy};
 use trgs::{Error, Result};
 
 /// Compute projections of a model, and the gradient of a function of the projections
@@ -82,19 +82,21 @@ impl Render {
 
     fn render<R: Kernels + Element>(&self) -> Result<Output> {
         let primitives = model::read(&self.model)?;
-        let (scanner, angles) = self.views.read()?;
+        let views = self.views.read()?;
+        let Views { scanner, angles, .. } = &views;
         let shape = [angles.len(), scanner.detector.rows, scanner.detector.columns];
         if let Some(pixel) = self.explain {
             explain::check_index(pixel, shape, ["view", "row", "column"])?;
         }
         let written = match &self.out {
-            Some(out) => Some(self.write::<R>(out, &primitives, &scanner, &angles)?),
+            Some(out) => Some(self.write::<R>(out, &primitives, &views)?),
             None => None,
         };
         match (self.explain, written) {
             (Some([view, row, column]), written) => {
                 let field = Field::<R>::new(&primitives, self.kernel.cutoff);
-                let contributions = field.view(&scanner, angles[view], self.projection).contributions(row, column);
+                let contributions = field.seen_in(&views.trajectory().view(scanner, view), self.projection);
+                let contributions = contributions.contributions(row, column);
                 let pixel = Pixel { view, angle: angles[view], row, column };
                 Ok(explain::answer(pixel, &primitives, &contributions, written))
             }
@@ -106,13 +108,12 @@ impl Render {
         &'a self,
         out: &'a Path,
         primitives: &Primitives,
-        scanner: &Scanner,
-        angles: &[f64],
+        views: &Views,
     ) -> Result<Written<'a>> {
-        let (projection, cutoff) = (self.projection, self.kernel.cutoff);
-        check_size("projections", &[angles.len(), scanner.detector.rows, scanner.detector.columns])?;
-        let images = forward::<R>(primitives, scanner, angles, projection, cutoff);
-        let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, angles, projection, cutoff, d.view());
+        let (projection, cutoff, scanner) = (self.projection, self.kernel.cutoff, &views.scanner);
+        check_size("projections", &[views.angles.len(), scanner.detector.rows, scanner.detector.columns])?;
+        let images = forward::<R>(primitives, scanner, views.trajectory(), projection, cutoff);
+        let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, views.trajectory(), projection, cutoff, d.view());
         self.kernel.write(out, &images, vjp_of)?;
         Ok(Written {
             out,
@@ -120,14 +121,15 @@ impl Render {
             precision: self.kernel.precision,
             projection: Some(projection),
             cutoff,
-            truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(primitives, scanner, angles)),
+            truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(primitives, views)),
             grad_out: self.kernel.grad_out.as_deref(),
         })
     }
 
-    fn truncation_bound<R: Kernels>(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> f64 {
+    fn truncation_bound<R: Kernels>(&self, primitives: &Primitives, views: &Views) -> f64 {
         let field = Field::<R>::new(primitives, self.kernel.cutoff);
-        let bounds = angles.iter().map(|&angle| field.view(scanner, angle, self.projection).truncation_bound());
+        let views = views.trajectory().views(&views.scanner);
+        let bounds = views.iter().map(|view| field.seen_in(view, self.projection).truncation_bound());
         bounds.fold(0.0, |largest, bounds| bounds.into_iter().fold(largest, f64::max))
     }
 }

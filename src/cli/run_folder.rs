@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use trgs::classical::algebraic::{Choice, Pass};
-use trgs::config::{Config, Method};
+use trgs::config::{Config, Method, Start};
 use trgs::evaluation::Metrics;
 use trgs::numeric::threads;
 use trgs::output::{create_folder, stage_folder, write_atomically};
@@ -18,7 +18,7 @@ use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;
 use trgs::{Error, Result};
 
-/// Folder with the state of a run that fits primitives.
+/// Folder with the state of an iterative run.
 const CHECKPOINTS: &str = "checkpoints";
 /// Files of every run.
 const FILES: [&str; 5] = ["config.toml", "volume.npy", "metrics.json", "report.html", "provenance.json"];
@@ -46,6 +46,8 @@ pub(super) struct Outcome {
     pub(super) evaluation: Evaluation,
     /// How the volume was sampled from the primitives.
     pub(super) sampled: Option<Sampled>,
+    /// Iterations after which the run was given another length.
+    pub(super) continued: Vec<usize>,
 }
 
 /// An iteration on voxels, as logged.
@@ -121,6 +123,11 @@ impl RunFolder {
             Some(parent) if source.is_file() => parent,
             _ => source,
         })?;
+        // A resumed run has its primitives in the checkpoint, and its model may be gone.
+        let model = Path::new(&config.initialisation.model);
+        if config.method.fits_primitives() && config.initialisation.from == Start::Model && model.exists() {
+            provenance.add_input(model)?;
+        }
         // Tests only whether the folder can be written: a killed run leaves no unfinished folder behind.
         drop(stage_folder(folder)?);
         Ok(Self { folder: folder.into(), provenance })
@@ -135,6 +142,7 @@ impl RunFolder {
         beside: Option<&Outcome>,
     ) -> Result<()> {
         self.provenance.density_unit = outcome.unit;
+        self.provenance.continued.clone_from(&outcome.continued);
         let staged = stage_folder(&self.folder)?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
@@ -258,7 +266,7 @@ fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(Error::write(folder, error)),
     };
-    let (fits, keeps) = (method.fits_primitives(), method.fits_primitives() || method == Method::Tv);
+    let (fits, keeps) = (method.fits_primitives(), method != Method::Fdk);
     let has = |file: &str| names.iter().any(|name| name == file);
     let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
     let got = match names.iter().find(foreign) {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::scene::hounsfield;
 use trgs::scene::phantom::{Group, PHANTOMS};
-use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume};
 
@@ -21,6 +21,7 @@ use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume
     after_help = "Examples:
   trgs simulate --phantom torso --out data/torso --noise low
   trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128
+  trgs simulate --phantom torso --out data/helix --helix 0.4,3 --views 60
   trgs simulate --volume thorax_in_hu.nii.gz --mu-water 1 --out data/thorax"
 )]
 pub(super) struct Simulate {
@@ -60,6 +61,15 @@ pub(super) struct Simulate {
     /// Height and width of the detector, or one number for both
     #[arg(long, value_name = "LENGTH|V,U", default_value = "4", value_parser = pair::<f64>)]
     detector_size: [f64; 2],
+    /// Helix: height that source and detector gain per turn, and turns that the views are spread over
+    #[arg(long, value_name = "PITCH,TURNS", allow_hyphen_values = true, value_parser = pair::<f64>)]
+    helix: Option<[f64; 2]>,
+    /// Turn of the detector in its plane, from the columns' direction towards the rows', degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = finite)]
+    roll: f64,
+    /// Shift of source and detector along the columns' direction, off the rotation axis (TIGRE's COR)
+    #[arg(long, value_name = "LENGTH", default_value_t = 0.0, value_parser = finite)]
+    axis_shift: f64,
     /// Seed of noise, test angles and the phantom's random details
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
@@ -131,18 +141,20 @@ impl Simulate {
         check_size("projections", &[views, self.detector[0].into(), self.detector[1].into()])?;
         let plan =
             Plan { views: self.views.into(), test_views: self.test_views.into(), noise: self.noise, seed: self.seed };
+        let [pitch, turns] = self.helix.unwrap_or([Orbit::CIRCLE.pitch, Orbit::CIRCLE.turns]);
+        let orbit = Orbit { turns, pitch, roll: self.roll.to_radians(), axis_shift: self.axis_shift };
         match (&self.object.phantom, &self.object.volume) {
             (Some(name), _) => {
                 let grid = Grid::cube(self.size.into());
                 check_size("volume", &grid.shape)?;
                 let phantom = Phantom::by_name(name, self.seed)?;
-                simulate(name, Object::Phantom(&phantom), &self.scanner(grid), &plan)
+                simulate_on(name, Object::Phantom(&phantom), &self.scanner(grid), &plan, &orbit)
             }
             (None, path) => {
                 let path = path.as_deref().expect("one of the two is required");
                 let volume = read_volume(path, self.mu_water)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                simulate(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan)
+                simulate_on(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan, &orbit)
             }
         }
     }

@@ -3,8 +3,8 @@
 use super::arguments::finite;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
-use trgs::scene::dataset::read_scanner;
-use trgs::scene::{Dataset, Scanner};
+use trgs::scene::dataset::read_at_angles;
+use trgs::scene::{Dataset, Pose, Scanner, Trajectory};
 use trgs::{Error, Result};
 
 #[derive(Args)]
@@ -27,11 +27,28 @@ enum Split {
     Test,
 }
 
+/// A scanner and some of its views.
+pub(super) struct Views {
+    pub(super) scanner: Scanner,
+    /// Radians.
+    pub(super) angles: Vec<f64>,
+    poses: Option<Vec<Pose>>,
+}
+
+impl Views {
+    pub(super) fn trajectory(&self) -> Trajectory<'_> {
+        Trajectory { angles: &self.angles, poses: self.poses.as_deref() }
+    }
+}
+
 impl ViewArgs {
-    /// The scanner, and angles in radians.
-    pub(super) fn read(&self) -> Result<(Scanner, Vec<f64>)> {
+    /// The scanner and the views.
+    ///
+    /// Angles are those of a circle, or of the one deviation from it that the description states for all views.
+    pub(super) fn read(&self) -> Result<Views> {
         if !self.angles.is_empty() {
-            return Ok((read_scanner(&self.scanner)?, self.angles.clone()));
+            let (scanner, poses) = read_at_angles(&self.scanner, &self.angles)?;
+            return Ok(Views { scanner, angles: self.angles.clone(), poses });
         }
         let dataset = Dataset::read(&self.scanner)?;
         let views = match self.split {
@@ -40,6 +57,6 @@ impl ViewArgs {
                 Error::invalid("--split", "test", "train: the dataset has no test views", "or give --angles")
             })?,
         };
-        Ok((dataset.scanner, views.angles))
+        Ok(Views { scanner: dataset.scanner, angles: views.angles, poses: views.poses })
     }
 }

@@ -34,7 +34,7 @@ use crate::error::{Error, Result};
 use crate::numeric::elementary::{length, power_of_two_below};
 use crate::numeric::threads;
 use crate::primitives::{Primitives, rotation};
-use crate::scene::{Beam, Scanner, View};
+use crate::scene::{Beam, Scanner, Trajectory, View};
 use glam::{DMat3, DVec3};
 use sphere::{Sphere, Tube};
 
@@ -96,14 +96,19 @@ impl Coverage {
         Self { settings, sphere: Sphere::new(settings.sphere_points) }
     }
 
-    /// The confidence c of every primitive in [0, 1], `[M]` `[Eq. 8]`; `angles` in radians.
+    /// The confidence c of every primitive in [0, 1], `[M]` `[Eq. 8]`.
     ///
     /// 0 for a primitive that no view sees. Exact: a count divided by N, the same as [`naive::confidence`].
     ///
     /// Tests: `fast_and_naive_count_the_same_points`, `one_view_of_a_sphere_covers_two_caps`.
-    pub fn confidence(&self, primitives: &Primitives, scanner: &Scanner, angles: &[f64]) -> Vec<f64> {
+    pub fn confidence<'a>(
+        &self,
+        primitives: &Primitives,
+        scanner: &Scanner,
+        views: impl Into<Trajectory<'a>>,
+    ) -> Vec<f64> {
         let all: Vec<usize> = (0..primitives.len()).collect();
-        self.confidence_of(&all, primitives, scanner, angles)
+        self.confidence_of(&all, primitives, scanner, views)
     }
 
     /// [`Self::confidence`] of the primitives in some `rows` alone, in their order.
@@ -112,19 +117,19 @@ impl Coverage {
     ///
     /// # Panics
     /// For a row that does not exist.
-    pub fn confidence_of(
+    pub fn confidence_of<'a>(
         &self,
         rows: &[usize],
         primitives: &Primitives,
         scanner: &Scanner,
-        angles: &[f64],
+        views: impl Into<Trajectory<'a>>,
     ) -> Vec<f64> {
-        let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
+        let views = views.into().views(scanner);
         let mut confidence = vec![0.0; rows.len()];
         threads::for_each_chunk(&mut confidence, CHUNK, |chunk, confidence| {
             let mut tubes = Vec::with_capacity(views.len());
             for (&row, c) in rows[chunk * CHUNK..].iter().zip(confidence) {
-                self.collect_tubes(primitives, row, scanner, &views, &mut tubes);
+                self.collect_tubes(primitives, row, &views, &mut tubes);
                 *c = self.sphere.covered(&tubes) / self.settings.sphere_points as f64;
             }
         });
@@ -132,14 +137,7 @@ impl Coverage {
     }
 
     /// The tubes of the views that see primitive `i`.
-    fn collect_tubes(
-        &self,
-        primitives: &Primitives,
-        i: usize,
-        scanner: &Scanner,
-        views: &[View],
-        into: &mut Vec<Tube>,
-    ) {
+    fn collect_tubes(&self, primitives: &Primitives, i: usize, views: &[View], into: &mut Vec<Tube>) {
         let parameters = &primitives.parameters;
         let mean = DVec3::from_array(parameters.mean[i]);
         let (quaternion, _) = rotation::unit(parameters.quaternion[i]);
@@ -147,8 +145,8 @@ impl Coverage {
         let scale = in_own_unit(DVec3::from_array(parameters.scale[i]));
         let alpha = libm::cbrt(scale.x * scale.y * scale.z);
         into.clear();
-        for view in views.iter().filter(|view| sees(scanner, view, mean)) {
-            let direction = to_local * towards_source(scanner, view, mean);
+        for view in views.iter().filter(|view| sees(view, mean)) {
+            let direction = to_local * towards_source(view, mean);
             let ratio = alpha / length(scale * direction) / self.settings.kappa;
             let radius = self.settings.r_max * if ratio < 1.0 { ratio } else { 1.0 };
             into.push(Tube { direction, nearest: 1.0 - radius * radius });
@@ -165,17 +163,17 @@ fn in_own_unit(scale: DVec3) -> DVec3 {
 }
 
 /// Whether the projection of a point is on the detector, up to the edges of its pixels.
-fn sees(scanner: &Scanner, view: &View, point: DVec3) -> bool {
+fn sees(view: &View, point: DVec3) -> bool {
     let on = |index: f64, count: usize| -0.5 <= index && index < count as f64 - 0.5;
-    scanner.project(view.to_camera(point)).is_some_and(|(u, v)| {
-        let (row, column) = scanner.detector.pixel(u, v);
-        on(row, scanner.detector.rows) && on(column, scanner.detector.columns)
+    view.project(view.to_camera(point)).is_some_and(|(u, v)| {
+        let (row, column) = view.detector.pixel(u, v);
+        on(row, view.detector.rows) && on(column, view.detector.columns)
     })
 }
 
 /// Unit vector against the ray through a point that the view sees.
-fn towards_source(scanner: &Scanner, view: &View, point: DVec3) -> DVec3 {
-    match scanner.beam {
+fn towards_source(view: &View, point: DVec3) -> DVec3 {
+    match view.beam {
         Beam::Cone { .. } => (view.source - point) / length(view.source - point),
         Beam::Parallel { .. } => -view.w,
     }

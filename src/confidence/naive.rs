@@ -7,7 +7,7 @@
 use super::{Settings, sees, towards_source};
 use crate::numeric::elementary::{cos, sin};
 use crate::primitives::{Primitives, rotation};
-use crate::scene::Scanner;
+use crate::scene::{Scanner, Trajectory, View};
 use glam::{DMat3, DVec3};
 use std::f64::consts::TAU;
 
@@ -40,22 +40,27 @@ pub fn support_radius(ratio: f64, settings: &Settings) -> f64 {
     settings.r_max * if share < 1.0 { share } else { 1.0 }
 }
 
-/// The confidence c of every primitive, `[M]` `[Eq. 8]`; `angles` in radians.
+/// The confidence c of every primitive, `[M]` `[Eq. 8]`.
 ///
 /// Tests: `fast_and_naive_count_the_same_points`, `a_point_is_within_the_tube_iff_it_is_near_the_chord`.
-pub fn confidence(primitives: &Primitives, scanner: &Scanner, angles: &[f64], settings: &Settings) -> Vec<f64> {
+pub fn confidence<'a>(
+    primitives: &Primitives,
+    scanner: &Scanner,
+    views: impl Into<Trajectory<'a>>,
+    settings: &Settings,
+) -> Vec<f64> {
+    let views = views.into().views(scanner);
     let n = settings.sphere_points;
     let one = |i: usize| {
         let (scale, mean) = (primitives.parameters.scale[i], primitives.parameters.mean[i]);
         let (scale, mean) = (DVec3::from_array(scale), DVec3::from_array(mean));
         let rotation = DMat3::from_quat(rotation::unit(primitives.parameters.quaternion[i]).0);
-        let within = |p: DVec3, angle: f64| {
-            let view = scanner.view(angle);
-            let u = rotation.transpose() * towards_source(scanner, &view, mean);
+        let within = |p: DVec3, view: &View| {
+            let u = rotation.transpose() * towards_source(view, mean);
             let r = support_radius(effective_ratio(scale, u), settings);
-            sees(scanner, &view, mean) && p.dot(u) * p.dot(u) >= 1.0 - r * r
+            sees(view, mean) && p.dot(u) * p.dot(u) >= 1.0 - r * r
         };
-        let covered = (0..n).filter(|&k| angles.iter().any(|&angle| within(sphere_point(k, n), angle))).count();
+        let covered = (0..n).filter(|&k| views.iter().any(|view| within(sphere_point(k, n), view))).count();
         covered as f64 / n as f64
     };
     (0..primitives.len()).map(one).collect()

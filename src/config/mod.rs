@@ -5,6 +5,7 @@
 //! needs a row in `text::TABLES`, which another test asks for.
 
 mod auto;
+mod methods;
 mod plan;
 mod text;
 mod validate;
@@ -78,6 +79,8 @@ pub enum Start {
     Tv,
     /// On the initial points that come with the dataset.
     Dataset,
+    /// As the primitives of a model file.
+    Model,
     /// Anywhere in the volume.
     Random,
 }
@@ -221,7 +224,7 @@ pub struct ModelConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct InitialisationConfig {
-    /// sart, tv, fdk, smoothed-fdk, dataset (its init_*.npy) or random.
+    /// sart, tv, fdk, smoothed-fdk, dataset (its init_*.npy), random, or model (the primitives of a file).
     #[default(Start::Sart)]
     pub from: Start,
     /// Voxels of the first reconstruction above this density, in units of density_unit, can carry a primitive.
@@ -233,6 +236,8 @@ pub struct InitialisationConfig {
     /// smoothed-fdk: standard deviation of the smoothing, voxels.
     #[default = 1.0]
     pub smoothing: f64,
+    /// model: the MODEL.npz whose primitives, in scene units, the run starts from; their number is model.points.
+    pub model: String,
 }
 
 /// What is minimised: `L1 + d_ssim·(1-SSIM)` of a projection `+ tv·TV` of a block of the volume.
@@ -242,9 +247,9 @@ pub struct LossConfig {
     /// Weight of 1-SSIM of the projection.
     #[default = 0.25]
     pub d_ssim: f64,
-    /// Weight of the total variation of the block; 0 leaves it out.
-    #[default = 0.05]
-    pub tv: f64,
+    /// Weight of the total variation of the block; 0 leaves it out. auto: 0.05 n/256 for a volume of n³ voxels.
+    #[default(Auto::Auto)]
+    pub tv: Auto<f64>,
     /// Side of the block in voxels.
     #[default = 32]
     pub tv_block: usize,
@@ -527,74 +532,4 @@ impl Preset {
 impl Precision {
     /// Both precisions.
     pub const ALL: [Self; 2] = [Self::F32, Self::F64];
-}
-
-impl Config {
-    /// The defaults of a method: [`Config::default`], and what the other methods have of their own.
-    pub fn of(method: Method) -> Self {
-        let mut config = Self { method, ..Self::default() };
-        match method {
-            Method::TrGs | Method::Fdk => {}
-            Method::R2Gaussian => {
-                config.finish = Finish::None;
-                config.projection = Projection::Affine;
-                config.model.kernel = KernelKind::Gaussian;
-                config.confidence.enabled = false;
-                config.wavelet.enabled = false;
-                config.optimiser.position = PositionOptimiser::Adam;
-                config.density_control.method = DensityControl::Adc;
-                config.density_control.stop = 0.5;
-            }
-            Method::Sart | Method::Cgls => config.iterations = SartSettings::default().iterations,
-            Method::OsSart => (config.iterations, config.algebraic.subset) = (SartSettings::default().iterations, 10),
-            Method::AsdPocs => {
-                let sart = AsdPocsSettings::default().sart;
-                (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
-            }
-            Method::Tv => (config.iterations, config.checkpoint_every) = (TvSettings::default().iterations, 20),
-        }
-        config
-    }
-
-    /// Takes over the settings of another comparison; [`Preset::R2Gaussian`]'s are those of [`Config::of`].
-    pub fn apply(&mut self, preset: Preset) {
-        *self = Self { seed: self.seed, ..Self::of(self.method) };
-        if preset == Preset::SaxNerf && matches!(self.method, Method::Sart | Method::OsSart | Method::AsdPocs) {
-            self.iterations = 6;
-            self.algebraic.reduction = 0.999;
-            (self.asd_pocs.epsilon, self.asd_pocs.r_max) = (0.2, 0.95);
-        }
-    }
-
-    /// What SART is told.
-    pub fn sart(&self) -> SartSettings {
-        let AlgebraicConfig {
-            relaxation, reduction, constant_relaxation, subset, order, non_negative, tolerance, ..
-        } = self.algebraic;
-        let (iterations, seed) = (self.iterations, self.seed);
-        SartSettings {
-            iterations,
-            relaxation,
-            reduction,
-            constant_relaxation,
-            subset,
-            order,
-            non_negative,
-            tolerance,
-            seed,
-        }
-    }
-
-    /// What the reconstruction with total variation is told, with the default weight where that is to be found.
-    pub fn tv(&self) -> TvSettings {
-        let TvConfig { weight, tolerance, steps, .. } = self.tv;
-        TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
-    }
-
-    /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.
-    pub fn asd_pocs(&self) -> AsdPocsSettings {
-        let AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon } = self.asd_pocs;
-        let unit = self.density_unit.or(1.0);
-        AsdPocsSettings { sart: self.sart(), tv_steps, alpha, alpha_reduction, r_max, epsilon, unit }
-    }
 }

@@ -9,12 +9,13 @@
 //! | `density_control.cap` | 2 n², at most a primitive for 8 rays | the same; a primitive has 12 numbers |
 //! | `density_control.every` | iterations/60, 1 to 100 | the population is at its cap after a third of any run |
 //! | `confidence.every` | iterations/12, 1 to 500 | twelve times a run |
+//! | `loss.tv` | 0.05 n/256 | the mean difference of neighbours is in proportion to the voxel: R²'s weight is for 256³ |
 //!
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
-use super::{Config, DensityControl, Finish, Sampling, TvConfig};
-use crate::numeric::elementary::pow;
+use super::{Auto, Config, DensityControl, Finish, Sampling, TvConfig};
+use crate::numeric::elementary::{cbrt, pow};
 use crate::scene::Scanner;
 
 /// Iterations for a training view, and their range.
@@ -25,6 +26,9 @@ const MOST_ITERATIONS: usize = 5000;
 const FEWEST_POINTS: usize = 64;
 /// Rays for a primitive.
 const RAYS: usize = 8;
+/// R²-Gaussian's weight of the total variation, and the voxels a side that it is for.
+const TOTAL_VARIATION: f64 = 0.05;
+const SIDE: f64 = 256.0;
 
 impl Config {
     /// The configuration with every key that is 0 filled in for a scan with so many training views.
@@ -44,6 +48,8 @@ impl Config {
         fill(&mut config.density_control.cap, if adaptive { cap * 4 / 5 } else { cap });
         fill(&mut config.density_control.every, (config.iterations / 60).clamp(1, 100));
         fill(&mut config.confidence.every, (config.iterations / 12).clamp(1, 500));
+        let side = cbrt(scanner.grid.voxels() as f64);
+        config.loss.tv = Auto::Fixed(config.loss.tv.or(TOTAL_VARIATION * side / SIDE));
         config.wavelet.enabled &= scanner.grid.shape.into_iter().all(|n| n >= 1 << config.wavelet.levels);
         config
     }
@@ -112,6 +118,8 @@ mod tests {
         };
         assert_eq!(of(64, 128, 18), (2520, 3072, 8192, 42));
         assert_eq!(of(256, 512, 50), (5000, 49_152, 131_072, 83));
+        let weight = |voxels| Config::of(Method::TrGs).resolved(&scanner(voxels, 128), 18).loss.tv;
+        assert_eq!([weight(256), weight(64)], [Auto::Fixed(0.05), Auto::Fixed(0.0125)]);
         // Few rays make fewer primitives.
         assert_eq!(of(64, 32, 6), (1000, 768, 768, 16));
         assert_eq!(of(2, 2, 1), (1000, 64, 64, 16));

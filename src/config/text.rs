@@ -178,7 +178,7 @@ fn comment(docs: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Start;
+    use crate::config::{Auto, Start};
 
     /// What reading a file with the given text says.
     fn read(text: &str) -> Result<Config> {
@@ -214,9 +214,9 @@ mod tests {
     fn the_first_difference_is_named_with_both_values() {
         let (a, mut b) = (Config::default(), Config::default());
         assert_eq!(a.difference(&b), None);
-        b.loss.tv = 0.5;
+        b.loss.d_ssim = 0.5;
         b.wavelet.levels = 2;
-        assert_eq!(a.difference(&b), Some(("loss.tv".into(), "0.05".into(), "0.5".into())));
+        assert_eq!(a.difference(&b), Some(("loss.d_ssim".into(), "0.25".into(), "0.5".into())));
     }
 
     #[test]
@@ -240,7 +240,7 @@ mod tests {
             config.set(setting).unwrap();
         }
         assert_eq!((config.initialisation.from, config.method), (Start::Random, Method::Fdk));
-        assert_eq!((config.loss.tv, config.optimiser.mean), (0.0, [1e-3, 0.0]));
+        assert_eq!((config.loss.tv, config.optimiser.mean), (Auto::Fixed(0.0), [1e-3, 0.0]));
     }
 
     #[test]

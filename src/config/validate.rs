@@ -1,6 +1,6 @@
 //! Which values make sense.
 
-use super::{Config, Method, PositionOptimiser};
+use super::{Config, Method, PositionOptimiser, Start};
 use crate::error::{Error, Result};
 use crate::primitives::KernelKind;
 use std::fmt::Debug;
@@ -72,10 +72,21 @@ impl Config {
         require("initialisation.density_factor", factor, positive, "a positive number")?;
         let smoothing = initialisation.smoothing;
         require("initialisation.smoothing", smoothing, smoothing > 0.0 && smoothing <= 16.0, "a number in (0, 16]")?;
+        match (initialisation.from == Start::Model, initialisation.model.as_str()) {
+            (true, "") => {
+                let remedy = "name the file: `initialisation.model=MODEL.npz`";
+                return Err(Error::invalid("initialisation.model", "no file", "the file of a model", remedy));
+            }
+            (false, file) if !file.is_empty() => {
+                let remedy = "start from the model, `initialisation.from=model`, or name none";
+                return Err(Error::invalid("initialisation.model", file, "no file for another start", remedy));
+            }
+            _ => {}
+        }
 
         for (key, weight) in [
             ("loss.d_ssim", loss.d_ssim),
-            ("loss.tv", loss.tv),
+            ("loss.tv", loss.tv.or(0.0)),
             ("confidence.weight", confidence.weight),
             ("wavelet.enhancement", wavelet.enhancement),
             ("wavelet.suppress", wavelet.suppress),
@@ -266,6 +277,20 @@ mod tests {
                 let message = outcome.expect_err(&format!("{key} = {absurd} must be refused")).to_string();
                 assert!(message.starts_with(&format!("{key}: got ")), "{key} = {absurd}: {message}");
             }
+        }
+    }
+
+    #[test]
+    fn a_model_and_a_start_from_it_need_each_other() {
+        let outcome = |settings: &[&str]| {
+            let mut config = Config::default();
+            settings.iter().try_for_each(|setting| config.set(setting)).and_then(|()| config.validate())
+        };
+        let (from, model) = ("initialisation.from=model", "initialisation.model=out/model.npz");
+        outcome(&[from, model]).unwrap();
+        for alone in [from, model] {
+            let message = outcome(&[alone]).unwrap_err().to_string();
+            assert!(message.starts_with("initialisation.model: got "), "{message}");
         }
     }
 

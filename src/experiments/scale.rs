@@ -7,6 +7,8 @@ use crate::numeric::elementary::pow;
 const PAPER_SIZE: f64 = 256.0;
 /// Smallest scale of a primitive in R²-Gaussian, as a fraction of the volume's longest side.
 const PAPER_SMALLEST_SCALE: f64 = 0.0005;
+/// Weight of the total variation in R²-Gaussian.
+const PAPER_TOTAL_VARIATION: f64 = 0.05;
 /// Initial number of primitives in the paper.
 const PAPER_POINTS: f64 = 50_000.0;
 /// Training iterations in the paper.
@@ -70,8 +72,9 @@ impl Scale {
         if config.initialisation.from == Start::Sart {
             config.initialisation.from = Start::Fdk;
         }
-        // R²-Gaussian's fraction of the side, at any size.
+        // R²-Gaussian's fraction of the side and weight, at any size.
         config.model.smallest_scale = PAPER_SMALLEST_SCALE * self.size as f64;
+        config.loss.tv = PAPER_TOTAL_VARIATION.into();
         config.report_every = config.iterations;
         let block = (self.size / 4).clamp(4, 32) & !1;
         (config.wavelet.block, config.loss.tv_block) = (block, block);

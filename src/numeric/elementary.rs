@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-pub use libm::{asin, atan, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
+pub use libm::{asin, atan, atan2, cbrt, cos, exp, exp2, expm1, log, log1p, log2, log10, pow, sin, tan};
 
 /// |v|, with the bits of glam's `length`.
 ///

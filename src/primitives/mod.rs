@@ -27,6 +27,16 @@ pub enum KernelKind {
     Gaussian,
 }
 
+impl KernelKind {
+    /// Its name in a configuration.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::StudentT => "student-t",
+            Self::Gaussian => "gaussian",
+        }
+    }
+}
+
 /// Twelve numbers per primitive, one array per group: parameters, gradients, or optimiser moments.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {

@@ -56,7 +56,7 @@ impl<R: Kernels> ViewField<'_, R> {
     /// # Panics
     /// If the pixel is not on the detector.
     pub fn contributions(&self, row: usize, column: usize) -> Vec<R> {
-        let detector = &self.scanner.detector;
+        let detector = &self.view.detector;
         let on_detector = row < detector.rows && column < detector.columns;
         assert!(on_detector, "pixel ({row}, {column}) of {} × {}", detector.rows, detector.columns);
         let length = self.ray_lengths(row).map_or(R::ONE, |length| length(column));

@@ -9,7 +9,7 @@ use super::whitened::{self, FieldGradient, Whitened, WhitenedPrimitive};
 use crate::numeric::Real;
 use crate::numeric::threads::{Pool, PoolGuard};
 use crate::primitives::{KernelKind, Parameters, Primitives};
-use crate::scene::{Grid, Scanner};
+use crate::scene::{Grid, Scanner, Trajectory, View};
 use ndarray::{Array3, ArrayView3, Axis};
 
 /// Bytes of a primitive in each role, for the estimate of a run's memory.
@@ -66,9 +66,14 @@ impl<R: Kernels> Field<R> {
         Whitened { primitives: &self.primitives, kernel: self.kernel, cutoff: self.cutoff }
     }
 
-    /// The field in one view.
+    /// The field in the plain view at `angle` (radians).
     pub fn view(&self, scanner: &Scanner, angle: f64, projection: Projection) -> ViewField<'_, R> {
-        ViewField::new(self.whitened(), &self.views, scanner, angle, projection)
+        self.seen_in(&scanner.view(angle), projection)
+    }
+
+    /// The field in any view.
+    pub fn seen_in(&self, view: &View, projection: Projection) -> ViewField<'_, R> {
+        ViewField::new(self.whitened(), &self.views, view, projection)
     }
 
     /// The field on a grid.
@@ -124,17 +129,18 @@ impl<R: Kernels> Field<R> {
 ///
 /// `cutoff`: relative to each primitive's peak, 0 for no truncation. Tests: `tests/contracts/analytic.rs`,
 /// `tests/contracts/parity.rs`.
-pub fn forward<R: Kernels>(
+pub fn forward<'a, R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,
-    angles: &[f64],
+    views: impl Into<Trajectory<'a>>,
     projection: Projection,
     cutoff: f64,
 ) -> Array3<R> {
+    let views = views.into();
     let field = Field::<R>::new(primitives, cutoff);
-    let mut images = Array3::from_elem((angles.len(), scanner.detector.rows, scanner.detector.columns), R::ZERO);
-    for (mut image, &angle) in images.outer_iter_mut().zip(angles) {
-        image.assign(&field.view(scanner, angle, projection).image());
+    let mut images = Array3::from_elem((views.len(), scanner.detector.rows, scanner.detector.columns), R::ZERO);
+    for (number, mut image) in images.outer_iter_mut().enumerate() {
+        image.assign(&field.seen_in(&views.view(scanner, number), projection).image());
     }
     images
 }
@@ -142,18 +148,20 @@ pub fn forward<R: Kernels>(
 /// Gradient of `Σ cotangent·projection` to the physical parameters `[Eq. 4]`, `[X1]`; `cotangent` is `[view, v, u]`.
 ///
 /// Tests: `tests/contracts/gradients.rs`, `tests/contracts/parity.rs`.
-pub fn vjp<R: Kernels>(
+pub fn vjp<'a, R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,
-    angles: &[f64],
+    views: impl Into<Trajectory<'a>>,
     projection: Projection,
     cutoff: f64,
     cotangent: ArrayView3<'_, R>,
 ) -> Parameters {
+    let views = views.into();
     let field = Field::<R>::new(primitives, cutoff);
     let mut gradient = field.zero_gradient();
-    for (view, &angle) in angles.iter().enumerate() {
-        field.view(scanner, angle, projection).vjp(cotangent.index_axis(Axis(0), view), &mut gradient);
+    for number in 0..views.len() {
+        let view = field.seen_in(&views.view(scanner, number), projection);
+        view.vjp(cotangent.index_axis(Axis(0), number), &mut gradient);
     }
     field.parameter_gradient(&gradient)
 }

@@ -7,7 +7,7 @@
 use super::projection::{MIN_DEPTH, Projection};
 use crate::numeric::elementary::{exp, log1p};
 use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
-use crate::scene::{Beam, Grid, Scanner, View};
+use crate::scene::{Beam, Grid, Scanner, Trajectory, View};
 use glam::{DMat3, DQuat, DVec3};
 use ndarray::{Array3, ArrayView3};
 
@@ -80,10 +80,10 @@ impl Plain {
 
     /// The form of one ray `[Eq. 4]`, `[X1]`: its direction, A, and the
     /// displacement e from the centre at which δ = eᵀΣ⁻¹e is taken. `None` behind the source.
-    fn ray(&self, scanner: &Scanner, view: &View, row: usize, column: usize, projection: Projection) -> Option<Ray> {
+    fn ray(&self, view: &View, row: usize, column: usize, projection: Projection) -> Option<Ray> {
         let m = view.to_camera(self.mean);
-        let (u, v) = scanner.detector.position(row as f64, column as f64);
-        let (alpha, beta, kappa, d0) = match scanner.beam {
+        let (u, v) = view.detector.position(row as f64, column as f64);
+        let (alpha, beta, kappa, d0) = match view.beam {
             Beam::Cone { dso, dsd } => {
                 if m.z <= MIN_DEPTH * dso {
                     return None;
@@ -161,18 +161,18 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 }
 
 /// Projections `[view, v, u]` `[Eq. 4]`, `[Eq. 5]`, `[X1]`.
-pub fn forward(
+pub fn forward<'a>(
     primitives: &Primitives,
     scanner: &Scanner,
-    angles: &[f64],
+    views: impl Into<Trajectory<'a>>,
     projection: Projection,
     cutoff: f64,
 ) -> Array3<f64> {
-    Array3::from_shape_fn((angles.len(), scanner.detector.rows, scanner.detector.columns), |(view, row, column)| {
-        let view = scanner.view(angles[view]);
+    let views = views.into().views(scanner);
+    Array3::from_shape_fn((views.len(), scanner.detector.rows, scanner.detector.columns), |(view, row, column)| {
         let one = |i: usize| {
             let p = Plain::new(primitives, i, cutoff);
-            let Some(ray) = p.ray(scanner, &view, row, column, projection) else { return 0.0 };
+            let Some(ray) = p.ray(&views[view], row, column, projection) else { return 0.0 };
             let delta = ray.e.dot(p.precision * ray.e);
             if delta > p.cut {
                 return 0.0;
@@ -186,21 +186,22 @@ pub fn forward(
 /// Gradient of `Σ cotangent·projection` to the physical parameters `[Eq. 4]`, `[X1]`.
 ///
 /// δ is stationary in the position along the ray, so `∂δ/∂Σ⁻¹ = e eᵀ` and moving the centre moves e alone.
-pub fn vjp(
+pub fn vjp<'a>(
     primitives: &Primitives,
     scanner: &Scanner,
-    angles: &[f64],
+    views: impl Into<Trajectory<'a>>,
     projection: Projection,
     cutoff: f64,
     cotangent: ArrayView3<'_, f64>,
 ) -> Parameters {
+    let views = views.into().views(scanner);
     let mut out = Parameters::zeros(primitives.len());
     for i in 0..primitives.len() {
         let p = Plain::new(primitives, i, cutoff);
         let mut sum = PlainGradient { mean: DVec3::ZERO, precision: DMat3::ZERO, density: 0.0, nu: 0.0 };
         for ((view, row, column), &d_value) in cotangent.indexed_iter() {
-            let view = scanner.view(angles[view]);
-            let Some(ray) = p.ray(scanner, &view, row, column, projection) else { continue };
+            let view = &views[view];
+            let Some(ray) = p.ray(view, row, column, projection) else { continue };
             let pe = p.precision * ray.e;
             let delta = ray.e.dot(pe);
             if delta > p.cut {
@@ -217,7 +218,7 @@ pub fn vjp(
             sum.mean += match projection {
                 // The pixel's ray stays where it is; the centre moves away from its nearest point.
                 Projection::Exact => pe * (-2.0 * d_delta),
-                Projection::Affine => affine_mean(&p, &ray, &view, d_delta, d_a, d_value * value),
+                Projection::Affine => affine_mean(&p, &ray, view, d_delta, d_a, d_value * value),
             };
         }
         p.parameter_gradient(&sum, i, &mut out);

@@ -1,8 +1,8 @@
-//! What a stopped run goes on from: primitives of training, or voxels with total variation.
+//! What a stopped or finished run goes on from: primitives of training, or voxels.
 
-use crate::classical::algebraic::{Choice, Pass, TvState};
+use crate::classical::algebraic::{Choice, Pass, VoxelState};
 use crate::config::Config;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, start_again};
 use crate::output::{create_folder, write_atomically};
 use crate::provenance::digest_parts;
 use crate::scene::Dataset;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Changes with the meaning of the file.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Where a run keeps its state, and what it goes on from.
 #[derive(Debug)]
@@ -45,11 +45,11 @@ impl Checkpoints {
 pub enum Checkpoint {
     /// Of a method that fits primitives.
     Primitives(Box<train::Checkpoint>),
-    /// Of the method tv.
+    /// Of an iterative method on voxels.
     Voxels(Box<VoxelCheckpoint>),
 }
 
-/// The state of a run with total variation, with what it belongs to.
+/// The state of a run on voxels, with what it belongs to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct VoxelCheckpoint {
     format: u32,
@@ -60,7 +60,7 @@ pub struct VoxelCheckpoint {
     pub(super) choice: Option<Choice>,
     /// What was shown before.
     pub(super) passes: Vec<Pass>,
-    pub(super) state: TvState,
+    pub(super) state: VoxelState,
 }
 
 impl Checkpoint {
@@ -99,6 +99,21 @@ impl Checkpoint {
         }
     }
 
+    /// Makes it the state of a run of `iterations`, which are more than those done: a finished run goes on.
+    ///
+    /// A method on voxels ends with the bits of a run that had `iterations` from its start. For a method that fits
+    /// primitives see [`train::Checkpoint::extend`]: the schedule is that of the longer run from here on.
+    ///
+    /// # Errors
+    /// When as many iterations are done, unless the run has this number already, or when the number was chosen on held-out
+    /// views.
+    pub fn extend(&mut self, iterations: usize) -> Result<()> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.extend(iterations),
+            Self::Voxels(checkpoint) => checkpoint.extend(iterations),
+        }
+    }
+
     /// Refuses another configuration.
     ///
     /// # Errors
@@ -113,15 +128,19 @@ impl Checkpoint {
 
 impl VoxelCheckpoint {
     /// Without a state yet.
-    pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>, state: TvState) -> Self {
+    pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>) -> Self {
         let (config, data) = (config.to_toml(), digest(dataset));
-        Self { format: FORMAT, config, data, choice, passes: Vec::new(), state }
+        Self { format: FORMAT, config, data, choice, passes: Vec::new(), state: VoxelState::default() }
     }
 
-    /// Writes it as a whole or not at all.
-    pub(super) fn write(&self, path: &Path) -> Result<()> {
+    /// Writes it with a state, which is not kept, as a whole or not at all.
+    pub(super) fn write(&mut self, path: &Path, state: VoxelState) -> Result<()> {
         path.parent().map_or(Ok(()), create_folder)?;
-        write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
+        self.state = state;
+        let written =
+            write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other));
+        self.state = VoxelState::default();
+        written
     }
 
     fn config(&self) -> Result<Config> {
@@ -129,6 +148,22 @@ impl VoxelCheckpoint {
             let remedy = "use the version of trgs that wrote it";
             Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
         })
+    }
+
+    fn extend(&mut self, iterations: usize) -> Result<()> {
+        let mut config = self.config()?;
+        if iterations == config.iterations {
+            return Ok(());
+        }
+        if config.algebraic.auto {
+            let expected = format!("{}, as algebraic.auto chose the number of passes among so many", config.iterations);
+            return Err(Error::invalid("iterations", iterations, expected, start_again()));
+        }
+        train::check_extension(iterations, self.state.iteration())?;
+        config.iterations = iterations;
+        self.config = config.to_toml();
+        self.passes.iter_mut().for_each(|pass| pass.iterations = iterations);
+        Ok(())
     }
 
     fn check_config(&self, config: &Config) -> Result<()> {
@@ -149,6 +184,7 @@ impl VoxelCheckpoint {
 /// Digest of all that a run takes from its dataset.
 fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
-    let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
+    let description =
+        format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
     digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }

@@ -117,10 +117,10 @@ pub(super) fn target<'a>(
     if sampling == Sampling::Interpolant {
         return Ok(Cow::Borrowed(views));
     }
-    let of_primitives = project(primitives, scanner, &views.angles, config)?;
-    let of_voxels = projector.forward::<f32>(&views.angles, volume.values.view())?;
+    let of_primitives = project(primitives, scanner, views.trajectory(), config)?;
+    let of_voxels = projector.forward::<f32>(views, volume.values.view())?;
     let images = &views.images - &of_primitives.images + &of_voxels;
-    Projections::new(views.angles.clone(), images).map(Cow::Owned)
+    Projections::along(views.trajectory(), images).map(Cow::Owned)
 }
 
 #[cfg(test)]
@@ -147,8 +147,8 @@ mod tests {
         let projector = VoxelProjector::new(&scanner, RayModel::Joseph).unwrap();
         let sampling = Sampling::Point;
         let target = target(&scan.train, &scanner, &primitives, &volume, sampling, &projector, &config).unwrap();
-        let of_voxels = projector.forward::<f32>(&scan.train.angles, volume.values.view()).unwrap();
-        let of_primitives = project(&primitives, &scanner, &scan.train.angles, &config).unwrap();
+        let of_voxels = projector.forward::<f32>(&scan.train, volume.values.view()).unwrap();
+        let of_primitives = project(&primitives, &scanner, scan.train.trajectory(), &config).unwrap();
         let size = scan.train.images.iter().fold(0.0, |most: f32, value| most.max(value.abs()));
         let (voxels, fitted) = (&target.images - &of_voxels, &scan.train.images - &of_primitives.images);
         within!(largest(&voxels - &fitted) / f64::from(size));

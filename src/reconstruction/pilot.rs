@@ -12,13 +12,14 @@
 //! Each sampling is a model of the scan. With the interpolant, `A x` predicts the views held out; with point samples, the
 //! projections F of the primitives do, changed by `A (x - x₀)` as the finish changes the volume.
 //!
-//! The views held out have to be unknown to the primitives, too, which is why the pilot trains primitives of its own.
+//! The views held out have to be unknown to the primitives, too, which is why the pilot trains primitives of its own. Where
+//! the run starts from a model, which may have seen those views, the pilot starts from SART.
 
 use super::finish::{LEAST, SHORTEST, target};
 use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, FinishSearch, Trial, choose_finish, pilot_folds};
-use crate::config::{Config, Precision, Sampling};
+use crate::config::{Config, InitialisationConfig, Precision, Sampling, Start};
 use crate::error::Result;
 use crate::numeric::Real;
 use crate::reconstruction::Evidence;
@@ -122,6 +123,11 @@ fn shorter(config: &Config) -> Config {
     pilot.iterations = scaled(config.iterations);
     pilot.density_control.every = scaled(config.density_control.every);
     pilot.confidence.every = scaled(config.confidence.every);
+    if config.initialisation.from == Start::Model {
+        // The model may have seen the views that are held out.
+        let unseen = InitialisationConfig { from: Start::Sart, model: String::new(), ..pilot.initialisation };
+        pilot.initialisation = unseen;
+    }
     pilot
 }
 
@@ -201,5 +207,10 @@ mod tests {
         assert_eq!(pilot.iterations, 20);
         let (control, whole) = (&pilot.density_control, &config.density_control);
         assert_eq!((control.cap, control.every), (whole.cap, 1.max(whole.every / 2)));
+        // Whatever a model knows, the pilot does not.
+        let mut from_model = config.clone();
+        (from_model.initialisation.from, from_model.initialisation.model) = (Start::Model, "model.npz".into());
+        assert_eq!(shorter(&from_model), pilot);
+        assert_eq!(pilot.initialisation.from, Start::Sart);
     }
 }

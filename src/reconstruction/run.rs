@@ -4,6 +4,7 @@ use super::{Checkpoints, Observe, Progress, Reconstruction, reconstruct_with};
 use crate::config::Config;
 use crate::error::Result;
 use crate::scene::Dataset;
+use crate::train::with_points_of_model;
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -40,7 +41,7 @@ impl<'a> Run<'a> {
     }
 
     /// Keeps the state of the run in a file; going on from it leads to the same bits. Without checkpoints a run that is
-    /// stopped leaves nothing. Methods on voxels other than tv have no state to keep.
+    /// stopped leaves nothing. Filtered back projection has no state to keep.
     pub fn checkpoints(self, checkpoints: Checkpoints) -> Self {
         Self { checkpoints: Some(checkpoints), ..self }
     }
@@ -57,7 +58,9 @@ impl<'a> Run<'a> {
     /// the observer breaks.
     pub fn reconstruct(mut self) -> Result<Reconstruction> {
         self.config.validate()?;
-        let config = self.config.resolved(&self.dataset.scanner, self.dataset.train.len());
+        let is_resumed = self.checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
+        let config = if is_resumed { self.config.clone() } else { with_points_of_model(self.config)? };
+        let config = config.resolved(&self.dataset.scanner, self.dataset.train.len());
         reconstruct_with(self.dataset, &config, self.checkpoints, &mut *self.observe)
     }
 }

@@ -3,7 +3,8 @@
 use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 use super::{Observe, Progress};
 use crate::classical::algebraic::{
-    AsdPocsSettings, Choice, Pass, Passes, Trial, TvRun, TvSettings, asd_pocs, cgls, choose_passes, choose_weight, sart,
+    AsdPocsRun, AsdPocsSettings, CglsRun, Choice, Passes, SartRun, Trial, TvRun, TvSettings, VoxelRun, VoxelState,
+    choose_passes, choose_weight,
 };
 use crate::classical::{VoxelProjector, density_unit};
 use crate::config::{Auto, Config, Method};
@@ -28,91 +29,104 @@ pub(super) fn iterate<R: Real>(
     observe: &mut Observe<'_>,
 ) -> Result<Found> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    if config.method == Method::Tv {
-        let (volume, choice) = total_variation::<R>(&projector, dataset, config, checkpoints, observe)?;
-        return Ok(Found { volume, choice, unit: None });
-    }
-    let passes = match config.method {
-        Method::Cgls => Some(Passes::Cgls(config.iterations)),
-        Method::Sart | Method::OsSart => Some(Passes::Sart(config.sart())),
-        _ => None,
-    };
-    let choice = match passes.filter(|_| config.algebraic.auto) {
-        Some(passes) => {
-            let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
-            Some(choose_passes::<R>(&projector, &dataset.train, passes, &mut watch)?)
-        }
-        None => None,
-    };
-    let iterations = choice.as_ref().map_or(config.iterations, |choice| choice.value as usize);
-    let config = Config { iterations, ..config.clone() };
     let unit = match (config.method, config.density_unit) {
         (Method::AsdPocs, Auto::Auto) => Some(density_unit(&dataset.scanner, &dataset.train)?),
         (Method::AsdPocs, Auto::Fixed(unit)) => Some(unit),
         _ => None,
     };
-    let mut observe = |pass: &Pass| observe(Progress::Pass(pass));
-    let volume = match config.method {
-        Method::AsdPocs => {
-            let settings = AsdPocsSettings { unit: unit.unwrap_or(1.0), ..config.asd_pocs() };
-            asd_pocs::<R>(&projector, &dataset.train, &settings, &mut observe)
-        }
-        Method::Cgls => cgls::<R>(&projector, &dataset.train, config.iterations, &mut observe),
-        _ => sart::<R>(&projector, &dataset.train, &config.sart(), &mut observe),
+    let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
+        begin::<R>(&projector, dataset, config, unit, choice, state)
     };
-    Ok(Found { volume: volume?, choice, unit })
-}
-
-/// The method tv: its weight first, if that is to be found, then its iterations.
-fn total_variation<R: Real>(
-    projector: &VoxelProjector,
-    dataset: &Dataset,
-    config: &Config,
-    checkpoints: Option<Checkpoints>,
-    observe: &mut Observe<'_>,
-) -> Result<(Volume, Option<Choice>)> {
     let (file, from) = checkpoints.map_or((None, None), |c| (Some(c.file), c.from));
-    let settings = |choice: &Option<Choice>| match choice {
-        Some(choice) => TvSettings { weight: choice.value, ..config.tv() },
-        None => config.tv(),
-    };
-    let (mut run, mut saved) = match from {
-        Some(Checkpoint::Voxels(saved)) => {
+    let (mut run, choice, mut saved) = match from {
+        Some(Checkpoint::Voxels(mut saved)) => {
             saved.check(dataset, config)?;
             for pass in &saved.passes {
                 stop(observe(Progress::Pass(pass)).is_break(), pass.iteration, true)?;
             }
-            (TvRun::<R>::resume(projector, &dataset.train, &settings(&saved.choice), &saved.state)?, *saved)
+            let run = begin(saved.choice.as_ref(), Some(&std::mem::take(&mut saved.state)))?;
+            (run, saved.choice.clone(), Some(*saved))
         }
         Some(Checkpoint::Primitives(_)) => {
-            let expected = "one of the method tv";
+            let expected = "one of a method on voxels";
             return Err(Error::invalid("checkpoint", "one of primitives", expected, start_again()));
         }
         None => {
-            let choice = match config.tv.weight.fixed() {
-                Some(_) => None,
-                None => {
-                    let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
-                    Some(choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch)?)
-                }
-            };
-            let run = TvRun::<R>::new(projector, &dataset.train, &settings(&choice), None)?;
-            let saved = VoxelCheckpoint::new(dataset, config, choice, run.state());
-            (run, saved)
+            let choice = choose::<R>(&projector, dataset, config, observe)?;
+            let run = begin(choice.as_ref(), None)?;
+            let saved = file.as_ref().map(|_| VoxelCheckpoint::new(dataset, config, choice.clone()));
+            (run, choice, saved)
         }
     };
     while !run.is_finished() {
-        let pass = run.step()?;
+        // Without a pass, nothing is left to do; the last state is written below.
+        let Some(pass) = run.step()? else { break };
         let ends = observe(Progress::Pass(&pass)).is_break();
-        saved.passes.push(pass);
-        let iteration = saved.passes.len();
-        if let Some(file) = file.as_ref().filter(|_| ends || iteration.is_multiple_of(config.checkpoint_every)) {
-            saved.state = run.state();
-            saved.write(file)?;
+        let iteration = pass.iteration;
+        if let (Some(saved), Some(file)) = (&mut saved, &file) {
+            saved.passes.push(pass);
+            if ends || iteration.is_multiple_of(config.checkpoint_every) {
+                saved.write(file, run.state())?;
+            }
         }
         stop(ends, iteration, file.is_some())?;
     }
-    Ok((run.volume()?, saved.choice))
+    if let (Some(saved), Some(file)) = (&mut saved, &file) {
+        saved.write(file, run.state())?;
+    }
+    Ok(Found { volume: run.into_volume()?, choice, unit })
+}
+
+/// Chooses the number of passes or the weight of the total variation on views held out, if that is asked for.
+fn choose<R: Real>(
+    projector: &VoxelProjector,
+    dataset: &Dataset,
+    config: &Config,
+    observe: &mut Observe<'_>,
+) -> Result<Option<Choice>> {
+    let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
+    let passes = match config.method {
+        Method::Tv if config.tv.weight.fixed().is_none() => {
+            return choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch).map(Some);
+        }
+        Method::Cgls => Passes::Cgls(config.iterations),
+        Method::Sart | Method::OsSart => Passes::Sart(config.sart()),
+        _ => return Ok(None),
+    };
+    if !config.algebraic.auto {
+        return Ok(None);
+    }
+    choose_passes::<R>(projector, &dataset.train, passes, &mut watch).map(Some)
+}
+
+/// A run with what was chosen, from the beginning or from a state.
+fn begin<'a, R: Real>(
+    projector: &'a VoxelProjector,
+    dataset: &'a Dataset,
+    config: &Config,
+    unit: Option<f64>,
+    choice: Option<&Choice>,
+    state: Option<&VoxelState>,
+) -> Result<Box<dyn VoxelRun + 'a>> {
+    let views = &dataset.train;
+    if config.method == Method::Tv {
+        let weight = choice.map_or(config.tv().weight, |choice| choice.value);
+        let settings = TvSettings { weight, ..config.tv() };
+        return Ok(match state {
+            Some(state) => Box::new(TvRun::<R>::resume(projector, views, &settings, state)?),
+            None => Box::new(TvRun::<R>::new(projector, views, &settings, None)?),
+        });
+    }
+    let iterations = choice.map_or(config.iterations, |choice| choice.value as usize);
+    let config = Config { iterations, ..config.clone() };
+    Ok(match config.method {
+        Method::AsdPocs => {
+            let settings = AsdPocsSettings { unit: unit.unwrap_or(1.0), ..config.asd_pocs() };
+            Box::new(AsdPocsRun::<R>::new(projector, views, &settings, state)?)
+        }
+        Method::Cgls => Box::new(CglsRun::<R>::new(projector, views, iterations, state)?),
+        _ => Box::new(SartRun::<R>::new(projector, views, &config.sart(), state)?),
+    })
 }
 
 /// The error of a run that is stopped.

@@ -1,6 +1,6 @@
 //! Projections and volumes, each with its geometry.
 
-use super::geometry::Grid;
+use super::geometry::{Grid, Pose, Trajectory};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use ndarray::{Array3, ArrayView2, Axis};
@@ -19,6 +19,8 @@ pub struct Volume {
 pub struct Projections {
     /// Rotation of each view, radians.
     pub angles: Vec<f64>,
+    /// Pose of each view; `None` for the circle of the scanner.
+    pub poses: Option<Vec<Pose>>,
     /// `[view, v, u]`, row 0 on top.
     pub images: Array3<f32>,
 }
@@ -67,7 +69,26 @@ impl Projections {
             ));
         }
         check_finite("projections", &images)?;
-        Ok(Self { angles, images: in_standard_layout(images) })
+        Ok(Self { angles, poses: None, images: in_standard_layout(images) })
+    }
+
+    /// [`Self::new`] for the views of a trajectory.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`], and when poses and angles differ in number.
+    pub fn along(trajectory: Trajectory<'_>, images: Array3<f32>) -> Result<Self> {
+        let projections = Self::new(trajectory.angles.to_vec(), images)?;
+        let poses = trajectory.poses.map(<[Pose]>::to_vec);
+        if let Some(poses) = poses.as_ref().filter(|poses| poses.len() != projections.len()) {
+            let expected = format!("{}, one for each view", projections.len());
+            return Err(Error::invalid("poses", poses.len(), expected, "give one pose per view, or none"));
+        }
+        Ok(Self { poses, ..projections })
+    }
+
+    /// The angles and poses.
+    pub fn trajectory(&self) -> Trajectory<'_> {
+        self.into()
     }
 
     /// Number of views.
@@ -101,7 +122,11 @@ impl Projections {
 
     /// The views with the given indices, in that order.
     pub fn select(&self, views: &[usize]) -> Self {
-        Self { angles: views.iter().map(|&i| self.angles[i]).collect(), images: self.images.select(Axis(0), views) }
+        Self {
+            angles: views.iter().map(|&i| self.angles[i]).collect(),
+            poses: self.poses.as_ref().map(|poses| views.iter().map(|&i| poses[i]).collect()),
+            images: self.images.select(Axis(0), views),
+        }
     }
 }
 

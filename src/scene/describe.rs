@@ -2,10 +2,12 @@
 
 use super::arrays::{Projections, Volume};
 use super::dataset::Dataset;
-use super::geometry::{Beam, Scanner};
+use super::geometry::{Beam, Scanner, View};
 use super::{noise::Noise, trilinear};
 use crate::error::Result;
+use crate::numeric::elementary::{asin, atan2};
 use crate::numeric::reduce;
+use glam::DVec3;
 use ndarray::{Array3, Axis};
 use std::f64::consts::TAU;
 
@@ -41,6 +43,7 @@ fn line(name: impl Into<String>, value: impl Into<String>, remark: impl Into<Str
 pub fn describe(dataset: &Dataset) -> Result<Vec<DescriptionLine>> {
     let mut rows = vec![line("name", &dataset.name, "")];
     rows.extend(scanner_rows(&dataset.scanner));
+    rows.extend(pose_row(&dataset.scanner, &dataset.train));
     rows.push(line("unit", format!("1 of the files is {} scene units", short(dataset.scale)), ""));
     rows.extend(view_rows("training", &dataset.train));
     if let Some(test) = &dataset.test {
@@ -104,6 +107,40 @@ fn scanner_rows(scanner: &Scanner) -> [DescriptionLine; 4] {
     ]
 }
 
+/// What the poses of the views are; `None` for a circle.
+fn pose_row(scanner: &Scanner, views: &Projections) -> Option<DescriptionLine> {
+    let remark = "";
+    trajectory_words(scanner, views).map(|words| line("poses", words, remark))
+}
+
+/// How the poses of a scan differ from the circle, in words; `None` for a circle.
+pub fn trajectory_words(scanner: &Scanner, projections: &Projections) -> Option<String> {
+    projections.poses.as_ref()?;
+    let views = projections.trajectory().views(scanner);
+    let range = |name: &str, of: &dyn Fn(&View) -> f64| {
+        let values: Vec<f64> = views.iter().map(of).collect();
+        let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &x| (l.min(x), h.max(x)));
+        // Rounding is not worth a word.
+        let near = 1e-9 * scanner.beam.dso();
+        let [low, high] = [low, high].map(|x| if x.abs() <= near { 0.0 } else { x });
+        match high - low <= near {
+            true => format!("{name} {}", short(low)),
+            false => format!("{name} {} to {}", short(low), short(high)),
+        }
+    };
+    // The u of the plain view in the direction w.
+    let along_u = |view: &View| DVec3::new(view.w.y, -view.w.x, 0.0).normalize_or_zero();
+    let parts = [
+        range("source at height", &|view| view.source.z),
+        range("axis shift", &|view| view.source.dot(along_u(view))),
+        range("detector offset u", &|view| view.detector.offset_u),
+        range("v", &|view| view.detector.offset_v),
+        range("roll", &|view| atan2(0.0 - view.u.z, 0.0 - view.v.z).to_degrees()) + "°",
+        range("tilt", &|view| asin(view.w.z.clamp(-1.0, 1.0)).to_degrees()) + "°",
+    ];
+    Some(parts.join(", "))
+}
+
 fn view_rows(kind: &str, views: &Projections) -> [DescriptionLine; 2] {
     let angles = &views.angles;
     let fold = |from: f64, pick: fn(f64, f64) -> f64| angles.iter().fold(from, |a, &b| pick(a, b)).to_degrees();
@@ -118,7 +155,7 @@ fn view_rows(kind: &str, views: &Projections) -> [DescriptionLine; 2] {
         remarks.push(format!("no view for {:.1}°", largest.to_degrees()));
     }
     let repeated = gaps().filter(|gap| *gap < 1e-6).count();
-    if repeated > 0 && views.len() > 1 {
+    if repeated > 0 && views.len() > 1 && views.poses.is_none() {
         remarks.push(format!("{repeated} angles occur again"));
     }
     let value = format!("{}, {first:.2}° to {last:.2}°, largest gap {:.2}°", views.len(), largest.to_degrees());
@@ -148,20 +185,22 @@ fn agreement(scanner: &Scanner, truth: &Volume, train: &Projections) -> Result<D
     let n = train.len();
     // Three views, not a quarter turn apart: those could hide a mirrored volume.
     let measured = train.select(&[n / 9, n / 3 + n / 12, 3 * n / 4].map(|i: usize| i.min(n - 1)));
-    let computed = trilinear::project(truth, scanner, &measured.angles)?;
+    let computed = trilinear::project(truth, scanner, &measured)?;
     let reversed: Vec<f64> = measured.angles.iter().map(|angle| -angle).collect();
     let flipped = |axes: &[usize]| {
         let mut images = computed.images.clone();
         axes.iter().for_each(|axis| images.invert_axis(Axis(*axis)));
         images
     };
-    let candidates = [
+    let mut candidates = vec![
         ("", computed.images.clone()),
         ("reversed rows", flipped(&[1])),
         ("reversed columns", flipped(&[2])),
         ("reversed rows and columns", flipped(&[1, 2])),
-        ("the opposite sense of rotation", trilinear::project(truth, scanner, &reversed)?.images),
     ];
+    if measured.poses.is_none() {
+        candidates.push(("the opposite sense of rotation", trilinear::project(truth, scanner, &reversed)?.images));
+    }
     let (difference, factor) = fit(&measured.images, &candidates[0].1);
     let remark = if difference > DISAGREEMENT {
         let better = candidates[1..].iter().map(|(name, images)| (fit(&measured.images, images).0, name));

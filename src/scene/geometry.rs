@@ -30,6 +30,38 @@
 //! changed on reading and writing.
 //!
 //! A projection value is the integral of the density along the whole ray, in scene units of true length.
+//!
+//! # Poses
+//!
+//! A scan need not be a circle. A [`Pose`] states the source, the detector's centre and the unit vectors u and v of one
+//! view in world coordinates; `w = u × v`. It replaces `dso`, `dsd` and the detector's offset, which become
+//!
+//! | of the view | formula |
+//! |---|---|
+//! | `dsd` | `w·(centre - source)` |
+//! | offset along u and v | `u·(centre - source)`, `v·(centre - source)` |
+//! | `dso` | `-w·source`: the depth of the origin |
+//!
+//! so that all formulas above hold for a detector in any position: turned in its plane, tilted, or moved along the axis
+//! as in a helix. In a parallel beam the rays run along w, and a pose has no `dsd`. A [`Deviation`] makes a pose from
+//! the words of a scanner. In the frame of the plain view at angle φ:
+//!
+//! | word | moves | by |
+//! |---|---|---|
+//! | axis shift (TIGRE: `COR`) | source and detector | along u |
+//! | detector offset | the detector | along u and v of the plain view |
+//! | roll | the detector about its centre | from u towards v, positive angles |
+//! | turns (TIGRE: `rotDetector`, its entries in this order) | the detector about its centre | `Rz·Ry·Rx` at φ = 0 |
+//! | source height, detector height | source, detector | along +z |
+//! | origin (TIGRE: `offOrigin` of a view) | source and detector | along the opposite direction |
+//!
+//! TIGRE's `rotDetector = [0, 0, r]` is a roll of -r: forward is -x at φ = 0. A roll also turns the frame that detector
+//! positions (u, v) refer to, but not the direction of the offset. All views of a scan have poses, or none
+//! ([`Trajectory`]). Everything that needs a view takes it from [`View`]: it has the beam and the detector of that view.
+
+mod pose;
+
+pub use pose::{Deviation, Pose, Trajectory};
 
 use crate::error::{Error, Result};
 use crate::numeric::elementary::{cos, sin};
@@ -93,11 +125,15 @@ pub struct Scanner {
     pub grid: Grid,
 }
 
-/// The moving part of a scan at one angle: source position and detector axes.
+/// One view of a scan: source position, detector axes, and the distances and offsets that hold in this view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Rotation, radians.
     pub angle: f64,
+    /// The scanner's beam, with the distances of this view.
+    pub beam: Beam,
+    /// The scanner's detector, with the offset of this view.
+    pub detector: Detector,
     /// Source position; for a parallel beam a point on the central ray.
     pub source: DVec3,
     /// Unit vector along the columns.
@@ -141,6 +177,11 @@ impl Detector {
             (v - self.offset_v) / self.pitch_v + self.rows as f64 / 2.0 - 0.5,
             (u - self.offset_u) / self.pitch_u + self.columns as f64 / 2.0 - 0.5,
         )
+    }
+
+    /// Half the size along u and v, scene units.
+    fn half(&self) -> [f64; 2] {
+        [self.columns as f64 * self.pitch_u / 2.0, self.rows as f64 * self.pitch_v / 2.0]
     }
 
     /// Number of pixels.
@@ -208,11 +249,14 @@ impl Grid {
 }
 
 impl View {
-    /// The view at `angle` (radians).
-    pub fn new(beam: &Beam, angle: f64) -> Self {
+    /// The view of a scanner at `angle` (radians) of the circle.
+    pub fn new(scanner: &Scanner, angle: f64) -> Self {
         let (s, c) = (sin(angle), cos(angle));
+        let Scanner { beam, detector, .. } = *scanner;
         Self {
             angle,
+            beam,
+            detector,
             source: DVec3::new(beam.dso() * c, beam.dso() * s, 0.0),
             u: DVec3::new(-s, c, 0.0),
             v: DVec3::NEG_Z,
@@ -224,6 +268,32 @@ impl View {
     pub fn to_camera(&self, point: DVec3) -> DVec3 {
         let offset = point - self.source;
         DVec3::new(self.u.dot(offset), self.v.dot(offset), self.w.dot(offset))
+    }
+
+    /// The ray through the centre of a pixel.
+    pub fn ray(&self, row: usize, column: usize) -> Ray {
+        let (u, v) = self.detector.position(row as f64, column as f64);
+        match self.beam {
+            Beam::Cone { dsd, .. } => {
+                Ray { origin: self.source, direction: (self.u * u + self.v * v + self.w * dsd).normalize() }
+            }
+            Beam::Parallel { .. } => Ray { origin: self.source + self.u * u + self.v * v, direction: self.w },
+        }
+    }
+
+    /// Detector position (u, v) of the projection of a point given in camera coordinates, scene units.
+    ///
+    /// `None` for a point at or behind the source of a cone beam.
+    pub fn project(&self, camera: DVec3) -> Option<(f64, f64)> {
+        match self.beam {
+            Beam::Cone { dsd, .. } => (camera.z > 0.0).then(|| (dsd * camera.x / camera.z, dsd * camera.y / camera.z)),
+            Beam::Parallel { .. } => Some((camera.x, camera.y)),
+        }
+    }
+
+    /// Whether v is -z: all rays of a column then lie in one vertical plane.
+    pub fn is_upright(&self) -> bool {
+        self.v == DVec3::NEG_Z
     }
 }
 
@@ -244,30 +314,14 @@ impl Scanner {
         (0..n).map(|i| start + span * i as f64 / n as f64).collect()
     }
 
-    /// The view at `angle` (radians).
+    /// The view at `angle` (radians) of the circle.
     pub fn view(&self, angle: f64) -> View {
-        View::new(&self.beam, angle)
+        View::new(self, angle)
     }
 
-    /// The ray through the centre of a pixel.
+    /// The ray through the centre of a pixel: [`View::ray`].
     pub fn ray(&self, view: &View, row: usize, column: usize) -> Ray {
-        let (u, v) = self.detector.position(row as f64, column as f64);
-        match self.beam {
-            Beam::Cone { dsd, .. } => {
-                Ray { origin: view.source, direction: (view.u * u + view.v * v + view.w * dsd).normalize() }
-            }
-            Beam::Parallel { .. } => Ray { origin: view.source + view.u * u + view.v * v, direction: view.w },
-        }
-    }
-
-    /// Detector position (u, v) of the projection of a point given in camera coordinates, scene units.
-    ///
-    /// `None` for a point at or behind the source of a cone beam.
-    pub fn project(&self, camera: DVec3) -> Option<(f64, f64)> {
-        match self.beam {
-            Beam::Cone { dsd, .. } => (camera.z > 0.0).then(|| (dsd * camera.x / camera.z, dsd * camera.y / camera.z)),
-            Beam::Parallel { .. } => Some((camera.x, camera.y)),
-        }
+        view.ray(row, column)
     }
 
     /// Checks sizes and distances, and that the projection of the volume reaches the detector.
@@ -342,6 +396,21 @@ impl Scanner {
         self.corners().map(|p| p.truncate().length()).fold(0.0, f64::max)
     }
 
+    /// Whether the projection of the volume overlaps the detector in a view.
+    fn is_seen(&self, view: &View) -> bool {
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for (u, v) in self.corners().filter_map(|p| view.project(view.to_camera(p))) {
+            for (axis, value) in [u, v].into_iter().enumerate() {
+                low[axis] = low[axis].min(value);
+                high[axis] = high[axis].max(value);
+            }
+        }
+        let d = &view.detector;
+        let (half, offset) = (d.half(), [d.offset_u, d.offset_v]);
+        (0..2).all(|axis| low[axis] < offset[axis] + half[axis] && high[axis] > offset[axis] - half[axis])
+    }
+
+    /// The corners of the volume.
     fn corners(&self) -> impl Iterator<Item = DVec3> {
         let (min, size) = (self.grid.min, self.grid.size());
         (0..8).map(move |k| min + size * DVec3::new((k & 1) as f64, (k >> 1 & 1) as f64, (k >> 2) as f64))
@@ -349,22 +418,12 @@ impl Scanner {
 
     /// An error when the projection of the volume misses the detector in every view of a full turn.
     fn sees_volume(&self) -> Result<()> {
-        let d = &self.detector;
-        let (half_u, half_v) = (d.columns as f64 * d.pitch_u / 2.0, d.rows as f64 * d.pitch_v / 2.0);
-        for angle in Self::uniform_angles(16, 0.0, std::f64::consts::TAU) {
-            let view = self.view(angle);
-            let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-            for (u, v) in self.corners().filter_map(|p| self.project(view.to_camera(p))) {
-                for (axis, value) in [u, v].into_iter().enumerate() {
-                    low[axis] = low[axis].min(value);
-                    high[axis] = high[axis].max(value);
-                }
-            }
-            let overlaps = |low: f64, high: f64, offset: f64, half: f64| low < offset + half && high > offset - half;
-            if overlaps(low[0], high[0], d.offset_u, half_u) && overlaps(low[1], high[1], d.offset_v, half_v) {
-                return Ok(());
-            }
+        if Self::uniform_angles(16, 0.0, std::f64::consts::TAU).into_iter().any(|angle| self.is_seen(&self.view(angle)))
+        {
+            return Ok(());
         }
+        let d = &self.detector;
+        let [half_u, half_v] = d.half();
         Err(Error::invalid(
             "detector",
             format!("offset [{}, {}], half size [{half_u}, {half_v}] along [u, v]", d.offset_u, d.offset_v),
@@ -410,7 +469,7 @@ mod tests {
         let view = s.view(1.1);
         for (row, column) in [(0, 0), (5, 8), (2, 3)] {
             let ray = s.ray(&view, row, column);
-            let (u, v) = s.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
+            let (u, v) = view.project(view.to_camera(ray.origin + ray.direction * 4.3)).unwrap();
             let (r, c) = s.detector.pixel(u, v);
             within!(largest([r - row as f64, c - column as f64]), "({row},{column}) became ({r},{c})");
         }

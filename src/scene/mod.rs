@@ -1,10 +1,14 @@
 //! Scan data: geometry, volumes, projections, phantoms, noise and file formats.
 
+pub mod array_path;
 pub mod arrays;
 pub mod borders;
 pub mod dataset;
 pub mod describe;
 pub mod geometry;
+// Test builds include it without the feature, so that one test build covers it.
+#[cfg(any(feature = "hdf5", test))]
+pub mod hdf5;
 pub mod hounsfield;
 pub mod intensities;
 pub mod interpolant;
@@ -21,7 +25,7 @@ pub mod volume_file;
 
 pub use arrays::{Projections, Volume};
 pub use dataset::Dataset;
-pub use geometry::{Beam, Detector, Grid, Ray, Scanner, View};
+pub use geometry::{Beam, Detector, Deviation, Grid, Pose, Ray, Scanner, Trajectory, View};
 pub use interpolant::interpolant;
 pub use noise::Noise;
 pub use phantom::Phantom;

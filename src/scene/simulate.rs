@@ -2,7 +2,7 @@
 
 use super::arrays::{Projections, Volume};
 use super::dataset::Dataset;
-use super::geometry::Scanner;
+use super::geometry::{Deviation, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::phantom::Phantom;
 use super::trilinear;
@@ -37,12 +37,71 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// Simulates a scan. The result depends only on the arguments.
+/// How the views of a simulated scan deviate from the circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// Turns that the views are spread over; more than 0.
+    pub turns: f64,
+    /// Height that source and detector gain per turn, scene units; the middle of the scan is at height 0.
+    pub pitch: f64,
+    /// Turn of the detector in its plane, from u towards v, radians.
+    pub roll: f64,
+    /// Shift of source and detector along u, scene units.
+    pub axis_shift: f64,
+}
+
+impl Orbit {
+    /// The circle.
+    pub const CIRCLE: Self = Self { turns: 1.0, pitch: 0.0, roll: 0.0, axis_shift: 0.0 };
+
+    /// Checks that all numbers are finite and that there are turns.
+    ///
+    /// # Errors
+    /// For the first number that is not.
+    pub fn validate(&self) -> Result<()> {
+        let numbers = [("pitch of the helix", self.pitch), ("roll", self.roll), ("axis shift", self.axis_shift)];
+        if let Some((what, value)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(Error::invalid(what, value, "a finite number", "give a finite number"));
+        }
+        if self.turns > 0.0 && self.turns.is_finite() {
+            return Ok(());
+        }
+        Err(Error::invalid("turns of the helix", self.turns, "a positive number", "give at least one turn"))
+    }
+
+    /// Angles on the circle and poses of views at angles from the start, radians; no poses for the circle.
+    fn views(&self, scanner: &Scanner, from_start: &[f64]) -> (Vec<f64>, Option<Vec<Pose>>) {
+        if *self == Self::CIRCLE {
+            return (from_start.to_vec(), None);
+        }
+        let pose = |&angle: &f64| {
+            let height = self.pitch * (angle / TAU - self.turns / 2.0);
+            let none = Deviation::none(scanner).rolled(self.roll);
+            let deviation = Deviation { axis_shift: self.axis_shift, heights: [height; 2], ..none };
+            deviation.pose(angle.rem_euclid(TAU))
+        };
+        let angles = from_start.iter().map(|angle| angle.rem_euclid(TAU)).collect();
+        (angles, Some(from_start.iter().map(pose).collect()))
+    }
+}
+
+/// Simulates a scan on a circle. The result depends only on the arguments.
 ///
 /// # Errors
 /// For an invalid scanner, zero training views, or a volume on a grid other than the scanner's.
 pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) -> Result<Dataset> {
+    simulate_on(name, object, scanner, plan, &Orbit::CIRCLE)
+}
+
+/// Simulates a scan on any [`Orbit`]. The result depends only on the arguments.
+///
+/// # Errors
+/// Those of [`simulate`], and for an invalid orbit or one whose views miss the volume.
+///
+/// Tests: `posed_scans_reconstruct_as_well_as_plain_ones`.
+pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan, orbit: &Orbit) -> Result<Dataset> {
     scanner.validate()?;
+    orbit.validate()?;
     if plan.views == 0 {
         return Err(Error::invalid(
             "training views",
@@ -64,16 +123,20 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
             ));
         }
     };
-    let project = |angles: &[f64]| -> Result<Projections> {
+    let project = |from_start: &[f64]| -> Result<Projections> {
+        let (angles, poses) = orbit.views(scanner, from_start);
+        let views = Trajectory { angles: &angles, poses: poses.as_deref() };
+        views.validate(scanner)?;
         match object {
-            Object::Phantom(phantom) => phantom.project(scanner, angles),
-            Object::Volume(volume) => trilinear::project(volume, scanner, angles),
+            Object::Phantom(phantom) => phantom.project(scanner, views),
+            Object::Volume(volume) => trilinear::project(volume, scanner, views),
         }
     };
-    let train = plan.noise.apply(&project(&Scanner::uniform_angles(plan.views, 0.0, TAU))?, plan.seed)?;
+    let span = TAU * orbit.turns;
+    let train = plan.noise.apply(&project(&Scanner::uniform_angles(plan.views, 0.0, span))?, plan.seed)?;
     let test = match plan.test_views {
         0 => None,
-        n => Some(project(&random_angles(n, plan.seed))?),
+        n => Some(project(&random_angles(n, span, plan.seed))?),
     };
     let notes = match object {
         Object::Phantom(phantom) => phantom.caveat().into_iter().collect(),
@@ -93,10 +156,10 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
     })
 }
 
-/// `n` uniformly random angles of a full turn (radians), in increasing order.
-fn random_angles(n: usize, seed: u64) -> Vec<f64> {
+/// `n` uniformly random angles below `span` (radians), in increasing order.
+fn random_angles(n: usize, span: f64, seed: u64) -> Vec<f64> {
     let mut draws = stream(seed, Purpose::TestAngles, 0, 0);
-    let mut angles: Vec<f64> = (0..n).map(|_| draws.random::<f64>() * TAU).collect();
+    let mut angles: Vec<f64> = (0..n).map(|_| draws.random::<f64>() * span).collect();
     angles.sort_by(f64::total_cmp);
     angles
 }

@@ -1,24 +1,29 @@
 //! Projections from line integrals, one ray through the centre of each pixel.
 
 use super::arrays::Projections;
-use super::geometry::{Ray, Scanner};
+use super::geometry::{Ray, Scanner, Trajectory};
 use crate::error::Result;
 use crate::numeric::threads;
 use ndarray::Array3;
 
-/// Projections at `angles` (radians); each pixel is the `integral` along its ray.
+/// Projections in the views of a trajectory; each pixel is the `integral` along its ray.
 ///
 /// # Errors
 /// When there is no angle, or an angle or an integral is not finite.
-pub fn trace(scanner: &Scanner, angles: &[f64], integral: impl Fn(&Ray) -> f64 + Sync) -> Result<Projections> {
+pub fn trace<'a>(
+    scanner: &Scanner,
+    views: impl Into<Trajectory<'a>>,
+    integral: impl Fn(&Ray) -> f64 + Sync,
+) -> Result<Projections> {
+    let views = views.into();
     let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
-    let mut images = Array3::zeros((angles.len(), rows, columns));
+    let mut images = Array3::zeros((views.len(), rows, columns));
     let pixels = images.as_slice_mut().expect("a new array is in C order");
     threads::for_each_chunk(pixels, columns, |line, pixels| {
-        let view = scanner.view(angles[line / rows]);
+        let view = views.view(scanner, line / rows);
         for (column, pixel) in pixels.iter_mut().enumerate() {
-            *pixel = integral(&scanner.ray(&view, line % rows, column)) as f32;
+            *pixel = integral(&view.ray(line % rows, column)) as f32;
         }
     });
-    Projections::new(angles.to_vec(), images)
+    Projections::along(views, images)
 }

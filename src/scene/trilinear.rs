@@ -5,19 +5,19 @@
 //! of their values times the spacing, and the function has no jump. Not in the paper.
 
 use super::arrays::{Projections, Volume};
-use super::geometry::{Ray, Scanner};
+use super::geometry::{Ray, Scanner, Trajectory};
 use super::trace::trace;
 use crate::error::Result;
 use glam::DVec3;
 use ndarray::Array3;
 
-/// Exact projections of a volume at `angles` (radians), one ray through the centre of each pixel.
+/// Exact projections of a volume in the views of a trajectory, one ray through the centre of each pixel.
 ///
 /// # Errors
 /// When there is no angle, or one is not finite.
-pub fn project(volume: &Volume, scanner: &Scanner, angles: &[f64]) -> Result<Projections> {
+pub fn project<'a>(volume: &Volume, scanner: &Scanner, views: impl Into<Trajectory<'a>>) -> Result<Projections> {
     let density = Trilinear::new(volume);
-    trace(scanner, angles, |ray| density.line_integral(ray))
+    trace(scanner, views, |ray| density.line_integral(ray))
 }
 
 /// A volume interpreted as a continuous function.

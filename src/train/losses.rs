@@ -11,6 +11,7 @@ use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::{Real, real};
 use crate::primitives::{Activation, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
+use crate::scene::View;
 use crate::scene::dataset::Dataset;
 use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
 use ndarray::{Array2, Array3};
@@ -59,9 +60,9 @@ pub(super) struct LossInputs<'a, R: Kernels> {
     pub(super) dataset: &'a Dataset,
     pub(super) config: &'a Config,
     pub(super) ssim: &'a Ssim<R>,
-    /// The measured projection of the iteration's view, and its angle.
+    /// The measured projection of the iteration's view, and that view.
     pub(super) image: &'a SsimTarget<R>,
-    pub(super) angle: f64,
+    pub(super) view: View,
     /// ν_target `[Eq. 9]` and c `[Eq. 8]` of each primitive.
     pub(super) nu_targets: &'a [f64],
     pub(super) confidence: &'a [f64],
@@ -109,7 +110,7 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
 
     /// L1 and D-SSIM of the iteration's view.
     fn data_loss(&self) -> DataTerm<'a, R> {
-        let view = self.field.view(&self.dataset.scanner, self.angle, self.config.projection);
+        let view = self.field.seen_in(&self.view, self.config.projection);
         let (mut image, mut cotangent) = (self.workspace.images.take(), self.workspace.images.take());
         view.image_into(&mut image);
         let weight = self.config.loss.d_ssim;
@@ -122,7 +123,8 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
     /// Total variation of a random block of the volume, if it has a weight.
     fn total_variation(&self) -> Option<BlockTerm<'a>> {
         let (grid, loss) = (&self.dataset.scanner.grid, &self.config.loss);
-        if loss.tv <= 0.0 {
+        let weight = weight_of_tv(self.config);
+        if weight <= 0.0 {
             return None;
         }
         let block = random_block(grid, loss.tv_block, 1, self.config.seed, Purpose::TotalVariation, self.iteration);
@@ -130,7 +132,7 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
         let (mut voxels, mut cotangent) = (self.workspace.volumes.take(), self.workspace.volumes.take());
         on_block.voxels_into(&mut voxels);
         let value = tv::tv_into(voxels.view(), &self.workspace.tv, &mut cotangent);
-        cotangent.mapv_inplace(|d| d * real::<R>(loss.tv));
+        cotangent.mapv_inplace(|d| d * real::<R>(weight));
         let mut gradient = self.field.pooled_gradient();
         on_block.vjp(cotangent.view(), &mut gradient);
         Some(BlockTerm { value, gradient })
@@ -170,6 +172,11 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
     }
 }
 
+/// The weight of the total variation in a resolved configuration.
+fn weight_of_tv(config: &Config) -> f64 {
+    config.loss.tv.fixed().expect("training resolves its configuration")
+}
+
 impl<R: Kernels> LossTerms<'_, R> {
     /// The values; the total has the weights of the configuration.
     pub(super) fn values(&self, config: &Config) -> Losses {
@@ -177,7 +184,7 @@ impl<R: Kernels> LossTerms<'_, R> {
         let tv = self.tv.as_ref().map_or(0.0, |term| term.value);
         let wavelet = self.wavelet.as_ref().map_or(0.0, |term| term.value);
         let nu = self.nu.as_ref().map_or(0.0, |term| term.value);
-        let total = total + (config.loss.tv * tv + wavelet + nu);
+        let total = total + (weight_of_tv(config) * tv + wavelet + nu);
         Losses { total, l1, d_ssim, tv, nu, wavelet, blocks: usize::from(self.wavelet.is_some()) }
     }
 

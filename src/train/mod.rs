@@ -17,12 +17,13 @@ mod state;
 mod views;
 
 pub use record::Record;
-pub use start::initial_primitives;
+pub use start::{initial_primitives, primitives_of_model, with_points_of_model};
+pub(crate) use state::check_extension;
 pub use state::{Checkpoint, Checkpoints};
 
 use crate::classical::density_unit::{density_unit, in_unit};
 use crate::confidence::{Coverage, nu_target, spearman};
-use crate::config::{Config, DensityControl, Precision};
+use crate::config::{Config, DensityControl, Precision, Start};
 use crate::density::{self, NextPrimitive, adc, ar};
 use crate::error::{Error, Result};
 use crate::loss::{Ssim, SsimTarget};
@@ -58,12 +59,14 @@ pub struct TrainedModel {
     pub log: Vec<Record>,
     /// The unit of density of the run, attenuation per scene unit.
     pub unit: f64,
+    /// Iterations after which the run was given another number of iterations: see [`Checkpoint::extend`].
+    pub continued: Vec<usize>,
 }
 
 /// Reconstructs a dataset by fitting primitives to its training views.
 ///
 /// With `checkpoints` the state is written to a file at intervals, at the end, and when `observe` stops the run. A resumed
-/// run has the same bits.
+/// run has the same bits. [`Checkpoint::extend`] continues a run beyond its end.
 ///
 /// Projections are divided by a unit of density U: `config.density_unit`, or [`density_unit`] where that is auto. All
 /// densities in the configuration and all losses are in units of U. Densities of initial points are divided by U, those of
@@ -79,6 +82,8 @@ pub fn train(
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<TrainedModel> {
+    let is_resumed = checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
+    let config = if is_resumed { config.clone() } else { with_points_of_model(config)? };
     let config = &config.resolved(&dataset.scanner, dataset.train.len());
     dataset.scanner.validate()?;
     let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
@@ -144,7 +149,13 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 from.check(data, config)?;
                 from.state
             }
-            _ => State::new(activation.inverse(&initial_primitives(dataset, config)?.parameters), config),
+            _ => {
+                let mut parameters = initial_primitives(dataset, config)?.parameters;
+                if config.initialisation.from == Start::Model {
+                    parameters.density.iter_mut().for_each(|density| *density /= unit);
+                }
+                State::new(activation.inverse(&parameters), config)
+            }
         };
         let mut trainer = Self {
             dataset,
@@ -199,7 +210,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let field = Field::<R>::new(&primitives, self.config.cutoff);
         let grid = self.dataset.scanner.grid;
         let volume = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
-        Ok(TrainedModel { primitives, volume, log: self.state.log, unit: self.unit })
+        let State { log, continued, .. } = self.state;
+        Ok(TrainedModel { primitives, volume, log, unit: self.unit, continued })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers; density control and confidence if due.
@@ -229,7 +241,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             config,
             ssim,
             image: &images[view],
-            angle: dataset.train.angles[view],
+            view: dataset.train.trajectory().view(&dataset.scanner, view),
             nu_targets: targets,
             confidence: &state.confidence,
             physical,
@@ -304,9 +316,9 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             return;
         }
         let physical = self.activation.forward(&self.state.raw);
-        let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
+        let (scanner, views) = (&self.dataset.scanner, &self.dataset.train);
         let fresh: Vec<usize> = (0..next.len()).filter(|&row| next[row].fresh).collect();
-        let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, angles);
+        let of_fresh = self.coverage.confidence_of(&fresh, &physical, scanner, views);
         let mut confidence: Vec<f64> = next.iter().map(|s| self.state.confidence[s.parent]).collect();
         fresh.into_iter().zip(of_fresh).for_each(|(row, c)| confidence[row] = c);
         self.state.confidence = confidence;
@@ -317,8 +329,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn refresh_confidence(&mut self) {
         if self.config.confidence.enabled || self.config.wavelet.enabled {
             let physical = self.activation.forward(&self.state.raw);
-            let (scanner, angles) = (&self.dataset.scanner, &self.dataset.train.angles);
-            self.state.confidence = self.coverage.confidence(&physical, scanner, angles);
+            let (scanner, views) = (&self.dataset.scanner, &self.dataset.train);
+            self.state.confidence = self.coverage.confidence(&physical, scanner, views);
             self.find_targets();
         }
     }

@@ -1,17 +1,19 @@
-//! The initial primitives of a run: at points of a first volume, of the dataset, or at random.
+//! The initial primitives of a run: at points of a first volume, of the dataset or at random, or those of a model.
 
 use crate::classical::algebraic::{Order, SartSettings, TvSettings, sart, tv};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::classical::{RayModel, VoxelProjector};
-use crate::config::{Config, Start};
+use crate::config::{Config, DensityControl, Method, Start};
 use crate::error::{Error, Result};
 use crate::numeric::elementary::exp;
-use crate::primitives::Primitives;
+use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
-use crate::scene::{Dataset, Volume};
+use crate::primitives::{KernelKind, Primitives, model};
+use crate::scene::{Dataset, Grid, Volume};
 use glam::DVec3;
 use ndarray::{ArrayView1, Axis, Zip};
 use std::ops::ControlFlow;
+use std::path::Path;
 
 /// Iterations of SART for the first volume.
 const PASSES: usize = 5;
@@ -20,10 +22,10 @@ const ITERATIONS: usize = 30;
 /// Radius of the smoothing kernel in standard deviations.
 const REACH: f64 = 3.0;
 
-/// The initial primitives of a run.
+/// The initial primitives of a run, with densities in the unit of the dataset's projections.
 ///
 /// # Errors
-/// When the dataset does not have what the configuration asks for.
+/// When the dataset does not have what the configuration asks for, and those of [`primitives_of_model`].
 pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitives> {
     let config = &config.resolved(&dataset.scanner, dataset.train.len());
     let start = &config.initialisation;
@@ -34,8 +36,95 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
         }
         Start::Random => initialisation::random_points(&dataset.scanner.grid, config.model.points, config.seed),
         Start::Dataset => given(dataset)?,
+        Start::Model => return Ok(primitives_of_model(&dataset.scanner.grid, config)?.0),
     };
     initialisation::primitives(&points, config.model.kernel, start.density_factor, config.model.nu_initial)
+}
+
+/// The configuration with the number of primitives of its model, where a run starts from one and no number is set.
+///
+/// # Errors
+/// When the model cannot be read.
+pub fn with_points_of_model(config: &Config) -> Result<Config> {
+    let mut config = config.clone();
+    let reads = config.method.fits_primitives() && config.initialisation.from == Start::Model;
+    if reads && config.model.points == 0 {
+        config.model.points = model::read(Path::new(&config.initialisation.model))?.len();
+    }
+    Ok(config)
+}
+
+/// The primitives of `initialisation.model` as a run on a grid starts from them, and remarks on what it changes.
+///
+/// Primitives are in scene units, so the scan of the model may have had any grid and detector. Scales, densities and ν
+/// outside of their ranges start at the end of the range. Keys must be resolved.
+///
+/// # Errors
+/// When the file is no model, has kernels of another kind, more than half of its centres outside of the grid, another
+/// number of primitives than `model.points`, or more than density control keeps.
+///
+/// Tests: `a_model_starts_with_its_values_and_a_run_without_steps_returns_them`,
+/// `what_a_run_changes_about_its_model_is_said`, `a_model_that_does_not_fit_the_run_is_refused`.
+pub fn primitives_of_model(grid: &Grid, config: &Config) -> Result<(Primitives, Vec<String>)> {
+    let file = &config.initialisation.model;
+    let found = model::read(Path::new(file))?;
+    let (m, control) = (found.len(), &config.density_control);
+    if config.model.points != m {
+        let remedy = format!("leave it out or set `model.points={m}`");
+        let expected = format!("{m}, the number of primitives in {file}");
+        return Err(Error::invalid("model.points", config.model.points, expected, remedy));
+    }
+    if control.method != DensityControl::None && m > control.cap {
+        let expected = format!("at most density_control.cap = {}", control.cap);
+        let remedy = format!("raise the cap: `density_control.cap={m}`");
+        return Err(Error::invalid("initialisation.model", format!("{m} primitives in {file}"), expected, remedy));
+    }
+    if found.kernel != config.model.kernel {
+        let [got, asked] = [found.kernel, config.model.kernel].map(KernelKind::key);
+        let expected = format!("{asked} kernels, as model.kernel has them");
+        let keys = match (found.kernel, config.method) {
+            (KernelKind::StudentT, Method::R2Gaussian) => "`method=tr-gs`",
+            (KernelKind::StudentT, _) => "`model.kernel=student-t`",
+            // Gaussian kernels have no ν to pull.
+            (KernelKind::Gaussian, _) => "`model.kernel=gaussian` and `confidence.enabled=false`",
+        };
+        let remedy = format!("fit kernels of that kind, {keys}, or start from another model");
+        return Err(Error::invalid("initialisation.model", format!("{got} kernels in {file}"), expected, remedy));
+    }
+    let (low, high) = (grid.min, grid.max());
+    let is_outside = |mean: &&[f64; 3]| {
+        let mean = DVec3::from_array(**mean);
+        mean.cmplt(low).any() || mean.cmpgt(high).any()
+    };
+    let outside = found.parameters.mean.iter().filter(is_outside).count();
+    if 2 * outside > m {
+        let got = format!("{outside} of {m} centres in {file} outside of the volume");
+        let expected = format!("centres within {low:.4} to {high:.4}, scene units");
+        let remedy = "use the model of a scan with the same scale and position of the volume, or another start, such as \
+                      `initialisation.from=sart`";
+        return Err(Error::invalid("initialisation.model", got, expected, remedy));
+    }
+    let mut remarks = Vec::new();
+    let mut remark = |count: usize, text: String| {
+        if count > 0 {
+            remarks.push(format!("{file}: {count} of {m} {text}"));
+        }
+    };
+    let parameters = &found.parameters;
+    if found.kernel == KernelKind::StudentT {
+        let (min, max) = (config.model.nu_min, config.model.nu_max);
+        let beyond = parameters.nu.iter().filter(|&&nu| !(min..=max).contains(&nu)).count();
+        remark(beyond, format!("ν are outside of model.nu_min = {min} to model.nu_max = {max} and start at the end"));
+    }
+    let Interval { min, max } = super::scales(grid, config)?;
+    let is_beyond = |scale: &&[f64; 3]| scale.iter().any(|s| !(min..=max).contains(s));
+    let beyond = parameters.scale.iter().filter(is_beyond).count();
+    let ends = format!("{min:.3e} to {max:.3e}, from model.smallest_scale and model.scale_max");
+    remark(beyond, format!("primitives have a scale outside of {ends}, and start at the end"));
+    let negative = parameters.density.iter().filter(|&&density| density <= 0.0).count();
+    remark(negative, "densities are not positive and start near 0".into());
+    remark(outside, "centres are outside of the volume".into());
+    Ok((found, remarks))
 }
 
 /// The volume whose bright voxels are the first points.
@@ -101,9 +190,12 @@ fn smoothed(mut volume: Volume, sigma: f64) -> Volume {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::PositionOptimiser;
+    use crate::primitives::{Group, Parameters};
     use crate::scene::simulate::{Object, Plan, simulate};
     use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
-    use crate::tolerances::largest;
+    use crate::tolerances::{largest, relative};
+    use crate::train::train;
     use ndarray::Array3;
 
     #[test]
@@ -131,6 +223,101 @@ mod tests {
             volumes.push(first_volume(&scan, from, config.initialisation.smoothing).unwrap().values);
         }
         assert!((0..4).all(|i| (0..i).all(|k| volumes[i] != volumes[k])));
+    }
+
+    /// A scan, and a model of three primitives in its file.
+    fn scan_and_model(kernel: KernelKind) -> (Dataset, tempfile::TempDir, Config) {
+        let detector = Detector { rows: 14, columns: 12, pitch_v: 0.3, pitch_u: 0.3, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(10) };
+        let plan = Plan { views: 4, test_views: 0, noise: Noise::None, seed: 0 };
+        let phantom = Phantom::by_name("torso", 0).unwrap();
+        let scan = simulate("scan", Object::Phantom(&phantom), &scanner, &plan).unwrap();
+        let nu = if kernel == KernelKind::Gaussian { [f64::INFINITY; 3] } else { [3.0, 17.0, 60.0] };
+        let parameters = Parameters {
+            mean: vec![[0.1, -0.2, 0.3], [0.5, 0.0, -0.4], [-0.3, 0.2, 0.1]],
+            scale: vec![[0.1, 0.2, 0.15], [0.3, 0.12, 0.2], [0.25, 0.4, 0.1]],
+            quaternion: vec![[1.0, 0.2, 0.0, 0.1], [0.3, 0.4, -0.5, 0.6], [1.0, 0.0, 0.0, 0.0]],
+            density: vec![0.4, 0.07, 1.3],
+            nu: nu.into(),
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model.npz");
+        model::write(&file, &parameters).unwrap();
+        let mut config = Config { iterations: 2, ..Config::default() };
+        (config.initialisation.from, config.initialisation.model) = (Start::Model, file.to_str().unwrap().into());
+        (config.loss.tv_block, config.wavelet.block) = (8, 8);
+        (scan, folder, config)
+    }
+
+    #[test]
+    fn a_model_starts_with_its_values_and_a_run_without_steps_returns_them() {
+        let (scan, _folder, mut config) = scan_and_model(KernelKind::StudentT);
+        config.optimiser.position = PositionOptimiser::Adam;
+        let still = &mut config.optimiser;
+        (still.mean, still.scale, still.quaternion) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+        (still.density, still.nu) = ([0.0; 2], [0.0; 2]);
+        config.density_control.method = DensityControl::None;
+        let expected = model::read(Path::new(&config.initialisation.model)).unwrap();
+        let of_three = with_points_of_model(&config).unwrap();
+        assert_eq!(of_three.model.points, 3);
+        assert_eq!(initial_primitives(&scan, &of_three).unwrap(), expected);
+        // The unit of this scan is not 1, and scales, densities and ν pass through their activations.
+        let found = train(&scan, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
+        assert!(found.unit != 1.0);
+        for group in Group::ALL {
+            for (a, b) in found.primitives.parameters.group(group).iter().zip(expected.parameters.group(group)) {
+                within!(relative(*a, *b), "{}", group.key());
+            }
+        }
+        // Another grid: primitives are in scene units.
+        let mut other = scan.clone();
+        (other.scanner.grid, other.truth) = (Grid { shape: [7, 9, 8], ..scan.scanner.grid }, None);
+        assert_eq!(initial_primitives(&other, &of_three).unwrap(), expected);
+    }
+
+    /// The remarks on the model of a scan, or the message of the error.
+    fn judged(kernel: KernelKind, change: impl Fn(&mut Dataset, &mut Config)) -> std::result::Result<String, String> {
+        let (mut scan, _folder, mut config) = scan_and_model(kernel);
+        change(&mut scan, &mut config);
+        let config = with_points_of_model(&config).map_err(|error| error.to_string())?.resolved(&scan.scanner, 4);
+        match primitives_of_model(&scan.scanner.grid, &config) {
+            Ok((_, remarks)) => Ok(remarks.join("\n")),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    #[test]
+    fn what_a_run_changes_about_its_model_is_said() {
+        let said = |settings: &[&str]| {
+            judged(KernelKind::StudentT, |_, config| {
+                settings.iter().for_each(|setting| config.set(setting).unwrap());
+            })
+            .unwrap()
+        };
+        assert_eq!(said(&[]), "");
+        assert!(said(&["model.nu_max=50"]).contains("1 of 3 ν are outside"));
+        assert!(said(&["model.scale_max=0.19"]).contains("1 of 3 primitives have a scale outside"));
+        // One of three centres has x = 0.5.
+        let narrow = judged(KernelKind::StudentT, |scan, _| scan.scanner.grid.shape[0] = 6).unwrap();
+        assert!(narrow.contains("1 of 3 centres are outside"), "{narrow}");
+    }
+
+    #[test]
+    fn a_model_that_does_not_fit_the_run_is_refused() {
+        let (student, gaussian) = (KernelKind::StudentT, KernelKind::Gaussian);
+        let set = |setting: &'static str| move |_: &mut Dataset, config: &mut Config| config.set(setting).unwrap();
+        let far = |scan: &mut Dataset, _: &mut Config| scan.scanner.grid.min.z += 20.0;
+        let refused = |kernel, change: &dyn Fn(&mut Dataset, &mut Config)| judged(kernel, change).unwrap_err();
+        for (message, names) in [
+            (refused(student, &set("model.points=5")), ["model.points: got 5", "`model.points=3`"]),
+            (refused(student, &set("initialisation.model=none.npz")), ["none.npz", "read"]),
+            (refused(gaussian, &set("seed=0")), ["got gaussian kernels", "`model.kernel=gaussian`"]),
+            (refused(student, &set("model.kernel=gaussian")), ["got student-t kernels", "`model.kernel=student-t`"]),
+            (refused(student, &far), ["got 3 of 3 centres", "`initialisation.from=sart`"]),
+            (refused(student, &set("density_control.cap=2")), ["got 3 primitives", "`density_control.cap=3`"]),
+        ] {
+            assert!(names.iter().all(|name| message.contains(name)), "{message}");
+        }
     }
 
     #[test]

@@ -37,6 +37,9 @@ pub(super) struct State {
     pub(super) summed: usize,
     /// Seconds spent so far.
     pub(super) seconds: f64,
+    /// Iterations after which the number of iterations was changed.
+    #[serde(default)]
+    pub(super) continued: Vec<usize>,
 }
 
 /// Mean gradient to each projected mean over the views that saw the primitive, since the last density control.
@@ -81,6 +84,7 @@ impl State {
             sums: Losses::default(),
             summed: 0,
             seconds: 0.0,
+            continued: Vec::new(),
         }
     }
 
@@ -196,6 +200,33 @@ impl Checkpoint {
         })
     }
 
+    /// Makes it the state of a run of `iterations`, which are more than those done.
+    ///
+    /// From here on, everything that depends on the length of the run (learning rates, the phases of the sampler and of
+    /// density control) is that of a run of `iterations`. Intervals between steps, such as `confidence.every`, stay. The
+    /// result has the same bits for any number of threads and after any interruption. It is that of a run of `iterations`
+    /// from its start, up to the rounding of rates, only where no setting depends on the length: constant rates, an
+    /// `optimiser.horizon` of 1, and phases that begin at 0 and end at 1.
+    ///
+    /// # Errors
+    /// When as many iterations are done, unless the run has this number already.
+    pub fn extend(&mut self, iterations: usize) -> Result<()> {
+        let mut config = self.config()?;
+        if iterations == config.iterations {
+            return Ok(());
+        }
+        check_extension(iterations, self.iteration())?;
+        config.iterations = iterations;
+        self.config = config.to_toml();
+        self.state.continued.push(self.state.iteration);
+        Ok(())
+    }
+
+    /// Whether the run was given another number of iterations after its start.
+    pub fn is_continued(&self) -> bool {
+        !self.state.continued.is_empty()
+    }
+
     /// Rejects another configuration. Settings of the steps after training may differ: `sampling`, `finish` and the table
     /// `tv`.
     ///
@@ -219,10 +250,20 @@ impl Checkpoint {
     }
 }
 
+/// Rejects no more iterations than are done.
+pub(crate) fn check_extension(iterations: usize, done: usize) -> Result<()> {
+    if iterations > done {
+        return Ok(());
+    }
+    let remedy = format!("ask for more, such as `iterations={}`, or {}", 2 * done, start_again());
+    Err(Error::invalid("iterations", iterations, format!("more than {done}, which are done"), remedy))
+}
+
 /// Digest of the parts of a dataset that training uses.
 pub(super) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
-    let description = format!("{:?} {:?}", dataset.scanner, dataset.train.angles);
+    let description =
+        format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
     digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }
 

@@ -97,6 +97,18 @@ fn a_build_without_dicom_says_how_to_get_it() {
     }
 }
 
+#[cfg(not(feature = "hdf5"))]
+#[test]
+fn a_build_without_hdf5_says_how_to_get_it() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.write("a.h5", "");
+    sandbox.write("a.mat", "");
+    for command in ["inspect a.h5", "inspect a.h5:/data", "convert a.mat v.nii.gz", "convert a.h5 out --scanner scan"] {
+        let message = sandbox.refused(command);
+        assert!(message.contains("-F hdf5") && message.contains("h5py"), "{message}");
+    }
+}
+
 #[test]
 fn a_volume_larger_than_any_computer_is_refused_before_memory_is_asked_for() {
     let sandbox = Sandbox::with_scan();

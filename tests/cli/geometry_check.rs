@@ -9,6 +9,7 @@ use trgs::classical::check_geometry;
 use trgs::classical::geometry_check::{Candidate, Convention, GeometryCheck};
 use trgs::numeric::threads;
 use trgs::scene::phantom::solid::{Shape, Solid};
+use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
 use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Projections, Scanner};
 
 const CONE: Beam = Beam::Cone { dso: 4.0, dsd: 6.0 };
@@ -338,7 +339,7 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
         text.contains("The data look like rotation in the opposite sense") && text.contains("every angle"),
         "{text}"
     );
-    assert!(stderr(&sandbox.run("inspect scan --check-geometry")).contains("step 6 of 6"));
+    assert!(stderr(&sandbox.run("inspect scan --check-geometry")).contains("step 7 of 7"));
     let json = sandbox.run("inspect scan --check-geometry --json");
     let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!(json["looks_like"]["rotation_reversed"], true);
@@ -346,4 +347,108 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
     sandbox.edit("scan/meta_data.json", |meta| meta["proj_train"].as_array_mut().unwrap().truncate(3));
     assert!(sandbox.refused("inspect scan --check-geometry").contains("training views"));
     assert!(sandbox.refused("inspect nowhere --check-geometry").contains("nowhere"));
+}
+
+/// The demo's scan on an orbit, which the files do not state.
+fn unstated(orbit: &Orbit, noise: Noise) -> Dataset {
+    let plan = Plan { views: 18, test_views: 0, noise, seed: 0 };
+    let torso = Phantom::by_name("torso", 0).unwrap();
+    let mut scan = simulate_on("torso", Object::Phantom(&torso), &Scanner::synthetic(64, 128), &plan, orbit).unwrap();
+    scan.train.poses = None;
+    scan
+}
+
+/// Asserts that the roll and the shift of the axis are found, and that their uncertainties are true.
+fn assert_moved(orbit: &Orbit, noise: Noise) -> GeometryCheck {
+    let scan = unstated(orbit, noise);
+    let check = checked(&scan);
+    let GeometryCheck { roll, axis_shift, .. } = &check;
+    let of_roll = (roll.found - orbit.roll.to_degrees()).abs();
+    within!("roll", of_roll, "{roll:?}");
+    within!("roll, standard errors", of_roll / roll.uncertainty, "{roll:?}");
+    let of_shift = (axis_shift.found - orbit.axis_shift).abs();
+    within!("shift", of_shift / scan.scanner.detector.pitch_u, "{axis_shift:?}");
+    within!("shift, standard errors", of_shift / axis_shift.uncertainty, "{axis_shift:?}");
+    assert_eq!(
+        (check.looks_like, check.agrees),
+        (Convention::AS_STATED, *orbit == Orbit::CIRCLE),
+        "{:?}",
+        check.verdict
+    );
+    check
+}
+
+#[test]
+fn rolls_and_axis_shifts_are_found() {
+    let moved = |degrees: f64, axis_shift| Orbit { roll: degrees.to_radians(), axis_shift, ..Orbit::CIRCLE };
+    for noise in [Noise::LOW, Noise::HIGH] {
+        assert_moved(&Orbit::CIRCLE, noise);
+        let verdict = assert_moved(&moved(0.5, 0.0), noise).verdict.join(" ");
+        assert!(verdict.contains("set rotDetector to [0, 0, -0.0") && !verdict.contains("COR"), "{verdict}");
+    }
+    let verdict = assert_moved(&moved(0.0, 0.08), Noise::LOW).verdict.join(" ");
+    assert!(verdict.contains("COR 0.0") && !verdict.contains("rotDetector"), "{verdict}");
+    let verdict = assert_moved(&moved(-1.5, -0.05), Noise::LOW).verdict.join(" ");
+    assert!(verdict.contains("COR -0.0") && verdict.contains("rotDetector"), "{verdict}");
+}
+
+#[test]
+fn a_roll_is_found_with_parallel_rays() {
+    let scanner = scanner(PARALLEL, 48, 48);
+    let orbit = Orbit { roll: (-0.8_f64).to_radians(), ..Orbit::CIRCLE };
+    let plan = Plan { views: 18, test_views: 0, noise: Noise::LOW, seed: 0 };
+    let mut scan = simulate_on("axes", Object::Phantom(&axes()), &scanner, &plan, &orbit).unwrap();
+    assert!(checked(&scan).agrees);
+    scan.train.poses = None;
+    let check = checked(&scan);
+    within!((check.roll.found + 0.8).abs(), "{:?}", check.roll);
+    assert!(!check.agrees, "{:?}", check.verdict);
+}
+
+/// The verdict's numbers in the description make the scan agree.
+#[test]
+fn the_remedies_of_a_roll_and_a_shifted_axis_are_right() {
+    let sandbox = Sandbox::new();
+    sandbox.done(
+        "simulate --phantom torso --out scan --size 32 --detector 64 --views 18 --test-views 0 --noise low --roll 0.9 \
+         --axis-shift 0.09",
+    );
+    let stated = sandbox.done("inspect scan --check-geometry");
+    assert_eq!(stated["agrees"], true, "{stated}");
+    within!("as stated", (stated["roll"]["stated"].as_f64().unwrap() - 0.9).abs());
+    sandbox.edit("scan/meta_data.json", |meta| {
+        let scanner = meta["scanner"].as_object_mut().unwrap();
+        for field in ["vectors", "COR", "rotDetector"] {
+            scanner.remove(field);
+        }
+        for view in meta["proj_train"].as_array_mut().unwrap() {
+            view.as_object_mut().unwrap().remove("vector");
+        }
+    });
+    let output = sandbox.run("inspect scan --check-geometry --json");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &found["agrees"]), (Some(1), &false.into()), "{found}");
+    let verdict = found["verdict"].to_string();
+    let number = |before: &str, after: &str| -> f64 {
+        let (_, rest) = verdict.split_once(before).unwrap_or_else(|| panic!("{verdict}"));
+        rest.split_once(after).unwrap().0.parse().unwrap()
+    };
+    let (roll, shift) = (number("rotDetector to [0, 0, ", "]"), number("COR ", " "));
+    sandbox.edit("scan/meta_data.json", |meta| {
+        meta["scanner"]["rotDetector"] = serde_json::json!([0.0, 0.0, roll]);
+        meta["scanner"]["COR"] = shift.into();
+    });
+    let corrected = sandbox.done("inspect scan --check-geometry");
+    assert_eq!(corrected["agrees"], true, "{corrected}");
+    within!("corrected", (corrected["roll"]["stated"].as_f64().unwrap() - 0.9).abs());
+    within!("residual", corrected["roll"]["residual"].as_f64().unwrap() / stated["roll"]["residual"].as_f64().unwrap());
+}
+
+#[test]
+fn the_check_of_a_helix_is_refused_with_the_reason() {
+    let orbit = Orbit { turns: 2.0, pitch: 0.1, ..Orbit::CIRCLE };
+    let plan = Plan { views: 6, test_views: 0, noise: Noise::None, seed: 0 };
+    let scan = simulate_on("axes", Object::Phantom(&axes()), &scanner(CONE, 20, 20), &plan, &orbit).unwrap();
+    let refused = check_geometry(&scan, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(refused.contains("a circle around z") && refused.contains("helix"), "{refused}");
 }

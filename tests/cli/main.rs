@@ -21,10 +21,15 @@ mod experiments;
 mod formats;
 // The check of a geometry.
 mod geometry_check;
+// Scans and volumes in HDF5.
+#[cfg(feature = "hdf5")]
+mod hdf5;
 // Estimates of memory.
 mod memory;
 // `trgs oracle` and `trgs compare`.
 mod oracle_cli;
+// Scans with poses.
+mod poses;
 // Frames, volumes and angles in the formats that people have.
 mod readers;
 // Stopped and resumed runs.

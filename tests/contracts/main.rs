@@ -37,6 +37,8 @@ mod oracle;
 mod paper;
 // Fast path against the naive twin.
 mod parity;
+// Views with poses.
+mod poses;
 // The page for authors of other backends.
 mod protocol;
 // Volumes and projections of other programs.

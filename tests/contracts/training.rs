@@ -91,7 +91,7 @@ fn blocks_move_centres_unless_they_are_told_not_to() {
     let after_one = |tv: f64, blocks_move: bool| {
         let mut config = busy(Method::TrGs);
         (config.iterations, config.optimiser.position) = (1, PositionOptimiser::Adam);
-        (config.loss.tv, config.loss.blocks_move) = (tv, blocks_move);
+        (config.loss.tv, config.loss.blocks_move) = (tv.into(), blocks_move);
         run(&dataset, &config).primitives.parameters
     };
     let (without, held, moved) = (after_one(0.0, true), after_one(50.0, false), after_one(50.0, true));

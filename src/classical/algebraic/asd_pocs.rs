@@ -3,7 +3,10 @@
 //! The descent is as long as SART's step. Not in the paper, which compares with it.
 
 use super::sart::Sweeps;
-use super::{Counter, Observe, SartSettings, System, add_scaled, dot, norm, total_variation};
+use super::{
+    Observe, Pass, SartSettings, System, VoxelRun, VoxelState, add_scaled, dot, norm, pass, run_to_the_end,
+    total_variation, voxel_run::Numbers,
+};
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
 use crate::error::Result;
 use crate::numeric::{Real, real};
@@ -59,47 +62,110 @@ pub fn asd_pocs<R: Real>(
     settings: &AsdPocsSettings,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
-    let system = System::<R>::new(projector, projections)?;
-    let sweeps = Sweeps::new(&system, &settings.sart)?;
-    let shape = projector.scanner().grid.shape;
-    let first_guess: Vec<R> = {
-        let volume = fdk(projector.scanner(), projections, Window::RamLak, Turn::Full)?;
-        volume.values.iter().map(|&value| real(f64::from(value))).collect()
-    };
-    let enough = settings.epsilon * norm(&system.residual(&first_guess)?);
-    let square = settings.unit * settings.unit;
-    let mut counter = Counter::new(settings.sart.iterations, observe);
-    let (mut x, mut relaxation, mut step) = (system.empty(), settings.sart.relaxation, None);
-    let mut beta = 1.0;
-    for iteration in 1..=settings.sart.iterations {
+    run_to_the_end(AsdPocsRun::<R>::new(projector, projections, settings, None)?, observe)
+}
+
+/// ASD-POCS, run one iteration at a time.
+pub struct AsdPocsRun<'a, R> {
+    system: System<'a, R>,
+    sweeps: Sweeps<R>,
+    settings: AsdPocsSettings,
+    /// The residual that suffices.
+    enough: f64,
+    x: Vec<R>,
+    relaxation: f64,
+    beta: f64,
+    /// Length of the first step of the next descent; NaN before the first iteration.
+    length: f64,
+    /// Whether nothing will change any more.
+    is_settled: bool,
+    iteration: usize,
+}
+
+impl<'a, R: Real> AsdPocsRun<'a, R> {
+    /// Begins at zeros, or continues from a state with the bits of an uninterrupted run.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit the projector.
+    pub fn new(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &AsdPocsSettings,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let sweeps = Sweeps::new(&system, &settings.sart)?;
+        let first_guess: Vec<R> = {
+            let volume = fdk(projector.scanner(), projections, Window::RamLak, Turn::Full)?;
+            volume.values.iter().map(|&value| real(f64::from(value))).collect()
+        };
+        let enough = settings.epsilon * norm(&system.residual(&first_guess)?);
+        let (x, relaxation) = (system.empty(), settings.sart.relaxation);
+        let mut run = Self {
+            system,
+            sweeps,
+            settings: *settings,
+            enough,
+            x,
+            relaxation,
+            beta: 1.0,
+            length: f64::NAN,
+            is_settled: false,
+            iteration: 0,
+        };
+        if let Some(state) = state {
+            let settled;
+            ([run.relaxation, run.beta, run.length, settled], [run.x]) = state.get([run.x.len()])?;
+            (run.is_settled, run.iteration) = (settled != 0.0, state.iteration);
+        }
+        Ok(run)
+    }
+}
+
+impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        self.iteration >= self.settings.sart.iterations || self.is_settled
+    }
+
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let Self { system, settings, x, .. } = self;
+        let (shape, square) = (system.projector.scanner().grid.shape, settings.unit * settings.unit);
         let before = x.clone();
-        sweeps.pass(&mut x, relaxation);
-        let residual = norm(&system.residual(&x)?);
-        let by_sart = difference(&x, &before);
+        self.sweeps.pass(system, x, self.relaxation);
+        let residual = norm(&system.residual(x)?);
+        let by_sart = difference(x, &before);
         let sart_step = norm(&by_sart);
-        let length = step.unwrap_or(settings.alpha * sart_step);
+        let length = if self.length.is_nan() { settings.alpha * sart_step } else { self.length };
 
         let before = x.clone();
         for _ in 0..settings.tv_steps {
-            let direction = total_variation::gradient(&x, shape, square);
+            let direction = total_variation::gradient(x, shape, square);
             let size = norm(&direction);
             if size > 0.0 {
-                add_scaled(&mut x, -length / size, &direction);
+                add_scaled(x, -length / size, &direction);
             }
         }
-        let by_descent = difference(&x, &before);
+        let by_descent = difference(x, &before);
         let descent = norm(&by_descent);
-        let undoes = descent > settings.r_max * sart_step && residual > enough;
-        step = Some(if undoes { length * settings.alpha_reduction } else { length });
-        beta *= settings.sart.reduction;
-        relaxation *= settings.sart.factor();
-        counter.done(iteration, residual)?;
+        let undoes = descent > settings.r_max * sart_step && residual > self.enough;
+        self.length = if undoes { length * settings.alpha_reduction } else { length };
+        self.beta *= settings.sart.reduction;
+        self.relaxation *= settings.sart.factor();
+        self.iteration += 1;
+        let pass = pass(self.iteration, settings.sart.iterations, residual)?;
         let cosine = dot(&by_descent, &by_sart) / (descent * sart_step).max(LEAST_PRODUCT * square);
-        if cosine < OPPOSITE && residual <= enough || beta < LEAST_BETA {
-            break;
-        }
+        self.is_settled = cosine < OPPOSITE && residual <= self.enough || self.beta < LEAST_BETA;
+        Ok(Some(pass))
     }
-    system.volume(x)
+
+    fn state(&self) -> VoxelState {
+        let scalars = vec![self.relaxation, self.beta, self.length, f64::from(u8::from(self.is_settled))];
+        VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
+    }
+
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.x)
+    }
 }
 
 fn difference<R: Real>(a: &[R], b: &[R]) -> Vec<R> {

@@ -1,11 +1,12 @@
 //! Conjugate gradients on the normal equations (CGLS). Not in the paper.
 
-use super::{Counter, Observe, See, System, add_scaled, dot, norm};
+use super::{
+    Observe, Pass, See, System, VoxelRun, VoxelState, add_scaled, dot, norm, pass, run_to_the_end, voxel_run::Numbers,
+};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
 use crate::numeric::{Real, real};
-use crate::scene::{Projections, Volume};
-use std::ops::ControlFlow;
+use crate::scene::{Projections, View, Volume};
 
 /// Minimises `‖A x - p‖` over the Krylov space of `iterations` dimensions, from zeros `[HS52]`.
 ///
@@ -22,10 +23,7 @@ pub fn cgls<R: Real>(
     iterations: usize,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
-    let mut counter = Counter::new(iterations, observe);
-    cgls_seen::<R>(projector, projections, iterations, &mut |iteration, residual, _| {
-        counter.done(iteration, residual).map(|()| ControlFlow::Continue(()))
-    })
+    run_to_the_end(CglsRun::<R>::new(projector, projections, iterations, None)?, observe)
 }
 
 /// [`cgls()`] that passes the volume to `see` after every iteration.
@@ -35,37 +33,107 @@ pub(super) fn cgls_seen<R: Real>(
     iterations: usize,
     see: &mut See<'_, R>,
 ) -> Result<Volume> {
-    let system = System::<R>::new(projector, projections)?;
-    let views = projector.views(system.angles)?;
-    let adjoint = |values: &[R]| {
-        let mut out = system.empty();
-        projector.adjoin(&views, [values], &mut out, |out, [value]| *out = value);
+    let mut run = CglsRun::<R>::new(projector, projections, iterations, None)?;
+    while !run.is_finished() {
+        let Some(residual) = run.improve() else { break };
+        if see(run.iteration, residual, &run.x)?.is_break() {
+            break;
+        }
+        run.turn();
+    }
+    run.system.volume(run.x)
+}
+
+/// CGLS, run one iteration at a time.
+pub struct CglsRun<'a, R> {
+    system: System<'a, R>,
+    views: Vec<View>,
+    iterations: usize,
+    x: Vec<R>,
+    /// `p - A x`.
+    residual: Vec<R>,
+    direction: Vec<R>,
+    /// Squared norm of the gradient that the direction comes from.
+    gamma: f64,
+    iteration: usize,
+}
+
+impl<'a, R: Real> CglsRun<'a, R> {
+    /// Begins at zeros, or continues from a state with the bits of an uninterrupted run.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit the projector.
+    pub fn new(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        iterations: usize,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let views = projector.views(system.trajectory)?;
+        let (x, residual) = (system.empty(), system.measured.clone());
+        let mut run = Self { system, views, iterations, x, residual, direction: Vec::new(), gamma: 0.0, iteration: 0 };
+        if let Some(state) = state {
+            let lengths = [run.x.len(), run.residual.len(), run.x.len()];
+            ([run.gamma], [run.x, run.residual, run.direction]) = state.get(lengths)?;
+            run.iteration = state.iteration;
+        } else {
+            run.direction = run.gradient();
+            run.gamma = dot(&run.direction, &run.direction);
+        }
+        Ok(run)
+    }
+
+    /// `Aᵀ(p - A x)`.
+    fn gradient(&self) -> Vec<R> {
+        let mut out = self.system.empty();
+        self.system.projector.adjoin(&self.views, [&self.residual], &mut out, |out, [value]| *out = value);
         out
-    };
-    let mut x = system.empty();
-    let mut residual = system.measured.clone();
-    let mut direction = adjoint(&residual);
-    let mut gamma = dot(&direction, &direction);
-    for iteration in 1..=iterations {
-        let image = projector.project(&views, &direction).values;
+    }
+
+    /// Moves along the direction; returns the norm of the residual, or `None` when no direction is left.
+    fn improve(&mut self) -> Option<f64> {
+        let image = self.system.projector.project(&self.views, &self.direction).values;
         let size = dot(&image, &image);
         if size == 0.0 {
-            break;
+            return None;
         }
-        let step = gamma / size;
-        add_scaled(&mut x, step, &direction);
-        add_scaled(&mut residual, -step, &image);
-        if see(iteration, norm(&residual), &x)?.is_break() {
-            break;
-        }
-        let gradient = adjoint(&residual);
-        let next = dot(&gradient, &gradient);
-        let factor: R = real(next / gamma);
-        direction
-            .iter_mut()
-            .zip(&gradient)
-            .for_each(|(direction, &gradient)| *direction = gradient + factor * *direction);
-        gamma = next;
+        let step = self.gamma / size;
+        add_scaled(&mut self.x, step, &self.direction);
+        add_scaled(&mut self.residual, -step, &image);
+        self.iteration += 1;
+        Some(norm(&self.residual))
     }
-    system.volume(x)
+
+    /// Finds the next direction.
+    fn turn(&mut self) {
+        let gradient = self.gradient();
+        let next = dot(&gradient, &gradient);
+        let factor: R = real(next / self.gamma);
+        let pairs = self.direction.iter_mut().zip(&gradient);
+        pairs.for_each(|(direction, &gradient)| *direction = gradient + factor * *direction);
+        self.gamma = next;
+    }
+}
+
+impl<R: Real> VoxelRun for CglsRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        self.iteration >= self.iterations
+    }
+
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let Some(residual) = self.improve() else { return Ok(None) };
+        let pass = pass(self.iteration, self.iterations, residual)?;
+        self.turn();
+        Ok(Some(pass))
+    }
+
+    fn state(&self) -> VoxelState {
+        let arrays = [&self.x, &self.residual, &self.direction].map(|values| Numbers::new(values)).into();
+        VoxelState { iteration: self.iteration, scalars: vec![self.gamma], arrays }
+    }
+
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.x)
+    }
 }

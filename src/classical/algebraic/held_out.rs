@@ -288,7 +288,7 @@ pub(crate) fn choose_finish<R: Real>(
     let (value, iterations, _) =
         tried.iter().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
     let curve = tried.iter().map(|&(value, _, error)| Trial { value, error }).collect();
-    let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.angles.len()) as f64;
+    let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.trajectory.len()) as f64;
     Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
 }
 
@@ -317,7 +317,7 @@ pub(super) struct Held<'a, R> {
 impl<'a, R: Real> Held<'a, R> {
     pub(super) fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
-        let views = projector.views(system.angles)?;
+        let views = projector.views(system.trajectory)?;
         let idle = system.idle(&views);
         Ok(Self { system, views, idle })
     }

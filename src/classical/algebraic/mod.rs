@@ -24,13 +24,15 @@ mod sart;
 mod tests;
 mod total_variation;
 mod tv;
+mod voxel_run;
 
-pub use asd_pocs::{AsdPocsSettings, asd_pocs};
-pub use cgls::cgls;
+pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
+pub use cgls::{CglsRun, cgls};
 pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
-pub use sart::{SartSettings, sart};
-pub use tv::{TvRun, TvSettings, TvState, tv};
+pub use sart::{SartRun, SartSettings, sart};
+pub use tv::{TvRun, TvSettings, tv};
+pub use voxel_run::{VoxelRun, VoxelState};
 
 pub(crate) use held_out::{FinishSearch, choose_finish, pilot_folds};
 
@@ -41,7 +43,7 @@ use super::columns::Columns;
 use super::voxel_projector::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, View, Volume};
+use crate::scene::{Projections, Trajectory, View, Volume};
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -77,7 +79,7 @@ type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 /// The linear system to be solved.
 struct System<'a, R> {
     projector: &'a VoxelProjector,
-    angles: &'a [f64],
+    trajectory: Trajectory<'a>,
     /// p in the projector's order.
     measured: Vec<R>,
     /// Pixels of a view.
@@ -87,13 +89,13 @@ struct System<'a, R> {
 impl<'a, R: Real> System<'a, R> {
     fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
         let detector = &projector.scanner().detector;
-        let (got, expected) = (projections.images.dim(), (projections.angles.len(), detector.rows, detector.columns));
+        let (got, expected) = (projections.images.dim(), (projections.len(), detector.rows, detector.columns));
         if got != expected {
             let remedy = "give projections [view, v, u] of this scanner";
             return Err(Error::invalid("projections", format!("shape {got:?}"), format!("{expected:?}"), remedy));
         }
         let measured = Columns::from_images(projections.images.mapv(|value| real(f64::from(value))).view()).values;
-        Ok(Self { projector, angles: &projections.angles, measured, pixels: detector.pixels() })
+        Ok(Self { projector, trajectory: projections.trajectory(), measured, pixels: detector.pixels() })
     }
 
     /// A volume of zeros.
@@ -111,7 +113,7 @@ impl<'a, R: Real> System<'a, R> {
 
     /// `p - A x`.
     fn residual(&self, x: &[R]) -> Result<Vec<R>> {
-        let views = self.projector.views(self.angles)?;
+        let views = self.projector.views(self.trajectory)?;
         let mut values = self.projector.project(&views, x).values;
         values.iter_mut().zip(&self.measured).for_each(|(value, &measured)| *value = measured - *value);
         Ok(values)
@@ -124,33 +126,24 @@ impl<'a, R: Real> System<'a, R> {
     }
 }
 
-/// Counts iterations and reports them.
-struct Counter<'a, 'b> {
-    observe: &'a mut Observe<'b>,
-    iterations: usize,
+/// The record of an iteration whose residual must be finite.
+fn pass(iteration: usize, iterations: usize, residual: f64) -> Result<Pass> {
+    if !residual.is_finite() {
+        return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
+    }
+    Ok(Pass { iteration, iterations, residual, objective: None, change: None })
 }
 
-impl<'a, 'b> Counter<'a, 'b> {
-    fn new(iterations: usize, observe: &'a mut Observe<'b>) -> Self {
-        Self { observe, iterations }
-    }
-
-    fn done(&mut self, iteration: usize, residual: f64) -> Result<()> {
-        if !residual.is_finite() {
-            return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
-        }
-        self.show(&Pass { iteration, iterations: self.iterations, residual, objective: None, change: None })
-    }
-
-    fn show(&mut self, pass: &Pass) -> Result<()> {
-        match (self.observe)(pass) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => {
-                let remedy = "nothing was written; run the same command again".into();
-                Err(Error::Interrupted { step: pass.iteration, remedy })
-            }
+/// Runs a method to its end.
+fn run_to_the_end(mut run: impl VoxelRun, observe: &mut Observe<'_>) -> Result<Volume> {
+    while !run.is_finished() {
+        let Some(pass) = run.step()? else { break };
+        if observe(&pass).is_break() {
+            let remedy = "nothing was written; run the same command again".into();
+            return Err(Error::Interrupted { step: pass.iteration, remedy });
         }
     }
+    Box::new(run).into_volume()
 }
 
 /// `‖values‖₂`.

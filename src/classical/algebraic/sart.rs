@@ -1,11 +1,10 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::{CHUNK, Counter, Observe, Order, See, System};
+use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, pass, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
 use crate::numeric::{Real, real, reduce, threads};
 use crate::scene::{Projections, View, Volume};
-use std::ops::ControlFlow;
 
 /// Parameters of SART and OS-SART.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,10 +67,7 @@ pub fn sart<R: Real>(
     settings: &SartSettings,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
-    let mut counter = Counter::new(settings.iterations, observe);
-    sart_seen::<R>(projector, projections, settings, &mut |iteration, residual, _| {
-        counter.done(iteration, residual).map(|()| ControlFlow::Continue(()))
-    })
+    run_to_the_end(SartRun::<R>::new(projector, projections, settings, None)?, observe)
 }
 
 /// [`sart()`] that passes the volume to `see` after every pass.
@@ -81,26 +77,86 @@ pub(super) fn sart_seen<R: Real>(
     settings: &SartSettings,
     see: &mut See<'_, R>,
 ) -> Result<Volume> {
-    let system = System::<R>::new(projector, projections)?;
-    let sweeps = Sweeps::new(&system, settings)?;
-    let (mut x, mut relaxation, mut before) = (system.empty(), settings.relaxation, f64::INFINITY);
-    for iteration in 1..=settings.iterations {
-        let residual = sweeps.pass(&mut x, relaxation);
-        if see(iteration, residual, &x)?.is_break() {
+    let mut run = SartRun::<R>::new(projector, projections, settings, None)?;
+    while !run.is_finished() {
+        let residual = run.pass();
+        if see(run.iteration, residual, &run.x)?.is_break() {
             break;
         }
-        if before - residual < settings.tolerance * before && before.is_finite() {
-            break;
-        }
-        before = residual;
-        relaxation *= settings.factor();
     }
-    system.volume(x)
+    run.system.volume(run.x)
+}
+
+/// SART or OS-SART, run one pass at a time.
+pub struct SartRun<'a, R> {
+    system: System<'a, R>,
+    sweeps: Sweeps<R>,
+    settings: SartSettings,
+    x: Vec<R>,
+    /// λ of the next pass.
+    relaxation: f64,
+    /// Residuals of the last pass but one and of the last pass.
+    residuals: [f64; 2],
+    iteration: usize,
+}
+
+impl<'a, R: Real> SartRun<'a, R> {
+    /// Begins at zeros, or continues from a state with the bits of an uninterrupted run.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit the projector.
+    pub fn new(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &SartSettings,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let (sweeps, x) = (Sweeps::new(&system, settings)?, system.empty());
+        let (relaxation, residuals) = (settings.relaxation, [f64::INFINITY; 2]);
+        let mut run = Self { system, sweeps, settings: *settings, x, relaxation, residuals, iteration: 0 };
+        if let Some(state) = state {
+            let ([relaxation, before, last], [x]) = state.get([run.x.len()])?;
+            (run.x, run.relaxation, run.residuals, run.iteration) = (x, relaxation, [before, last], state.iteration);
+        }
+        Ok(run)
+    }
+
+    /// Runs one pass; returns its residual.
+    fn pass(&mut self) -> f64 {
+        let residual = self.sweeps.pass(&self.system, &mut self.x, self.relaxation);
+        self.iteration += 1;
+        self.residuals = [self.residuals[1], residual];
+        self.relaxation *= self.settings.factor();
+        residual
+    }
+}
+
+impl<R: Real> VoxelRun for SartRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        let [before, last] = self.residuals;
+        let slow = before - last < self.settings.tolerance * before && before.is_finite();
+        self.iteration >= self.settings.iterations || slow
+    }
+
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let residual = self.pass();
+        pass(self.iteration, self.settings.iterations, residual).map(Some)
+    }
+
+    fn state(&self) -> VoxelState {
+        let [before, last] = self.residuals;
+        let scalars = vec![self.relaxation, before, last];
+        VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
+    }
+
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.x)
+    }
 }
 
 /// Passes over all views, one subset after another.
-pub(super) struct Sweeps<'a, R> {
-    system: &'a System<'a, R>,
+pub(super) struct Sweeps<R> {
     subsets: Vec<Vec<usize>>,
     views: Vec<View>,
     /// 1/A1 of every ray, 0 for ignored rays.
@@ -108,41 +164,42 @@ pub(super) struct Sweeps<'a, R> {
     non_negative: bool,
 }
 
-impl<'a, R: Real> Sweeps<'a, R> {
-    pub(super) fn new(system: &'a System<'a, R>, settings: &SartSettings) -> Result<Self> {
-        let views = system.projector.views(system.angles)?;
+impl<R: Real> Sweeps<R> {
+    pub(super) fn new(system: &System<'_, R>, settings: &SartSettings) -> Result<Self> {
+        let views = system.projector.views(system.trajectory)?;
         let grid = &system.projector.scanner().grid;
         let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
         let least = real(0.5 * grid.spacing.min_element());
         let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
-        let order = settings.order.of(system.angles, settings.seed);
+        let order = settings.order.of(system.trajectory.angles, settings.seed);
         let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
-        Ok(Self { system, subsets, views, per_length, non_negative: settings.non_negative })
+        Ok(Self { subsets, views, per_length, non_negative: settings.non_negative })
     }
 
     /// Runs one pass; returns the residual, in which each view counts before its own correction.
-    pub(super) fn pass(&self, x: &mut [R], relaxation: f64) -> f64 {
+    pub(super) fn pass(&self, system: &System<'_, R>, x: &mut [R], relaxation: f64) -> f64 {
         let relaxation: R = real(relaxation);
-        let squares: Vec<f64> = self.subsets.iter().map(|subset| self.correct(x, relaxation, subset)).collect();
+        let correct = |subset: &Vec<usize>| self.correct(system, x, relaxation, subset);
+        let squares: Vec<f64> = self.subsets.iter().map(correct).collect();
         reduce::sum(&squares).sqrt()
     }
 
     /// Corrects x by a subset of the views; returns the sum of its squared residuals before the correction.
-    fn correct(&self, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
-        let (projector, pixels) = (self.system.projector, self.system.pixels);
+    fn correct(&self, system: &System<'_, R>, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
+        let (projector, pixels) = (system.projector, system.pixels);
         let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();
         let seen = projector.project(&views, x).values;
         let mut corrections = vec![R::ZERO; seen.len()];
         threads::for_each_chunk(&mut corrections, pixels, |slot, corrections| {
             let view = subset[slot] * pixels;
-            let (measured, per_length) = (&self.system.measured[view..], &self.per_length[view..]);
+            let (measured, per_length) = (&system.measured[view..], &self.per_length[view..]);
             for (i, (correction, &seen)) in corrections.iter_mut().zip(&seen[slot * pixels..]).enumerate() {
                 *correction = (measured[i] - seen) * per_length[i];
             }
         });
         let weights = subset.iter().flat_map(|&view| &self.per_length[view * pixels..][..pixels]);
         let counts: Vec<R> = weights.map(|&weight| if weight > R::ZERO { R::ONE } else { R::ZERO }).collect();
-        let residual = |i: usize| (self.system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
+        let residual = |i: usize| (system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
         let squares = threads::map(seen.len().div_ceil(CHUNK), |chunk| {
             let from = chunk * CHUNK;
             reduce::sum_by(CHUNK.min(seen.len() - from), &|i| residual(from + i) * residual(from + i))

@@ -8,9 +8,10 @@ use crate::scene::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Array3;
 
-/// The volume `[x, y, z]` on the scanner's grid, from filtered images.
-pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles: &[f64]) -> Array3<R> {
-    let views: Vec<View> = angles.iter().map(|&angle| scanner.view(angle)).collect();
+/// The volume `[x, y, z]` on the scanner's grid, from filtered images; `shift` of source and detector along u.
+pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles: &[f64], shift: f64) -> Array3<R> {
+    let shifted = |view: View| View { source: view.source + view.u * shift, ..view };
+    let views: Vec<View> = angles.iter().map(|&angle| shifted(scanner.view(angle))).collect();
     let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
     let [_, ny, nz] = scanner.grid.shape;
     let slices = values.as_slice_mut().expect("a new array is in C order");
@@ -44,7 +45,7 @@ fn add_view<R: Sample>(
         Beam::Cone { dso, .. } => (dso / first.z) * (dso / first.z),
         Beam::Parallel { .. } => 1.0,
     };
-    let pixel = |camera: DVec3| scanner.project(camera).map(|(u, v)| scanner.detector.pixel(u, v));
+    let pixel = |camera: DVec3| view.project(camera).map(|(u, v)| view.detector.pixel(u, v));
     let (Some((row, column)), Some((next_row, _))) = (pixel(first), pixel(second)) else { return };
     if !(column > -1.0 && column < filtered.columns as f64) {
         return;
@@ -104,8 +105,9 @@ mod tests {
                 for (k, (angle, row, column, g)) in
                     [(0.3, 3.0, 4.0, 2.0), (2.0, 0.0, 7.0, -1.0)].into_iter().enumerate()
                 {
-                    let camera = scanner.view(angle).to_camera(scanner.grid.centre(voxel.into()));
-                    let (u, v) = scanner.project(camera).unwrap();
+                    let view = scanner.view(angle);
+                    let camera = view.to_camera(scanner.grid.centre(voxel.into()));
+                    let (u, v) = view.project(camera).unwrap();
                     let (r, c) = detector.pixel(u, v);
                     let near: f64 = (1.0 - (r - row).abs()).max(0.0) * (1.0 - (c - column).abs()).max(0.0);
                     let weight = if matches!(beam, Beam::Cone { .. }) { 16.0 / (camera.z * camera.z) } else { 1.0 };

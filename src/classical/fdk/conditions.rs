@@ -49,14 +49,22 @@ pub(super) struct Displacement {
     pub(super) far: f64,
     /// 1 if the farther end is the right one, otherwise -1.
     pub(super) side: f64,
+    /// Where the detector sees the axis, along u.
+    pub(super) axis: f64,
 }
 
 impl Displacement {
-    pub(super) fn of(scanner: &Scanner) -> Self {
+    /// `shift` of source and detector along u, scene units.
+    pub(super) fn of(scanner: &Scanner, shift: f64) -> Self {
         let detector = &scanner.detector;
         let half = detector.columns as f64 * detector.pitch_u / 2.0;
-        let (low, high) = (half - detector.offset_u, half + detector.offset_u);
-        Self { overlap: low.min(high), far: low.max(high), side: if high > low { 1.0 } else { -1.0 } }
+        let axis = match scanner.beam {
+            Beam::Cone { dso, dsd } => -shift * dsd / dso,
+            Beam::Parallel { .. } => 0.0,
+        };
+        let offset = detector.offset_u - axis;
+        let (low, high) = (half - offset, half + offset);
+        Self { overlap: low.min(high), far: low.max(high), side: if high > low { 1.0 } else { -1.0 }, axis }
     }
 
     fn is_displaced(&self) -> bool {
@@ -70,17 +78,17 @@ impl Displacement {
 }
 
 impl Plan {
-    /// The decision for views at `angles` whose borders are `seen`.
+    /// The decision for views at `angles` whose borders are `seen`; `shift` of source and detector along u, scene units.
     ///
     /// # Errors
     /// For a scan that lacks rays, with the reason and the methods that do without them.
-    pub(super) fn of(scanner: &Scanner, angles: &[f64], seen: &Borders) -> Result<Self> {
+    pub(super) fn of(scanner: &Scanner, angles: &[f64], shift: f64, seen: &Borders) -> Result<Self> {
         let circle = match scanner.beam {
             Beam::Cone { .. } => TAU,
             Beam::Parallel { .. } => PI,
         };
         let (arc, turn) = (Arc::of(angles, circle), Arc::of(angles, TAU));
-        let displacement = Displacement::of(scanner);
+        let displacement = Displacement::of(scanner, shift);
         let cut = [Side::Left, Side::Right].map(|side| seen.at(side).is_cut());
         let near_is_cut = displacement.is_displaced() && cut[displacement.near()];
 
@@ -93,7 +101,7 @@ impl Plan {
             return Err(Error::invalid("detector", got, expected, remedy));
         }
         if arc.ends || angles.len() == 1 {
-            arc.check(PI + 2.0 * half_fan(scanner, seen))?;
+            arc.check(PI + 2.0 * half_fan(scanner, shift, seen))?;
         }
         if let Some(hole) = arc.holes() {
             let got = format!("gaps of up to {:.1}° between groups of views", hole.to_degrees());

@@ -35,7 +35,7 @@ pub(super) fn filtered<R: Sample>(
                 Beam::Cone { dsd, .. } => dsd / (dsd * dsd + u * u + v * v).sqrt(),
                 Beam::Parallel { .. } => 1.0,
             };
-            real(Real::to_f64(image[[row, column]]) * cosine * scale(column))
+            real(Real::to_f64(image[[row, column]]) * cosine * weights.shifted(scanner, u) * scale(column))
         };
         let mut buffer = vec![Complex::default(); ramp.response.len()];
         let mut scratch = vec![Complex::default(); ramp.scratch()];

@@ -38,9 +38,17 @@
 //!   objects are continued roughly; [`crate::scene::plausibility`] warns of them.
 //! - Few views cause streaks, and no error of the mean in the middle. They are not refused.
 //!
+//! # Poses
+//!
+//! Poses are accepted if they make one circle: detectors parallel to the axis, and the same distances, offsets, heights
+//! and axis shift τ in all views. The distance of a ray from the axis is then `s = dso·sin γ + τ·cos γ`, `tan γ = u/dsd`,
+//! so that `ds/dγ` has the factor `1 - τ·u/(dso·dsd)` on that of the plain circle, and angles from the ray through the
+//! axis are `γ + atan(τ/dso)`. Both are exact. All other poses are refused.
+//!
 //! Tests: `every_cell_is_right_in_the_middle_or_refused` goes through all combinations.
 
 mod backproject;
+mod circle;
 mod conditions;
 mod continuation;
 mod filter;
@@ -53,6 +61,7 @@ use crate::numeric::elementary::{cos, sin};
 use crate::scene::borders::Borders;
 use crate::scene::{Projections, Scanner, Volume};
 use backproject::voxels;
+use circle::Circle;
 use filter::filtered;
 use ndarray::{Array3, ArrayView3};
 use redundancy::RayWeights;
@@ -117,18 +126,19 @@ pub enum Turn {
 /// source, and by 0.003 % in a parallel beam.
 ///
 /// # Errors
-/// When the scanner is invalid, the projections do not have its detector's size, or the views lack rays (see the table
-/// of conditions on this page).
+/// When the scanner is invalid, the projections do not have its detector's size, the views lack rays (see the table of
+/// conditions on this page), or their poses make no circle.
 ///
 /// Tests: `every_cell_is_right_in_the_middle_or_refused`; known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
 pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
-    let (angles, images) = (&projections.angles, projections.images.view());
-    check(scanner, angles, images.shape())?;
+    let images = projections.images.view();
+    check(scanner, &projections.angles, images.shape())?;
+    let Circle { scanner: circle, angles, shift } = Circle::of(scanner, projections)?;
     let seen = (turn == Turn::Measured).then(|| Borders::of(images));
-    let weights = RayWeights::new(scanner, angles, seen.as_ref())?;
-    let volume = match weights.widen(scanner, images) {
-        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, angles),
-        None => voxels(&filtered(scanner, &weights, images, window), scanner, angles),
+    let weights = RayWeights::new(&circle, &angles, shift, seen.as_ref())?;
+    let volume = match weights.widen(&circle, images) {
+        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, &angles, shift),
+        None => voxels(&filtered(&circle, &weights, images, window), &circle, &angles, shift),
     };
     Volume::new(scanner.grid, volume)
 }
@@ -161,7 +171,7 @@ pub fn filter<R: Sample>(
     window: Window,
 ) -> Result<Array3<R>> {
     check(scanner, angles, projections.shape())?;
-    let weights = RayWeights::new(scanner, angles, None)?;
+    let weights = RayWeights::new(scanner, angles, 0.0, None)?;
     Ok(filtered(scanner, &weights, projections, window).images())
 }
 
@@ -178,7 +188,7 @@ pub fn filter<R: Sample>(
 /// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
     check(scanner, angles, filtered.shape())?;
-    Ok(voxels(&Columns::from_images(filtered), scanner, angles))
+    Ok(voxels(&Columns::from_images(filtered), scanner, angles, 0.0))
 }
 
 /// Rejects an invalid scanner, and projections that do not fit it.

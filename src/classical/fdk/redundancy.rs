@@ -33,21 +33,24 @@ pub(super) struct RayWeights {
     padding: [usize; 2],
     /// Whether the added columns continue the projections; otherwise they are 0, and so are their weights.
     continued: [bool; 2],
+    /// Shift of source and detector along u, scene units.
+    shift: f64,
 }
 
 impl RayWeights {
-    /// Weights of the views at `angles`; `seen` are the borders of the projections, with [`super::Turn::Measured`].
+    /// Weights of the views at `angles`; `shift` of source and detector along u, scene units; `seen` are the borders of the
+    /// projections, with [`super::Turn::Measured`].
     ///
     /// # Errors
     /// Those of [`Plan::of`].
-    pub(super) fn new(scanner: &Scanner, angles: &[f64], seen: Option<&Borders>) -> Result<Self> {
+    pub(super) fn new(scanner: &Scanner, angles: &[f64], shift: f64, seen: Option<&Borders>) -> Result<Self> {
         let plan = match seen {
-            Some(seen) => Plan::of(scanner, angles, seen)?,
+            Some(seen) => Plan::of(scanner, angles, shift, seen)?,
             None => Plan { weights: Weights::Even, continued: [false; 2] },
         };
         let columns = scanner.detector.columns;
         let mut padding = plan.continued.map(|continued| if continued { columns.div_ceil(2) } else { 0 });
-        if let Weights::Displaced(Displacement { overlap, far, side }) = plan.weights {
+        if let Weights::Displaced(Displacement { overlap, far, side, .. }) = plan.weights {
             // They keep the filter's spread beyond the nearer end of a displaced detector.
             let missing = ((far - overlap) / scanner.detector.pitch_u).ceil() as usize;
             let near = usize::from(side < 0.0);
@@ -64,19 +67,27 @@ impl RayWeights {
         let even = || angular_weights(angles, circle).into_iter().map(|weight| share * weight).collect::<Vec<_>>();
         let (views, rays) = match &plan.weights {
             Weights::Even => (even(), Vec::new()),
-            Weights::Arc(arc) => (Vec::new(), short_scan(&wide, arc)),
+            Weights::Arc(arc) => (Vec::new(), short_scan(&wide, arc, shift)),
             Weights::Displaced(displacement) => {
-                let of_column = displaced(&wide, displacement);
+                let of_column = displaced(&wide, displacement, shift);
                 let weights = |view: &f64| of_column.iter().map(|share| 2.0 * view * share).collect::<Vec<_>>();
                 (Vec::new(), even().iter().flat_map(weights).collect())
             }
         };
-        Ok(Self { views, rays, columns: wide.detector.columns, padding, continued: plan.continued })
+        Ok(Self { views, rays, columns: wide.detector.columns, padding, continued: plan.continued, shift })
     }
 
     /// The weight of a ray, radians; columns are those of the detector from [`Self::widen`].
     pub(super) fn at(&self, view: usize, column: usize) -> f64 {
         if self.rays.is_empty() { self.views[view] } else { self.rays[view * self.columns + column] }
+    }
+
+    /// The factor on `ds/dγ` of the shift at column position u.
+    pub(super) fn shifted(&self, scanner: &Scanner, u: f64) -> f64 {
+        match scanner.beam {
+            Beam::Cone { dso, dsd } => 1.0 - self.shift * u / (dso * dsd),
+            Beam::Parallel { .. } => 1.0,
+        }
     }
 
     /// Scanner and images with the columns that are added, if there are any.
@@ -103,14 +114,15 @@ fn widened(scanner: &Scanner, [left, right]: [usize; 2]) -> Scanner {
 }
 
 /// Parker's weights times the angle that each view covers, `[view][column]`.
-fn short_scan(scanner: &Scanner, arc: &Arc) -> Vec<f64> {
+fn short_scan(scanner: &Scanner, arc: &Arc, shift: f64) -> Vec<f64> {
+    let aside = axis_angle(scanner, shift);
     let columns = scanner.detector.columns;
     let mut rays = vec![0.0; arc.order.len() * columns];
     let step = arc.coverage / arc.order.len() as f64;
     for ((&view, from_first), width) in arc.order.iter().zip(&arc.from_first).zip(arc.steps()) {
         for column in 0..columns {
             // The opposite ray is half a turn and twice this angle further on, at minus this angle.
-            let gamma = -fan_angle(scanner, scanner.detector.position(0.0, column as f64).0);
+            let gamma = -(fan_angle(scanner, scanner.detector.position(0.0, column as f64).0) + aside);
             rays[view * columns + column] = width * parker(from_first + step / 2.0, gamma, arc.coverage);
         }
     }
@@ -141,12 +153,18 @@ fn parker(beta: f64, gamma: f64, coverage: f64) -> f64 {
 /// Weights of a displaced detector's columns, from 0 to 1 `[Wang02]`; 0 beyond its nearer end.
 ///
 /// Tests: `columns_at_both_sides_of_the_axis_add_up_to_one`.
-fn displaced(scanner: &Scanner, displacement: &Displacement) -> Vec<f64> {
-    let Displacement { overlap, side, .. } = *displacement;
+fn displaced(scanner: &Scanner, displacement: &Displacement, shift: f64) -> Vec<f64> {
+    let Displacement { overlap, side, axis, .. } = *displacement;
     let detector = &scanner.detector;
-    let angle = |u: f64| if matches!(scanner.beam, Beam::Cone { .. }) { fan_angle(scanner, u) } else { u };
+    let aside = axis_angle(scanner, shift);
+    // From the ray through the axis, positive on the far side.
+    let angle = |u: f64| match scanner.beam {
+        Beam::Cone { .. } => fan_angle(scanner, side * u) + side * aside,
+        Beam::Parallel { .. } => side * u,
+    };
+    let edge = -angle(axis - side * overlap);
     let weight = |column: usize| {
-        let part = angle(side * detector.position(0.0, column as f64).0) / angle(overlap);
+        let part = angle(detector.position(0.0, column as f64).0) / edge;
         0.5 + 0.5 * sin(FRAC_PI_2 * part.clamp(-1.0, 1.0))
     };
     (0..detector.columns).map(weight).collect()
@@ -160,6 +178,14 @@ fn fan_angle(scanner: &Scanner, u: f64) -> f64 {
     }
 }
 
+/// Angle of the middle of the fan from the ray through the axis, where source and detector are shifted along u, radians.
+fn axis_angle(scanner: &Scanner, shift: f64) -> f64 {
+    match scanner.beam {
+        Beam::Cone { dso, .. } => atan(shift / dso),
+        Beam::Parallel { .. } => 0.0,
+    }
+}
+
 /// Radius of the cylinder around the axis inside the volume's box.
 fn radius(scanner: &Scanner) -> f64 {
     let (min, max) = (scanner.grid.min, scanner.grid.max());
@@ -167,18 +193,19 @@ fn radius(scanner: &Scanner) -> f64 {
 }
 
 /// Half the fan angle of the volume or of the object, if that is wider, or of the detector if both are wider; radians.
-pub(super) fn half_fan(scanner: &Scanner, seen: &Borders) -> f64 {
-    let detector = &scanner.detector;
-    let edge = detector.columns as f64 * detector.pitch_u / 2.0 + detector.offset_u.abs();
-    let start = |column: usize| detector.position(0.0, column as f64 - 0.5).0;
-    let object = match seen.columns.is_empty() {
-        true => 0.0,
-        false => start(seen.columns.start).abs().max(start(seen.columns.end).abs()),
+pub(super) fn half_fan(scanner: &Scanner, shift: f64, seen: &Borders) -> f64 {
+    let aside = axis_angle(scanner, shift);
+    // Angle of the ray to the start of a column from the ray through the axis.
+    let from_axis = |column: usize| {
+        let start = scanner.detector.position(0.0, column as f64 - 0.5).0;
+        (fan_angle(scanner, start) + aside).abs()
     };
+    let widest = |columns: [usize; 2]| columns.map(from_axis).into_iter().fold(0.0, f64::max);
+    let object = if seen.columns.is_empty() { 0.0 } else { widest([seen.columns.start, seen.columns.end]) };
     match scanner.beam {
         Beam::Cone { dso, .. } => {
             let volume = asin((radius(scanner) / dso).min(1.0));
-            volume.max(fan_angle(scanner, object)).min(fan_angle(scanner, edge))
+            volume.max(object).min(widest([0, scanner.detector.columns]))
         }
         Beam::Parallel { .. } => 0.0,
     }
@@ -253,7 +280,7 @@ mod tests {
     fn columns_at_both_sides_of_the_axis_add_up_to_one() {
         let weights = |offset: f64, padding| {
             let scanner = scanner(offset, 30);
-            displaced(&widened(&scanner, padding), &Displacement::of(&scanner))
+            displaced(&widened(&scanner, padding), &Displacement::of(&scanner, 0.0), 0.0)
         };
         let right = weights(0.5, [10, 0]);
         assert!(right[..10].iter().all(|weight| *weight == 0.0), "{right:?}");
@@ -270,7 +297,7 @@ mod tests {
     fn a_displaced_detector_is_padded_to_the_reach_of_its_other_side() {
         let padding = |offset, columns| {
             let angles = Scanner::uniform_angles(60, 0.0, TAU);
-            RayWeights::new(&scanner(offset, columns), &angles, Some(&Borders::default())).unwrap().padding
+            RayWeights::new(&scanner(offset, columns), &angles, 0.0, Some(&Borders::default())).unwrap().padding
         };
         assert_eq!([padding(0.5, 30), padding(-0.5, 30)], [[10, 0], [0, 10]]);
         // The detector reaches beyond the volume on both sides, or on neither.
@@ -281,15 +308,15 @@ mod tests {
     fn too_short_an_arc_is_refused_and_named() {
         let air = Borders::default();
         let angles = |span| Scanner::uniform_angles(60, 0.3, span);
-        let refused = |span| RayWeights::new(&scanner(0.0, 60), &angles(span), Some(&air));
+        let refused = |span| RayWeights::new(&scanner(0.0, 60), &angles(span), 0.0, Some(&air));
         // Half a turn and the fan of a radius of 1 at a distance of 4: 180° + 29°.
         let message = refused(3.6).unwrap_err().to_string();
         assert!(message.contains("206.3°") && message.contains("209.0°") && message.contains("sart"), "{message}");
         refused(3.7).unwrap();
-        RayWeights::new(&scanner(0.0, 60), &angles(2.0), None).unwrap();
+        RayWeights::new(&scanner(0.0, 60), &angles(2.0), 0.0, None).unwrap();
         // An object wider than the volume needs the fan of the detector, 2·atan(3/6): 180° + 53°.
         let wide = Borders { columns: 0..60, ..Borders::default() };
-        let message = RayWeights::new(&scanner(0.0, 60), &angles(3.7), Some(&wide)).unwrap_err().to_string();
+        let message = RayWeights::new(&scanner(0.0, 60), &angles(3.7), 0.0, Some(&wide)).unwrap_err().to_string();
         assert!(message.contains("233.1°"), "{message}");
     }
 }

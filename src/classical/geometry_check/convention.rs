@@ -59,6 +59,7 @@ impl Convention {
             images.invert_axis(Axis(2));
         }
         Projections {
+            poses: None,
             angles: projections.angles.iter().map(|&angle| self.angle(angle)).collect(),
             images: images.as_standard_layout().into_owned(),
         }
@@ -77,6 +78,17 @@ impl Convention {
         self.transposed == other.transposed
             && self.degrees == other.degrees
             && (parallel || handed(self) == handed(other))
+    }
+
+    /// The roll of the corrected images where `stated` is that of the images as they are: reflections reverse it.
+    pub fn roll(&self, stated: f64) -> f64 {
+        let reflected = self.transposed ^ self.rows_reversed ^ self.columns_reversed;
+        if reflected { 0.0 - stated } else { stated }
+    }
+
+    /// The axis shift along u of the corrected images where `stated` is that along their columns.
+    pub fn axis_shift(&self, stated: f64) -> f64 {
+        if self.columns_reversed { 0.0 - stated } else { stated }
     }
 
     /// The offset `[u, v]` at which this convention explains the data as `other` does at `offset`.

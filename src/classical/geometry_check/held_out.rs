@@ -1,12 +1,13 @@
 //! Prediction error of views that were held out of a reconstruction.
 
 use super::Convention;
+use super::offsets::Place;
 use super::reduced::Reduced;
 use crate::classical::algebraic::{Order, SartSettings, sart};
 use crate::classical::{RayModel, VoxelProjector};
 use crate::error::Result;
 use crate::numeric::{reduce, threads};
-use crate::scene::{Projections, Scanner, Volume};
+use crate::scene::{Projections, Scanner, Trajectory, Volume};
 use std::ops::ControlFlow;
 
 /// Number of parts of the views that are held out in turn.
@@ -14,8 +15,8 @@ const FOLDS: usize = 3;
 /// SART passes: a third pass changes neither ranks nor minima.
 const PASSES: usize = 2;
 
-/// A convention, and the detector's offset `[u, v]` in scene units.
-pub(super) type Hypothesis = (Convention, [f64; 2]);
+/// A convention, and the place of detector and axis.
+pub(super) type Hypothesis = (Convention, Place);
 
 /// The squared residual of each held-out view, and the sum of squares of the measured values.
 #[derive(Clone, Debug)]
@@ -65,7 +66,8 @@ fn fold(scan: &Reduced, &(convention, offset): &Hypothesis, fold: usize) -> Resu
     // A detector that is moved off the volume's projection predicts nothing.
     if scanner.validate().is_ok() {
         let (projector, volume) = reconstruct(&scanner, &views.select(&kept))?;
-        differences -= &projector.forward(&left_out.angles, volume.values.view())?;
+        differences -= &projector
+            .forward(Trajectory { angles: &left_out.angles, poses: left_out.poses.as_deref() }, volume.values.view())?;
     }
     let differences = differences.as_slice().expect("standard layout");
     Ok(differences.chunks_exact(scanner.detector.pixels()).map(square).collect())

@@ -1,4 +1,4 @@
-//! Detects a scan's conventions: rows and columns of images, sense of rotation, detector offset.
+//! Detects a scan's conventions: rows and columns of images, sense of rotation, offset and roll of the detector, axis shift.
 //!
 //! Not in the paper.
 //!
@@ -47,6 +47,15 @@
 //! - **An offset along v**: with parallel rays it is a shift of the object along z and invisible. In a cone beam a
 //!   shift by δ would have to be `δ·d/dsd` at depth d: only its change over the object's depth is visible, `r/dso` of
 //!   δ. The uncertainty states how well.
+//! - **A roll of the detector** turns every image. No rotation of an object does so in all views, so it is visible, and
+//!   the data determine it well. Its sign belongs to the convention: reversed rows reverse it.
+//!   Where it differs from the stated roll by three standard errors, the offsets are found again with it.
+//! - **A shift of the axis** (TIGRE's `COR`) moves source and detector along u. The axis is then seen where an offset of
+//!   `dsd/dso` times the shift shows it, and the fan is turned by `shift/dso`, which only large shifts make visible. The
+//!   check derives the shift from the offset found, states the residuals of both, and whether the data prefer one.
+//!
+//! A scan may have poses if they make a circle: one roll, shift and offset in all views. Helices and tilted detectors are
+//! refused.
 //!
 //! Not tested: DSO and DSD, a tilted detector, a wrong order of views.
 
@@ -55,19 +64,21 @@ mod held_out;
 mod offsets;
 mod reduced;
 mod reference;
+mod stated;
 mod verdict;
 
 pub use convention::Convention;
-pub use offsets::OffsetScan;
+pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
 use crate::error::{Error, Result};
 use crate::scene::{Beam, Dataset};
 use held_out::{HeldOut, Hypothesis, held_out};
-use offsets::{Search, first_scan, refine};
+use offsets::{Place, ROLL, Search, first_scan, refine};
 use reduced::Reduced;
 use reference::Reference;
 use serde::Serialize;
+use stated::Stated;
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
 
@@ -92,6 +103,9 @@ const ALONG_U: [Search; 2] = [Search { step: 0.5, rounds: 8 }, Search { step: 0.
 /// Refinement along v, where the minimum is shallow.
 const ALONG_V: Search = Search { step: 1.0, rounds: 8 };
 
+/// Refinement of the roll: wide on the coarse detector, then narrow on the fine one.
+const OF_ROLL: [Search; 2] = [Search { step: 0.3, rounds: 8 }, Search { step: 0.15, rounds: 4 }];
+
 /// Progress of the check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
@@ -105,7 +119,7 @@ pub struct Step {
 
 impl Step {
     /// Number of steps of a check.
-    pub const ALL: usize = 6;
+    pub const ALL: usize = 7;
 }
 
 /// Observer of every step; breaking ends the check with an error.
@@ -124,6 +138,10 @@ pub struct GeometryCheck {
     pub offset_u: OffsetScan,
     /// Detector offset along v, down the rows; `None` for parallel rays, which do not determine it.
     pub offset_v: Option<OffsetScan>,
+    /// Turn of the detector in its plane.
+    pub roll: RollScan,
+    /// The shift of the axis that explains the data as the offset along u does.
+    pub axis_shift: AxisShift,
     /// The offDetector to write into the files, `[u, upwards]` in their unit of length.
     ///
     /// It is the offset found where that differs from the stated one.
@@ -166,11 +184,12 @@ pub struct Candidate {
 /// At most 24 views, 64² pixels and 48 voxels along a side are used. The number of threads changes no bit.
 ///
 /// # Errors
-/// When the scanner is invalid, there are fewer than four training views, all their pixels are zero, or `observe`
-/// breaks.
+/// When the scanner is invalid, the views have poses that make no circle, there are fewer than four training views, all
+/// their pixels are zero, or `observe` breaks.
 ///
 /// Tests: `every_fault_of_the_images_and_of_the_rotation_is_found`, `conventions_of_a_class_have_the_same_residual`,
-/// `displaced_detectors_are_found_to_a_fifth_of_a_pixel`, `the_true_volume_or_points_from_it_tell_where_the_angles_begin`.
+/// `displaced_detectors_are_found_to_a_fifth_of_a_pixel`, `rolls_and_axis_shifts_are_found`,
+/// `the_true_volume_or_points_from_it_tell_where_the_angles_begin`.
 pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<GeometryCheck> {
     dataset.scanner.validate()?;
     let train = &dataset.train;
@@ -181,10 +200,11 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     if train.images.iter().all(|value| *value == 0.0) {
         return Err(Error::invalid("projections", "zeros only", "an object", "give projections of an object"));
     }
+    let stated_circle = Stated::of(dataset)?;
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;
     let mut candidates = classes(dataset, &beam, &mut steps)?;
-    rank(&Reduced::new(dataset, MEDIUM), &mut candidates, &beam)?;
+    rank(&Reduced::new(dataset, &stated_circle, MEDIUM), &mut candidates, &beam)?;
     steps.done("conventions")?;
 
     // The stated convention is kept unless the data exclude it.
@@ -195,27 +215,67 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     candidates.sort_by_key(|trial| (trial.class != class, trial.class, trial.is_unlike, trial.faults()));
 
     let chosen = candidates.iter().find(|c| c.class == class).expect("every class has a member").clone();
-    let fine = Reduced::new(dataset, FINE);
-    let widely = refine(&fine, chosen.convention, chosen.offset, 0, ALONG_U[0])?;
-    let along_u = refine(&fine, chosen.convention, widely.offset, 0, ALONG_U[1])?;
+    let fine = Reduced::new(dataset, &stated_circle, FINE);
+    let convention = chosen.convention;
+    let widely = refine(&fine, convention, chosen.offset, 0, ALONG_U[0])?;
+    let mut along_u = refine(&fine, convention, widely.offset, 0, ALONG_U[1])?;
     steps.done("detector along u")?;
-    let along_v = match beam {
-        Beam::Cone { .. } => Some(refine(&fine, chosen.convention, along_u.offset, 1, ALONG_V)?),
-        Beam::Parallel { .. } => None,
+    let along_v = |place: Place| match beam {
+        Beam::Cone { .. } => refine(&fine, convention, place, 1, ALONG_V).map(Some),
+        Beam::Parallel { .. } => Ok(None),
     };
+    let mut of_v = along_v(along_u.offset)?;
     steps.done("detector along v")?;
 
-    let d = &dataset.scanner.detector;
-    let [u, v] = along_v.as_ref().unwrap_or(&along_u).offset;
-    let as_stated = [[d.offset_u, v], [u, d.offset_v]].map(|offset| (chosen.convention, offset));
-    let residuals: Vec<f64> = held_out(&fine, &as_stated)?.iter().map(HeldOut::residual).collect();
+    let [.., stated_roll, stated_shift] = chosen.offset;
+    let coarse = Reduced::new(dataset, &stated_circle, COARSE);
+    let place = of_v.as_ref().unwrap_or(&along_u).offset;
+    let widely = refine(&coarse, convention, place, ROLL, OF_ROLL[0])?;
+    let mut rolled = refine(&fine, convention, widely.offset, ROLL, OF_ROLL[1])?;
+    let is_rolled = RollScan::new(&fine, &rolled, stated_roll, 0.0).differs();
+    if is_rolled {
+        // The offsets were found with another roll.
+        along_u = refine(&fine, convention, rolled.offset, 0, ALONG_U[1])?;
+        of_v = along_v(along_u.offset)?;
+        rolled = refine(&fine, convention, of_v.as_ref().unwrap_or(&along_u).offset, ROLL, OF_ROLL[1])?;
+    }
+    steps.done("roll of the detector")?;
+
+    let d = &stated_circle.scanner.detector;
+    let [u, v, found_roll, _] = rolled.offset;
+    let roll = if is_rolled { found_roll } else { stated_roll };
+    let magnification = match stated_circle.scanner.beam {
+        Beam::Cone { dso, dsd } => dsd / dso,
+        Beam::Parallel { .. } => 1.0,
+    };
+    let shift = stated_shift + (u - d.offset_u) / magnification;
+    let as_stated = [
+        [d.offset_u, v, roll, stated_shift],
+        [u, d.offset_v, roll, stated_shift],
+        [u, v, stated_roll, stated_shift],
+        [d.offset_u, v, roll, shift],
+        [u, v, roll, stated_shift],
+    ];
+    let results = held_out(&fine, &as_stated.map(|place| (convention, place)))?;
+    let residuals: Vec<f64> = results.iter().map(HeldOut::residual).collect();
+    let roll = RollScan::new(&fine, &rolled, stated_roll, residuals[2]);
     let offset_u = OffsetScan::new(&fine, 0, &along_u, [d.offset_u, residuals[0]], d.pitch_u);
-    let offset_v = along_v.map(|minimum| OffsetScan::new(&fine, 1, &minimum, [d.offset_v, residuals[1]], d.pitch_v));
+    let offset_v = of_v.map(|minimum| OffsetScan::new(&fine, 1, &minimum, [d.offset_v, residuals[1]], d.pitch_v));
+    let axis_shift = AxisShift {
+        stated: stated_shift,
+        found: shift,
+        uncertainty: offset_u.uncertainty * d.pitch_u / magnification,
+        residual: residuals[3],
+        residual_offset: residuals[4],
+        standard_errors: results[3].worse_than(&results[4]),
+    };
     let mut check = GeometryCheck {
         agrees: false,
         verdict: Vec::new(),
         looks_like: chosen.convention,
         off_detector: [d.offset_u, d.offset_v],
+        roll,
+        axis_shift,
         offset_u,
         offset_v,
         reference,
@@ -224,7 +284,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
         detector: [fine.views.images.dim().1, fine.views.images.dim().2],
         grid: fine.grid().shape,
     };
-    verdict::judge(&mut check, dataset);
+    verdict::judge(&mut check, dataset, &stated_circle.scanner);
     Ok(check)
 }
 
@@ -232,8 +292,8 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
 #[derive(Clone)]
 struct Trial {
     convention: Convention,
-    /// `[u, v]`, scene units.
-    offset: [f64; 2],
+    /// As in [`offsets::Place`].
+    offset: Place,
     class: usize,
     residual: f64,
     standard_errors: f64,
@@ -265,7 +325,8 @@ impl Trial {
 
 /// All conventions, with the offset of least residual of their class; one per class is evaluated.
 fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
-    let d = &dataset.scanner.detector;
+    let stated = Stated::of(dataset)?;
+    let d = &stated.scanner.detector;
     let maybe_degrees = dataset.train.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);
     let all = Convention::all(d.rows == d.columns, maybe_degrees);
     let mut representatives: Vec<Convention> = Vec::new();
@@ -274,7 +335,7 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
             representatives.push(*convention);
         }
     }
-    let coarse = Reduced::new(dataset, COARSE);
+    let coarse = Reduced::new(dataset, &stated, COARSE);
     let along_u = first_scan(d.offset_u, d.columns as f64 * d.pitch_u, coarse.pitch()[0]);
     // A class has members with the rows reversed, for which the offset has the opposite sign.
     let mut along_v = vec![d.offset_v];
@@ -282,21 +343,23 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
         along_v.push(-d.offset_v);
     }
     let offsets: Vec<[f64; 2]> = along_v.iter().flat_map(|&v| along_u.iter().map(move |&u| [u, v])).collect();
+    let place = |c: &Convention, [u, v]: [f64; 2]| [u, v, c.roll(stated.roll), c.axis_shift(stated.axis_shift)];
     let hypotheses: Vec<Hypothesis> =
-        representatives.iter().flat_map(|&c| offsets.iter().map(move |&offset| (c, offset))).collect();
+        representatives.iter().flat_map(|&c| offsets.iter().map(move |&offset| (c, place(&c, offset)))).collect();
     let results: Vec<f64> = held_out(&coarse, &hypotheses)?.iter().map(HeldOut::residual).collect();
     steps.done("first scan of detector offsets")?;
     let mut found = Vec::new();
     for (&convention, results) in representatives.iter().zip(results.chunks_exact(offsets.len())) {
         let least = (0..offsets.len()).reduce(|a, b| if results[b] < results[a] { b } else { a });
         let offset = offsets[least.expect("there is at least what is stated")];
-        found.push(refine(&coarse, convention, offset, 0, FIRST_SEARCH)?.offset);
+        found.push(refine(&coarse, convention, place(&convention, offset), 0, FIRST_SEARCH)?.offset);
     }
     steps.done("refinement of the offset")?;
     let trial = |convention: &Convention| {
         let class = representatives.iter().position(|other| convention.looks_like(other, beam));
         let class = class.expect("every convention is represented");
-        let offset = convention.offset_from(&representatives[class], found[class]);
+        let [u, v, ..] = found[class];
+        let offset = place(convention, convention.offset_from(&representatives[class], [u, v]));
         Trial {
             convention: *convention,
             offset,
@@ -337,7 +400,7 @@ fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
 
 /// Compares reconstructions under the members of a class with the known object.
 fn compare(dataset: &Dataset, trials: &mut [Trial], class: usize) -> Result<Option<Source>> {
-    let coarse = Reduced::new(dataset, COARSE);
+    let coarse = Reduced::new(dataset, &Stated::of(dataset)?, COARSE);
     let Some(reference) = Reference::new(dataset, coarse.grid()) else { return Ok(None) };
     let members: Vec<usize> = (0..trials.len()).filter(|&i| trials[i].class == class).collect();
     let hypotheses: Vec<Hypothesis> = members.iter().map(|&i| (trials[i].convention, trials[i].offset)).collect();

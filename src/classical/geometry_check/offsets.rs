@@ -1,4 +1,4 @@
-//! Estimation of the detector offset.
+//! Estimation of offset and roll of the detector.
 
 use super::Convention;
 use super::held_out::{HeldOut, held_out};
@@ -17,6 +17,18 @@ const INSIDE: f64 = 1.5;
 ///
 /// On phantoms with known offsets, errors up to 0.06 and 0.51 were seen.
 const SYSTEMATIC: [f64; 2] = [0.06, 0.5];
+/// The same of a roll, in units of [`Reduced::units`].
+const SYSTEMATIC_ROLL: f64 = 0.02;
+
+/// Standard errors from which a roll differs.
+pub(super) const SIGNIFICANT_ROLL: f64 = 3.0;
+
+/// Where detector and axis are: offsets along u and v (scene units), roll (radians), axis shift (scene units).
+pub(super) type Place = [f64; 4];
+/// Index of the roll in a [`Place`].
+pub(super) const ROLL: usize = 2;
+/// Index of the axis shift in a [`Place`].
+pub(super) const SHIFT: usize = 3;
 
 /// Parameters of the search for a minimum.
 #[derive(Clone, Copy, Debug)]
@@ -46,6 +58,60 @@ pub struct OffsetScan {
     pub curve: Vec<[f64; 2]>,
 }
 
+/// The roll of the detector that explains the data best, from u towards v.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RollScan {
+    /// The stated roll, degrees.
+    pub stated: f64,
+    /// The roll of least held-out residual, degrees.
+    pub found: f64,
+    /// Standard error of `found`, degrees: a jackknife over the views, plus a part of a coarse pixel.
+    pub uncertainty: f64,
+    /// The residual at the roll found.
+    pub residual: f64,
+    /// The residual at the stated roll.
+    pub residual_stated: f64,
+    /// Rolls (degrees) and held-out residuals of the last refinement.
+    pub curve: Vec<[f64; 2]>,
+}
+
+impl RollScan {
+    /// The result for a minimum that was found on `scan`; `stated` in radians.
+    pub(super) fn new(scan: &Reduced, minimum: &Minimum, stated: f64, residual_stated: f64) -> Self {
+        let (by_chance, systematic) = (minimum.uncertainty, SYSTEMATIC_ROLL * scan.units()[ROLL]);
+        Self {
+            stated: stated.to_degrees(),
+            found: minimum.offset[ROLL].to_degrees(),
+            uncertainty: (by_chance * by_chance + systematic * systematic).sqrt().to_degrees(),
+            residual: minimum.residual,
+            residual_stated,
+            curve: minimum.curve.iter().map(|[roll, residual]| [roll.to_degrees(), *residual]).collect(),
+        }
+    }
+
+    /// Whether it differs from the stated roll by more than its uncertainty.
+    pub(super) fn differs(&self) -> bool {
+        (self.found - self.stated).abs() > SIGNIFICANT_ROLL * self.uncertainty
+    }
+}
+
+/// The shift of source and detector along u, TIGRE's `COR`, that explains the data as the offset found does.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxisShift {
+    /// The stated shift, scene units.
+    pub stated: f64,
+    /// The shift with the detector where it is stated, scene units.
+    pub found: f64,
+    /// Standard error of `found`, from that of the offset, scene units.
+    pub uncertainty: f64,
+    /// The residual with this shift.
+    pub residual: f64,
+    /// The residual with the offset instead.
+    pub residual_offset: f64,
+    /// By how many standard errors the residual with this shift is above that with the offset; below it if negative.
+    pub standard_errors: f64,
+}
+
 /// Offsets along u of the first scan, scene units: around the centre, the stated offset, its opposite.
 pub(super) fn first_scan(stated: f64, width: f64, pitch: f64) -> Vec<f64> {
     let (step, mut all) = (STEP * pitch, Vec::<f64>::new());
@@ -63,9 +129,9 @@ pub(super) fn first_scan(stated: f64, width: f64, pitch: f64) -> Vec<f64> {
 
 /// A minimum along one direction.
 pub(super) struct Minimum {
-    /// The offset `[u, v]`, scene units.
-    pub(super) offset: [f64; 2],
-    /// Standard error along the direction, scene units.
+    /// The place with the least residual.
+    pub(super) offset: Place,
+    /// Standard error along the direction, in the unit of the place.
     pub(super) uncertainty: f64,
     /// The least residual found.
     pub(super) residual: f64,
@@ -92,17 +158,17 @@ impl OffsetScan {
     }
 }
 
-/// Refines an offset along `axis` (0: u, 1: v) by a parabola through five offsets.
+/// Refines a place along `axis`, an index of [`Place`], by a parabola through five offsets.
 ///
 /// While the minimum is at the end of their range, the range is centred on it and the step repeated.
 pub(super) fn refine(
     scan: &Reduced,
     convention: Convention,
-    offset: [f64; 2],
+    offset: Place,
     axis: usize,
     search: Search,
 ) -> Result<Minimum> {
-    let (step, mut centre) = (search.step * scan.pitch()[axis], offset);
+    let (step, mut centre) = (search.step * scan.units()[axis], offset);
     for round in 1.. {
         let places = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|place| {
             let mut offset = centre;

@@ -1,8 +1,10 @@
 //! A scan reduced so far that it can be reconstructed many times per second.
 
 use super::Convention;
+use super::offsets::{Place, ROLL, SHIFT};
+use super::stated::Stated;
 use crate::numeric::threads;
-use crate::scene::{Beam, Dataset, Detector, Grid, Projections, Scanner};
+use crate::scene::{Beam, Dataset, Detector, Deviation, Grid, Projections, Scanner};
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
 
@@ -25,11 +27,11 @@ impl Reduced {
     /// Evenly spaced views of `dataset`, averaged to at most `pixels` rows and columns.
     ///
     /// The grid has three voxels for four pixels of the longer side.
-    pub(super) fn new(dataset: &Dataset, pixels: usize) -> Self {
-        let Scanner { beam, detector: d, grid } = dataset.scanner;
-        let train = &dataset.train;
+    pub(super) fn new(dataset: &Dataset, stated: &Stated, pixels: usize) -> Self {
+        let Scanner { beam, detector: d, grid } = stated.scanner;
+        let (train, angles) = (&dataset.train, &stated.angles);
         let mut order: Vec<usize> = (0..train.len()).collect();
-        order.sort_by(|&a, &b| train.angles[a].total_cmp(&train.angles[b]));
+        order.sort_by(|&a, &b| angles[a].total_cmp(&angles[b]));
         let used = train.len().min(VIEWS);
         let chosen: Vec<usize> = (0..used).map(|i| order[i * train.len() / used]).collect();
 
@@ -45,19 +47,33 @@ impl Reduced {
             offset_v: 0.0,
         };
         let views = Projections {
-            angles: chosen.iter().map(|&view| train.angles[view]).collect(),
+            poses: None,
+            angles: chosen.iter().map(|&view| angles[view]).collect(),
             images: images.expect("every image has as many pixels"),
         };
         Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
     }
 
-    /// Views corrected for a convention, and their scanner with the detector at `offset`.
-    ///
-    /// The offset is `[u, v]` in scene units.
-    pub(super) fn read_as(&self, convention: &Convention, offset: [f64; 2]) -> (Scanner, Projections) {
-        let [offset_u, offset_v] = offset;
+    /// Views corrected for a convention, and their scanner, with detector and axis at `place`.
+    pub(super) fn read_as(&self, convention: &Convention, place: Place) -> (Scanner, Projections) {
+        let [offset_u, offset_v, roll, axis_shift] = place;
         let detector = Detector { offset_u, offset_v, ..self.detector };
-        (Scanner { beam: self.beam, detector, grid: self.grid }, convention.correct(&self.views))
+        let scanner = Scanner { beam: self.beam, detector, grid: self.grid };
+        let mut views = convention.correct(&self.views);
+        if roll != 0.0 || axis_shift != 0.0 {
+            let deviation = Deviation { axis_shift, ..Deviation::none(&scanner).rolled(roll) };
+            views.poses = Some(views.angles.iter().map(|&angle| deviation.pose(angle)).collect());
+        }
+        (scanner, views)
+    }
+
+    /// The units of a [`Place`] in a search: a coarse pixel, or what moves the detector's corner by about one.
+    pub(super) fn units(&self) -> Place {
+        let d = &self.detector;
+        let mut units = [d.pitch_u, d.pitch_v, 0.0, 0.0];
+        units[ROLL] = 2.0 / d.rows.max(d.columns) as f64;
+        units[SHIFT] = d.pitch_u;
+        units
     }
 
     /// The grid of the reconstructions.

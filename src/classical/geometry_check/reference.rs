@@ -1,8 +1,9 @@
 //! The known object, which resolves ambiguities that projections cannot.
 
+use super::RESEMBLES;
+use super::held_out::Hypothesis;
 use super::held_out::reconstruct;
 use super::reduced::Reduced;
-use super::{Convention, RESEMBLES};
 use crate::error::Result;
 use crate::numeric::{reduce, threads};
 use crate::scene::trilinear::Trilinear;
@@ -52,7 +53,7 @@ impl Reference {
     }
 
     /// Resemblance of reconstructions from all views, under each convention with its offset.
-    pub(super) fn compare(&self, scan: &Reduced, hypotheses: &[(Convention, [f64; 2])]) -> Result<Vec<Resemblance>> {
+    pub(super) fn compare(&self, scan: &Reduced, hypotheses: &[Hypothesis]) -> Result<Vec<Resemblance>> {
         let one = |i: usize| {
             let (scanner, views) = scan.read_as(&hypotheses[i].0, hypotheses[i].1);
             let (_, volume) = reconstruct(&scanner, &views)?;

@@ -1,7 +1,8 @@
 //! Turns the numbers of a check into sentences.
 
-use super::{Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, Source, TOLD_APART};
-use crate::scene::{Beam, Dataset};
+use super::offsets::SIGNIFICANT_ROLL;
+use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
+use crate::scene::{Beam, Dataset, Scanner};
 use std::f64::consts::FRAC_PI_2;
 
 /// Allowed displacement of the detector, pixels.
@@ -12,12 +13,14 @@ const SIGNIFICANT: f64 = 2.0;
 ///
 /// Coarse voxels add to the residual of a body whose height is hardly visible; this makes false minima a tenth deep.
 const VISIBLE: f64 = 1.25;
+/// Allowed roll of the detector, degrees, in addition to its uncertainty.
+const ROLL_TOLERANCE: f64 = 0.2;
 /// If the best relative residual exceeds this, no convention explains the data.
 const UNEXPLAINED: f64 = 0.4;
 
 /// Sets `agrees` and the sentences of the verdict.
-pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
-    let Dataset { scanner, scale, .. } = dataset;
+pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scanner) {
+    let scale = dataset.scale;
     let chosen = check.candidates[0].clone();
     let turns = chosen.resemblance.map_or(0, |resemblance| resemblance.quarter_turns);
     let as_stated = chosen.convention == Convention::AS_STATED && turns == 0;
@@ -53,13 +56,55 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset) {
         let [u, up] = check.off_detector;
         verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards."));
     }
+    if displaced_u {
+        verdict.push(shifted_axis(&check.axis_shift, scale));
+    }
+    let rolled = is_rolled(&check.roll);
+    verdict.push(roll(&check.roll, rolled));
     check.verdict = verdict;
-    check.agrees = as_stated && explained && !displaced_u && !displaced_v;
+    check.agrees = as_stated && explained && !displaced_u && !displaced_v && !rolled;
 }
 
 /// Whether the offset differs from the stated one by more than tolerance and uncertainty.
 fn is_displaced(scan: &OffsetScan) -> bool {
     (scan.found - scan.stated).abs() > TOLERANCE + SIGNIFICANT * scan.uncertainty
+}
+
+/// Whether the roll differs from the stated one by more than tolerance and uncertainty, and lowers the residual.
+fn is_rolled(scan: &RollScan) -> bool {
+    (scan.found - scan.stated).abs() > ROLL_TOLERANCE + SIGNIFICANT_ROLL * scan.uncertainty
+        && scan.residual < scan.residual_stated
+}
+
+/// The sentence about a shifted axis that explains the displacement along u instead.
+fn shifted_axis(shift: &AxisShift, scale: f64) -> String {
+    let AxisShift { found, uncertainty, residual, residual_offset, standard_errors, .. } = *shift;
+    let told = match standard_errors {
+        worse if worse > TOLD_APART => "the data prefer the offset",
+        worse if worse < -TOLD_APART => "the data prefer the shift",
+        _ => "the data do not tell them apart",
+    };
+    let [found, uncertainty] = [found, uncertainty].map(|length| length / scale);
+    format!(
+        "Along u, a shifted rotation axis would do as well: COR {found:.6} ± {uncertainty:.6} with offDetector as stated leaves {}, \
+         the offset {}: {told}. Set one of the two.",
+        percent(residual),
+        percent(residual_offset)
+    )
+}
+
+/// The sentence about the roll.
+fn roll(scan: &RollScan, rolled: bool) -> String {
+    let RollScan { stated, found, uncertainty, .. } = *scan;
+    // A negative number that rounds to zero has no sign.
+    let shown = |degrees: f64| if degrees.abs() < 0.005 { 0.0 } else { degrees };
+    let (found, stated) = (shown(found), shown(stated));
+    let text = format!("The detector is rolled by {found:.2}° ± {uncertainty:.2}°, stated {stated:.2}°");
+    match rolled {
+        // TIGRE counts turns about x, which points to the source.
+        true => format!("{text}: set rotDetector to [0, 0, {:.6}], radians.", -found.to_radians()),
+        false => format!("{text}."),
+    }
 }
 
 /// The sentence about the convention found.

@@ -1,7 +1,7 @@
 //! The rays of one detector column: they share a vertical plane, hence one path through x and y.
 
 use crate::classical::resample::Places;
-use crate::scene::{Beam, Scanner, View};
+use crate::scene::{Beam, Grid, View};
 use std::ops::Range;
 
 /// The rays through the pixels of one column, in voxel units: voxel i has its centre at i.
@@ -21,10 +21,11 @@ pub(super) struct Fan {
 }
 
 impl Fan {
-    pub(super) fn new(scanner: &Scanner, view: &View, column: usize) -> Self {
-        let (detector, grid) = (&scanner.detector, &scanner.grid);
+    /// The rays of a column of an upright view.
+    pub(super) fn new(grid: &Grid, view: &View, column: usize) -> Self {
+        let detector = &view.detector;
         let (u, v_of_lowest) = detector.position((detector.rows - 1) as f64, column as f64);
-        let (source, along) = match scanner.beam {
+        let (source, along) = match view.beam {
             Beam::Cone { dsd, .. } => (view.source, view.u * u + view.w * dsd),
             Beam::Parallel { .. } => (view.source + view.u * u, view.w),
         };
@@ -37,7 +38,7 @@ impl Fan {
             // v points down.
             low: -v_of_lowest / grid.spacing.z,
             pitch: detector.pitch_v / grid.spacing.z,
-            is_cone: matches!(scanner.beam, Beam::Cone { .. }),
+            is_cone: matches!(view.beam, Beam::Cone { .. }),
             horizontal: along.length(),
             spacing_z: grid.spacing.z,
         }

@@ -65,5 +65,5 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
 /// The confidence of each primitive over a scan's training views, with default settings.
 fn confidence(primitives: &Primitives, scan: &Path) -> Result<Vec<f64>> {
     let Dataset { scanner, train, .. } = Dataset::read(scan)?;
-    Ok(Coverage::new(Settings::default()).confidence(primitives, &scanner, &train.angles))
+    Ok(Coverage::new(Settings::default()).confidence(primitives, &scanner, &train))
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use trgs::scene::dataset::Description;
 use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame};
 use trgs::scene::plausibility;
-use trgs::scene::stack::{self, Orientation, Series};
+use trgs::scene::stack::{self, Orientation, RtkGeometry, ScanFile, Series};
 use trgs::{Error, Result};
 
 /// The fields in messages.
@@ -24,6 +24,9 @@ pub(super) struct StackArgs {
     /// Angles of the views in radians: a text of numbers, a table with a header, or .npy
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
+    /// Angles and poses of the views: geometry of RTK, in the unit of length of the scanner
+    #[arg(long, value_name = "FILE.xml", conflicts_with_all = ["angles", "clockwise"])]
+    geometry: Option<PathBuf>,
     /// Read the angles as degrees
     #[arg(long, requires = "angles")]
     degrees: bool,
@@ -96,6 +99,7 @@ impl StackArgs {
     pub(super) fn first_flag(&self) -> Option<&'static str> {
         let given = [
             ("--angles", self.angles.is_some()),
+            ("--geometry", self.geometry.is_some()),
             ("--flat", self.flat.is_some()),
             ("--dark", self.dark.is_some()),
             ("--normalise", self.normalise.is_some()),
@@ -109,23 +113,63 @@ impl StackArgs {
         given.into_iter().find(|(_, given)| *given).map(|(flag, _)| flag)
     }
 
-    /// Converts intensities to line integrals.
-    fn correct(&self, readings: &Array3<f32>) -> Result<Corrected> {
+    /// Reads frames, and the fields and angles that are in the same file.
+    fn read(&self, source: &Path) -> Result<ScanFile> {
+        let fields = [(FLAT, &self.flat), (DARK, &self.dark)];
+        let fields: Vec<(&str, &Path)> =
+            fields.into_iter().filter_map(|(what, path)| Some((what, path.as_deref()?))).collect();
+        let scan = match stack::read_scan_file(source)? {
+            Some(scan) => scan,
+            None => {
+                let Series { values, remarks, .. } = stack::read_series(source, &fields)?;
+                ScanFile { frames: values, remarks, ..ScanFile::default() }
+            }
+        };
+        warn(source, &scan.remarks);
+        let replaced = [
+            (FLAT, scan.flat.is_some() && (self.line_integrals || self.has_white())),
+            (DARK, scan.dark.is_some() && (self.line_integrals || self.dark.is_some())),
+            ("angles", scan.angles.is_some() && (self.angles.is_some() || self.geometry.is_some())),
+        ];
+        for (what, _) in replaced.iter().filter(|(_, is_replaced)| *is_replaced) {
+            warn(source, &[format!("the {what} of this file: not used, as the flags say")]);
+        }
+        Ok(scan)
+    }
+
+    /// Whether a flag states the reading of a pixel without an object.
+    fn has_white(&self) -> bool {
+        self.flat.is_some() || self.white.is_some() || self.normalise.is_some()
+    }
+
+    /// Converts the intensities of a file to line integrals.
+    fn correct(&self, source: &Path, scan: &ScanFile) -> Result<Corrected> {
+        let own = |what: &str, frames: &Option<Array3<f32>>| {
+            frames.as_ref().map(|frames| mean(what, frames, source)).transpose()
+        };
         let white = match (&self.flat, self.white, self.normalise) {
             (Some(flat), _, _) => White::Flat(field(FLAT, flat)?),
             (None, Some(reading), _) => White::Reading(reading),
             (None, None, Some(Normalise::Frame)) => White::OfFrame,
-            (None, None, _) => White::OfStack,
+            (None, None, Some(Normalise::Global)) => White::OfStack,
+            (None, None, None) => own(FLAT, &scan.flat)?.map_or(White::OfStack, White::Flat),
         };
-        let dark = self.dark.as_deref().map(|dark| field(DARK, dark)).transpose()?;
-        Correction { dark, white, air: self.air.clone() }.apply(readings)
+        let dark = match &self.dark {
+            Some(dark) => Some(field(DARK, dark)?),
+            None => own(DARK, &scan.dark)?,
+        };
+        let correction = Correction { dark, white, air: self.air.clone() };
+        correction.apply(&scan.frames).map_err(|error| error.in_file(source))
     }
 }
 
 fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
-    let frames = stack::read(path)?;
-    warn(path, &full_scale(what, &frames).into_iter().collect::<Vec<_>>());
-    mean_frame(what, &frames).map_err(|error| error.in_file(path))
+    mean(what, &stack::read(path)?, path)
+}
+
+fn mean(what: &str, frames: &Array3<f32>, path: &Path) -> Result<Array2<f64>> {
+    warn(path, &full_scale(what, frames).into_iter().collect::<Vec<_>>());
+    mean_frame(what, frames).map_err(|error| error.in_file(path))
 }
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
@@ -135,16 +179,17 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz to write a volume";
         return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
     };
-    let description = Description::read(scanner)?;
-    let fields: Vec<(&str, &Path)> = [(FLAT, &arguments.flat), (DARK, &arguments.dark)]
-        .into_iter()
-        .filter_map(|(what, path)| Some((what, path.as_deref()?)))
-        .collect();
-    let Series { values: frames, remarks, .. } = stack::read_series(source, &fields)?;
-    warn(source, &remarks);
-    let angles = match &arguments.angles {
-        Some(path) => stack::read_angles(path, arguments.degrees)?,
-        None => description.angles(frames.dim().0).map_err(|error| error.in_file(scanner))?,
+    let mut description = Description::read(scanner)?;
+    if let Some(path) = &arguments.geometry {
+        let RtkGeometry { poses, oddities } = RtkGeometry::read(path)?;
+        warn(path, &oddities);
+        description = description.with_poses(&poses).map_err(|error| error.in_file(scanner))?;
+    }
+    let scan = arguments.read(source)?;
+    let angles = match (&arguments.angles, &scan.angles) {
+        (Some(path), _) => stack::read_angles(path, arguments.degrees)?,
+        (None, Some(angles)) if arguments.geometry.is_none() => angles.clone(),
+        _ => description.angles(scan.frames.dim().0).map_err(|error| error.in_file(scanner))?,
     };
     let orientation = Orientation {
         flip_rows: arguments.flip_rows,
@@ -152,9 +197,9 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         clockwise: arguments.clockwise,
     };
     let (line_integrals, correction) = if arguments.line_integrals {
-        (frames, None)
+        (scan.frames, None)
     } else {
-        let corrected = arguments.correct(&frames).map_err(|error| error.in_file(source))?;
+        let corrected = arguments.correct(source, &scan)?;
         warn(source, &corrected.remarks);
         let Corrected { line_integrals, white, clamped, dead, drift, .. } = corrected;
         (line_integrals, Some(Summary { white, clamped, dead_pixels: dead, air: drift }))

@@ -5,6 +5,8 @@ use serde_json::{Value, json};
 use std::f64::consts::PI;
 use std::path::Path;
 use trgs::Result;
+#[cfg(feature = "hdf5")]
+use trgs::scene::hdf5::Hdf5;
 use trgs::scene::stack;
 use trgs::scene::volume_file::{self, VolumeFile};
 
@@ -43,6 +45,40 @@ pub(super) fn volume(path: &Path) -> Result<Value> {
         "directions": (!is_straight).then(|| directions.to_cols_array()),
         "oddities": oddities,
     }))
+}
+
+/// An HDF5 file, or an array of one.
+#[cfg(feature = "hdf5")]
+pub(super) fn hdf5(path: &Path) -> Result<Value> {
+    if let Some(scan) = stack::read_scan_file(path)? {
+        let radians = scan.angles.as_ref().map(range);
+        let oddities: Vec<&String> = scan.remarks.iter().collect();
+        return Ok(json!({
+            "kind": "scan in HDF5: frames [view, v, u], with fields and angles",
+            "shape": <[usize; 3]>::from(scan.frames.dim()),
+            "values": range(&scan.frames),
+            "flat": scan.flat.as_ref().map(range),
+            "dark": scan.dark.as_ref().map(range),
+            "radians": radians,
+            "oddities": oddities,
+        }));
+    }
+    if let Ok(found) = volume(path) {
+        return Ok(found);
+    }
+    // Several arrays: they are named.
+    let file = Hdf5::read(path).map_err(|error| if path.exists() { error } else { volume(path).unwrap_err() })?;
+    let arrays = file
+        .entries()
+        .iter()
+        .map(|entry| (entry.name.clone(), json!({ "shape": entry.shape, "numbers": entry.numbers })));
+    Ok(json!({ "kind": "HDF5 file; FILE:/group/name names an array", "arrays": arrays.collect::<Value>() }))
+}
+
+/// The error of a build without the feature.
+#[cfg(not(feature = "hdf5"))]
+pub(super) fn hdf5(path: &Path) -> Result<Value> {
+    volume(path)
 }
 
 /// Angles of views in a text or a table.

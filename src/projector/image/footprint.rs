@@ -12,7 +12,7 @@ use crate::projector::kernel::conic::{Conic, ConicX8};
 use crate::projector::kernel::extents::Extents;
 use crate::projector::projection::{MIN_DEPTH, Projection};
 use crate::projector::whitened::{WhitenedPrimitive, whitening};
-use crate::scene::{Beam, Scanner, View};
+use crate::scene::{Beam, View};
 use std::array::from_fn;
 use std::ops::Range;
 
@@ -84,12 +84,12 @@ struct Projected {
 
 impl Projected {
     #[inline(always)]
-    fn new(primitives: [&WhitenedPrimitive; LANES], scanner: &Scanner, view: &View, projection: Projection) -> Self {
-        let detector = &scanner.detector;
+    fn new(primitives: [&WhitenedPrimitive; LANES], view: &View, projection: Projection) -> Self {
+        let detector = &view.detector;
         let (vu, vv, vw) = (DVec3x8::splat(view.u), DVec3x8::splat(view.v), DVec3x8::splat(view.w));
         let offset = DVec3x8::from_fn(|i| primitives[i].mean) - DVec3x8::splat(view.source);
         let m = [vu.dot(offset), vv.dot(offset), vw.dot(offset)];
-        let (seen, kappa, slope, [step_u, step_v], [u, v]) = match scanner.beam {
+        let (seen, kappa, slope, [step_u, step_v], [u, v]) = match view.beam {
             Beam::Cone { dso, dsd } => {
                 let kappa = splat(1.0) / m[2];
                 (
@@ -158,12 +158,11 @@ impl Footprint {
     pub(crate) fn project(
         footprints: &mut [Self],
         primitives: [&WhitenedPrimitive; LANES],
-        scanner: &Scanner,
         view: &View,
         projection: Projection,
     ) {
-        let Projected { seen, conics, geometry, support } = Projected::new(primitives, scanner, view, projection);
-        let counts = [scanner.detector.rows, scanner.detector.columns];
+        let Projected { seen, conics, geometry, support } = Projected::new(primitives, view, projection);
+        let counts = [view.detector.rows, view.detector.columns];
         let unit = f64x8::from_fn(|i| primitives[i].unit);
         let (ellipse, extents) = support.extents(conics.max_x * unit);
         let [rows, columns] = from_fn(|axis| extents[axis].indices(counts[axis]).or_all(ellipse, counts[axis]));
@@ -187,11 +186,10 @@ impl Footprint {
     /// Boxes of the cutoff's support, as [`ViewField::support_boxes`](super::view::ViewField::support_boxes) returns them.
     pub(crate) fn support_boxes(
         primitives: [&WhitenedPrimitive; LANES],
-        scanner: &Scanner,
         view: &View,
         projection: Projection,
     ) -> [[f64; 4]; LANES] {
-        let Projected { seen, support, .. } = Projected::new(primitives, scanner, view, projection);
+        let Projected { seen, support, .. } = Projected::new(primitives, view, projection);
         let (ellipse, extents) = support.extents(f64x8::from_fn(|i| primitives[i].cutoff_x * primitives[i].unit));
         let ends = extents.map(|extent| [(extent.low, -1.0), (extent.high, 1.0)]);
         let ends = ends.as_flattened().iter().map(|&(end, sign)| {
@@ -272,7 +270,7 @@ mod tests {
     use super::*;
     use crate::primitives::{Parameters, Primitives, student_t};
     use crate::projector::kernel::Sums;
-    use crate::scene::{Detector, Grid};
+    use crate::scene::{Detector, Grid, Scanner};
 
     fn scanner() -> Scanner {
         Scanner {
@@ -289,20 +287,14 @@ mod tests {
         }
     }
 
-    fn project(
-        primitives: [&WhitenedPrimitive; LANES],
-        scanner: &Scanner,
-        view: &View,
-        projection: Projection,
-    ) -> [Footprint; LANES] {
+    fn project(primitives: [&WhitenedPrimitive; LANES], view: &View, projection: Projection) -> [Footprint; LANES] {
         let mut footprints: [Footprint; LANES] = Default::default();
-        Footprint::project(&mut footprints, primitives, scanner, view, projection);
+        Footprint::project(&mut footprints, primitives, view, projection);
         footprints
     }
 
     fn footprint(mean: [f64; 3], scale: [f64; 3], projection: Projection) -> Footprint {
-        let [footprint, ..] =
-            project([&whitened(mean, scale, 1e-2); LANES], &scanner(), &scanner().view(0.8), projection);
+        let [footprint, ..] = project([&whitened(mean, scale, 1e-2); LANES], &scanner().view(0.8), projection);
         footprint
     }
 
@@ -318,8 +310,7 @@ mod tests {
     }
 
     fn support_box(mean: [f64; 3], scale: [f64; 3], cutoff: f64, projection: Projection) -> [f64; 4] {
-        Footprint::support_boxes([&whitened(mean, scale, cutoff); LANES], &scanner(), &scanner().view(0.8), projection)
-            [0]
+        Footprint::support_boxes([&whitened(mean, scale, cutoff); LANES], &scanner().view(0.8), projection)[0]
     }
 
     /// Rows and columns that hold a pixel of the support, by testing every pixel.
@@ -374,7 +365,7 @@ mod tests {
             [v0, v1, u0, u1]
         };
         let [finer, ..] =
-            Footprint::support_boxes([&whitened(mean, scale, 1e-2); LANES], &fine, &fine.view(0.8), Projection::Exact);
+            Footprint::support_boxes([&whitened(mean, scale, 1e-2); LANES], &fine.view(0.8), Projection::Exact);
         assert!(coarse[2] < 0.0 || coarse[3] > 239.0 || coarse[0] < 0.0 || coarse[1] > 199.0, "{coarse:?}");
         for (a, b) in place(&scanner(), coarse).into_iter().zip(place(&fine, finer)) {
             within!((a - b).abs(), "{a} against {b}");
@@ -398,7 +389,7 @@ mod tests {
 
     #[test]
     fn among_seven_others_a_primitive_has_the_bits_that_it_has_alone() {
-        let (scanner, view) = (scanner(), scanner().view(0.8));
+        let view = scanner().view(0.8);
         // One near the edge, one behind the source, one that holds it, one that misses the detector, and four amid it.
         let means = [[1.2, 1.2, 0.0], [5.0, 5.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 3.0]];
         let means = means.into_iter().chain((0..4).map(|i| [0.3 - 0.2 * f64::from(i), 0.1 * f64::from(i), 0.2]));
@@ -418,14 +409,14 @@ mod tests {
             ..Sums::default()
         });
         for projection in [Projection::Exact, Projection::Affine] {
-            let together = project(primitives, &scanner, &view, projection);
-            let boxes = Footprint::support_boxes(primitives, &scanner, &view, projection);
+            let together = project(primitives, &view, projection);
+            let boxes = Footprint::support_boxes(primitives, &view, projection);
             let parts = vjp(together.each_ref(), primitives, &view, projection, &sums);
             assert_eq!(together.each_ref().map(|f| f.seen), [true, false, true, true, true, true, true, true]);
             for (i, primitive) in primitives.into_iter().enumerate() {
-                let [alone, ..] = project([primitive; LANES], &scanner, &view, projection);
+                let [alone, ..] = project([primitive; LANES], &view, projection);
                 assert_eq!(format!("{alone:?}"), format!("{:?}", together[i]), "{i} {projection:?}");
-                assert_eq!(Footprint::support_boxes([primitive; LANES], &scanner, &view, projection)[0], boxes[i]);
+                assert_eq!(Footprint::support_boxes([primitive; LANES], &view, projection)[0], boxes[i]);
                 if alone.seen {
                     let part = vjp([&alone; LANES], [primitive; LANES], &view, projection, &[sums[i]; LANES]);
                     assert_eq!(part[0], parts[i], "{i} {projection:?}");

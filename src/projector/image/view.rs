@@ -13,7 +13,7 @@ use crate::projector::kernel::{Scratch, Sums};
 use crate::projector::kernels::Kernels;
 use crate::projector::projection::Projection;
 use crate::projector::whitened::{FieldGradient, Whitened};
-use crate::scene::{Beam, Scanner, View};
+use crate::scene::{Beam, View};
 use ndarray::{Array2, ArrayView2};
 use std::hint::black_box;
 
@@ -41,8 +41,7 @@ pub(crate) struct Workspace<R: Real> {
 pub struct ViewField<'a, R: Real> {
     whitened: Whitened<'a>,
     workspace: &'a Workspace<R>,
-    pub(crate) scanner: Scanner,
-    view: View,
+    pub(crate) view: View,
     projection: Projection,
     pub(crate) footprints: PoolGuard<'a, Vec<Footprint>>,
 }
@@ -51,22 +50,20 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     pub(crate) fn new(
         whitened: Whitened<'a>,
         workspace: &'a Workspace<R>,
-        scanner: &Scanner,
-        angle: f64,
+        view: &View,
         projection: Projection,
     ) -> Self {
-        let view = scanner.view(angle);
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
-        let projection = if matches!(scanner.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
+        let projection = if matches!(view.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
         let mut footprints = workspace.footprints.take();
         footprints.resize(whitened.primitives.len(), Footprint::default());
         threads::for_each_chunk(&mut footprints, BIN_CHUNK, |chunk, footprints| {
             let primitives = whitened.primitives[chunk * BIN_CHUNK..].chunks(LANES);
             for (footprints, primitives) in footprints.chunks_mut(LANES).zip(primitives) {
-                Footprint::project(footprints, lane_refs(primitives, |p| p), scanner, &view, projection);
+                Footprint::project(footprints, lane_refs(primitives, |p| p), view, projection);
             }
         });
-        Self { whitened, workspace, scanner: *scanner, view, projection, footprints }
+        Self { whitened, workspace, view: *view, projection, footprints }
     }
 
     /// Whether the view sees each primitive: its support holds a pixel.
@@ -92,7 +89,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     pub fn support_boxes(&self) -> Vec<[f64; 4]> {
         let boxes = self.whitened.primitives.chunks(LANES).flat_map(|group| {
             let primitives = lane_refs(group, |p| p);
-            let boxes = Footprint::support_boxes(primitives, &self.scanner, &self.view, self.projection);
+            let boxes = Footprint::support_boxes(primitives, &self.view, self.projection);
             boxes.into_iter().take(group.len())
         });
         boxes.collect()
@@ -107,7 +104,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
 
     /// [`Self::image`] into an existing array.
     pub fn image_into(&self, image: &mut Array2<R>) {
-        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let (rows, columns) = (self.view.detector.rows, self.view.detector.columns);
         if image.dim() != (rows, columns) {
             *image = Array2::default((rows, columns));
         }
@@ -164,7 +161,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// of |ρ| · line integral · largest scale · ε. One that is left out near or behind the source has nothing to drop.
     pub fn truncation_bound(&self) -> Array2<f64> {
         let bound = |i: usize| self.whitened.primitives[i].truncation_bound(self.whitened.cutoff);
-        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let (rows, columns) = (self.view.detector.rows, self.view.detector.columns);
         let mut bounds = Array2::from_elem((rows, columns), 0.0);
         for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, footprint)| footprint.seen) {
             bounds += bound(i);
@@ -185,7 +182,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     /// If the cotangent does not have the detector's shape, if the gradient belongs to another field, or for images of 2^32
     /// pixels.
     pub fn vjp(&self, cotangent: ArrayView2<'_, R>, gradient: &mut FieldGradient) {
-        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let (rows, columns) = (self.view.detector.rows, self.view.detector.columns);
         assert_eq!(cotangent.shape(), [rows, columns], "shape of the cotangent");
         assert_eq!(gradient.by_primitive.len(), self.footprints.len(), "primitives of the gradient");
         let mut buffer = self.workspace.images.take();
@@ -239,12 +236,12 @@ impl<'a, R: Kernels> ViewField<'a, R> {
     ///
     /// `None` if it is 1, or if the footprints' weights contain it, as in the affine projection.
     pub(crate) fn ray_lengths(&self, row: usize) -> Option<impl Fn(usize) -> R + use<R>> {
-        let Beam::Cone { dsd, .. } = self.scanner.beam else { return None };
+        let Beam::Cone { dsd, .. } = self.view.beam else { return None };
         if self.projection == Projection::Affine {
             return None;
         }
-        let (u, v) = self.scanner.detector.position(row as f64, 0.0);
-        let (first, pitch, rest) = (u / dsd, self.scanner.detector.pitch_u / dsd, 1.0 + v / dsd * (v / dsd));
+        let (u, v) = self.view.detector.position(row as f64, 0.0);
+        let (first, pitch, rest) = (u / dsd, self.view.detector.pitch_u / dsd, 1.0 + v / dsd * (v / dsd));
         Some(move |column: usize| {
             let slope = first + column as f64 * pitch;
             R::from_f64((rest + slope * slope).sqrt())
@@ -257,7 +254,7 @@ mod tests {
     use super::*;
     use crate::primitives::{Parameters, Primitives};
     use crate::projector::Field;
-    use crate::scene::{Detector, Grid};
+    use crate::scene::{Detector, Grid, Scanner};
     use crate::tolerances::largest;
     use std::ops::Range;
 

@@ -1,6 +1,7 @@
 //! The sizes of a scan, found without reading its arrays.
 
-use super::meta::Meta;
+use super::meta::{Interpreted, Meta};
+use super::poses::Motion;
 use super::{Dataset, find_points, meta_path, naf};
 use crate::error::Result;
 use crate::scene::borders::{Borders, Side};
@@ -20,6 +21,8 @@ pub struct DatasetInfo {
     pub train: usize,
     /// Test views.
     pub test: usize,
+    /// Whether its views have poses.
+    pub is_posed: bool,
     /// Whether it has a true volume.
     pub has_truth: bool,
     /// Upper bound on the number of initial points.
@@ -36,6 +39,7 @@ impl DatasetInfo {
             scanner: dataset.scanner,
             train: dataset.train.len(),
             test: dataset.test.as_ref().map_or(0, |views| views.len()),
+            is_posed: dataset.train.poses.is_some(),
             has_truth: dataset.truth.is_some(),
             points: dataset.initial_points.as_ref().map_or(0, Array2::nrows),
             is_cut: [Side::Left, Side::Right].into_iter().any(|side| borders.at(side).is_cut()),
@@ -54,13 +58,14 @@ impl DatasetInfo {
         }
         let path = meta_path(path);
         let meta = Meta::read(&path)?;
-        let scanner = meta.interpret(&path)?.scanner;
+        let Interpreted { scanner, motion, .. } = meta.interpret(&path)?;
         let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let points = find_points(folder, "", &mut Vec::new())?.and_then(|file| std::fs::metadata(file).ok());
         Ok(Some(Self {
             scanner,
             train: meta.proj_train.len(),
             test: meta.proj_test.len(),
+            is_posed: motion != Motion::Circle,
             has_truth: meta.vol.or(meta.ct).is_some(),
             points: points.map_or(0, |file| (file.len() / POINT) as usize),
             is_cut: false,

@@ -17,6 +17,9 @@
 //! which makes the longest side of the volume 2. The volume is not scaled: densities remain per unit of the file.
 //! Initial points are in scene units already. Files are written in scene units, where the scale is 1.
 //!
+//! Views may have poses: their fields are in `poses.rs`, their meaning is on the geometry page. A scan with poses is written with
+//! a `vector` in each view. Fields that are not read are reported, or refused where they would move something.
+//!
 //! A scan may also be the single file of NAF and SAX-NeRF, a pickle. Its code is never run:
 //!
 //! ```text
@@ -25,23 +28,26 @@
 //! train, val (or test)               angles in radians and projections [view, v, u], row 0 on top
 //! ```
 
+mod fields;
 mod files;
 mod info;
 mod meta;
 mod naf;
 pub(crate) mod pickle;
+mod poses;
 mod subsample;
 
 pub use info::DatasetInfo;
 
 use super::arrays::{Projections, Volume};
-use super::geometry::Scanner;
+use super::geometry::{Beam, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder};
 use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
+use poses::Motion;
 use std::path::{Path, PathBuf};
 
 /// Angles beyond this are probably degrees; radians.
@@ -85,6 +91,8 @@ pub struct Description {
     pub arc: Option<(f64, f64)>,
     /// Unusual properties of the file, one sentence each.
     pub oddities: Vec<String>,
+    /// Poses of the training views that the file lists or states.
+    motion: Motion,
 }
 
 impl Description {
@@ -95,7 +103,8 @@ impl Description {
     pub fn read(path: &Path) -> Result<Self> {
         if naf::is_pickle(path) {
             let Dataset { scanner, scale, train, oddities, .. } = naf::read(path)?;
-            return Ok(Self { scanner, scale, listed: train.angles, arc: None, oddities });
+            let motion = train.poses.map_or(Motion::Circle, Motion::Poses);
+            return Ok(Self { scanner, scale, listed: train.angles, arc: None, oddities, motion });
         }
         let path = meta_path(path);
         Self::of(&Meta::read(&path)?, &path)
@@ -110,9 +119,49 @@ impl Description {
     }
 
     fn of(meta: &Meta, path: &Path) -> Result<Self> {
-        let meta::Interpreted { scanner, scale, oddities, .. } = meta.interpret(path)?;
-        let listed = meta.proj_train.iter().map(|view| view.angle).collect();
-        Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities })
+        let meta::Interpreted { scanner, scale, motion, oddities, .. } = meta.interpret(path)?;
+        let mut listed = angles(&meta.proj_train, &motion, 0);
+        if let (true, Motion::Poses(poses)) = (listed.is_empty(), &motion) {
+            listed = poses.iter().map(Pose::angle).collect();
+        }
+        Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities, motion })
+    }
+
+    /// A description of plain numbers, without a file.
+    pub fn new(scanner: Scanner, scale: f64, arc: Option<(f64, f64)>) -> Self {
+        Self { scanner, scale, listed: Vec::new(), arc, oddities: Vec::new(), motion: Motion::Circle }
+    }
+
+    /// The description with these poses for the views, in the unit of its file.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] in a parallel beam, and if the file states other poses.
+    pub fn with_poses(self, poses: &[Pose]) -> Result<Self> {
+        if matches!(self.scanner.beam, Beam::Parallel { .. }) || self.motion != Motion::Circle {
+            let got = if self.motion == Motion::Circle { "a parallel beam" } else { "other poses in the description" };
+            return Err(Error::invalid("poses", got, "a cone beam without other poses", "correct the description"));
+        }
+        let scaled = |pose: &Pose| Pose { source: pose.source * self.scale, centre: pose.centre * self.scale, ..*pose };
+        let poses: Vec<Pose> = poses.iter().map(scaled).collect();
+        let listed = poses.iter().map(Pose::angle).collect();
+        Ok(Self { listed, arc: None, motion: Motion::Poses(poses), ..self })
+    }
+
+    /// Poses of training views at `angles` (radians); `None` for a circle.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if the file states poses for another number of views, or impossible ones.
+    pub fn poses(&self, angles: &[f64]) -> Result<Option<Vec<Pose>>> {
+        if self.listed.is_empty() {
+            self.motion.fits(angles.len(), 0)?;
+        } else if self.motion != Motion::Circle && self.listed.len() != angles.len() {
+            let expected = format!("{}, as many as the views with poses", self.listed.len());
+            let remedy = "give one frame for each listed view, or a description without proj_train";
+            return Err(Error::invalid("frames", angles.len(), expected, remedy));
+        }
+        let poses = self.motion.poses(0..angles.len(), angles);
+        Trajectory { angles, poses: poses.as_deref() }.validate(&self.scanner)?;
+        Ok(poses)
     }
 
     /// Angles of `views` views in radians: the listed ones, or else evenly spaced over the arc.
@@ -148,6 +197,27 @@ pub fn read_scanner(path: &Path) -> Result<Scanner> {
     Ok(Description::read(path)?.scanner)
 }
 
+/// Reads the scanner of a dataset, and poses of views at `angles` (radians) if the scan is no circle.
+///
+/// `path` is as for [`read_scanner`]. A deviation from the circle that all views share holds at any angle.
+///
+/// # Errors
+/// Those of [`read_scanner`], and for a scan whose views have poses of their own.
+pub fn read_at_angles(path: &Path, angles: &[f64]) -> Result<(Scanner, Option<Vec<Pose>>)> {
+    let description = Description::read(path)?;
+    if description.motion.is_of_single_views() {
+        let expected = "the views of the scan: each has a pose of its own";
+        let error =
+            Error::invalid("angles", format!("{} angles", angles.len()), expected, "choose a split instead of angles");
+        return Err(error.in_file(path));
+    }
+    let poses = description.motion.poses(0..angles.len(), angles);
+    Trajectory { angles, poses: poses.as_deref() }
+        .validate(&description.scanner)
+        .map_err(|error| error.in_file(path))?;
+    Ok((description.scanner, poses))
+}
+
 impl Dataset {
     /// A scan with these training views alone, without test views and truth.
     pub(crate) fn of_views(&self, views: &[usize]) -> Self {
@@ -180,7 +250,7 @@ impl Dataset {
         }
         let meta_path = meta_path(path);
         let meta = Meta::read(&meta_path)?;
-        let meta::Interpreted { scanner, scale, noise, mut oddities } = meta.interpret(&meta_path)?;
+        let meta::Interpreted { scanner, scale, noise, motion, mut oddities } = meta.interpret(&meta_path)?;
         let folder = meta_path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = folder.canonicalize().ok().and_then(|f| Some(f.file_name()?.to_string_lossy().into_owned()));
         let name = name.unwrap_or_else(|| "scan".into());
@@ -191,11 +261,24 @@ impl Dataset {
         if meta.vol.is_none() && meta.ct.is_some() {
             oddities.push("the volume is listed as `ct`; R²-Gaussian's own reader only knows `vol`".into());
         }
-        oddities.extend(look_like_degrees(meta.proj_train.iter().chain(&meta.proj_test).map(|view| view.angle)));
+        let stated = meta.proj_train.iter().chain(&meta.proj_test).filter_map(|view| view.angle);
+        oddities.extend(look_like_degrees(stated));
 
-        let mut views = |views: &[ViewMeta]| read_views(folder, &meta_path, views, &scanner, scale, &mut oddities);
-        let train = views(&meta.proj_train)?;
-        let test = if meta.proj_test.is_empty() { None } else { Some(views(&meta.proj_test)?) };
+        let mut read = |views: &[ViewMeta], first: usize| -> Result<Projections> {
+            let angles = angles(views, &motion, first);
+            let poses = motion.poses(first..first + views.len(), &angles);
+            if let (Motion::Poses(_), Some(poses)) = (&motion, &poses) {
+                oddities.extend(poses::angles_differ(&angles, poses));
+            }
+            let trajectory = Trajectory { angles: &angles, poses: poses.as_deref() };
+            trajectory.validate(&scanner).map_err(|error| error.in_file(&meta_path))?;
+            read_views(folder, &meta_path, views, &scanner, scale, trajectory, &mut oddities)
+        };
+        let train = read(&meta.proj_train, 0)?;
+        let test = match meta.proj_test.as_slice() {
+            [] => None,
+            views => Some(read(views, meta.proj_train.len())?),
+        };
         let truth = meta.vol.as_ref().or(meta.ct.as_ref());
         let truth = truth.map(|file| read_volume(&folder.join(file), &scanner, &mut oddities));
         let initial_points = find_points(folder, &name, &mut oddities)?.map(|path| read_points(&path));
@@ -237,7 +320,8 @@ impl Dataset {
             for (i, &angle) in projections.angles.iter().enumerate() {
                 let file_path = format!("{name}/{name}_{i:04}.npy");
                 npy::write(&at(&file_path), projections.image(i))?;
-                list.push(ViewMeta { file_path, angle, radius: None });
+                let pose = projections.poses.as_ref().map(|poses| poses::to_vector(&self.scanner, &poses[i]));
+                list.push(ViewMeta::new(file_path, angle, pose));
             }
             Ok(list)
         };
@@ -252,18 +336,25 @@ impl Dataset {
             let name = folder.file_name().map_or_else(|| self.name.clone(), |name| name.to_string_lossy().into_owned());
             npy::write(&at(&format!("init_{name}.npy")), points.view())?;
         }
-        let meta = Meta {
-            scanner: ScannerMeta::describe(&self.scanner, &self.train.angles, self.noise),
+        let meta = Meta::new(
+            ScannerMeta::describe(&self.scanner, &self.train.angles, self.noise),
             vol,
-            ct: None,
-            bbox: Some([self.scanner.grid.min.to_array(), self.scanner.grid.max().to_array()]),
-            proj_train: views("proj_train", Some(&self.train))?,
-            proj_test: views("proj_test", self.test.as_ref())?,
-            notes: self.notes.clone(),
-        };
+            [self.scanner.grid.min.to_array(), self.scanner.grid.max().to_array()],
+            [views("proj_train", Some(&self.train))?, views("proj_test", self.test.as_ref())?],
+            self.notes.clone(),
+        );
         meta.write(&at("meta_data.json"))?;
         staged.commit()
     }
+}
+
+/// Angles of views, radians; those of the poses where none are stated.
+fn angles(views: &[ViewMeta], motion: &Motion, first: usize) -> Vec<f64> {
+    let of_pose = |number: usize| match motion {
+        Motion::Poses(poses) => poses[first + number].angle(),
+        Motion::Circle | Motion::Deviations(_) => 0.0,
+    };
+    views.iter().enumerate().map(|(number, view)| view.angle.unwrap_or_else(|| of_pose(number))).collect()
 }
 
 /// A remark on angles that look like degrees.
@@ -284,6 +375,7 @@ fn read_views(
     views: &[ViewMeta],
     scanner: &Scanner,
     scale: f64,
+    trajectory: Trajectory<'_>,
     oddities: &mut Vec<String>,
 ) -> Result<Projections> {
     let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
@@ -311,7 +403,7 @@ fn read_views(
     }
     let images =
         Array3::from_shape_vec((views.len(), rows, columns), values).expect("every image has the detector's shape");
-    Projections::new(views.iter().map(|view| view.angle).collect(), images).map_err(|error| error.in_file(meta))
+    Projections::along(trajectory, images).map_err(|error| error.in_file(meta))
 }
 
 fn read_volume(path: &Path, scanner: &Scanner, oddities: &mut Vec<String>) -> Result<Volume> {
@@ -368,5 +460,7 @@ fn check_finite<T: Copy + Into<f64>, D: Dimension>(path: &Path, what: &str, valu
     }
 }
 
+#[cfg(test)]
+mod pose_tests;
 #[cfg(test)]
 mod tests;

@@ -3,12 +3,14 @@
 //! Lengths are in millimetres, but line integrals are density times metres (a property of the format), so lengths are
 //! divided by 1000. Rows are stored from the top, as in this project.
 
-use super::meta::{Interpreted, ScannerMeta};
+use super::fields::{self, Content};
+use super::meta::{Interpreted, SCANNER_FIELDS, ScannerMeta};
 use super::pickle::{self, Array, Value};
-use super::{Dataset, check_finite};
+use super::poses::Motion;
+use super::{Dataset, check_finite, look_like_degrees};
 use crate::error::{Error, Result};
 use crate::scene::arrays::{Projections, Volume};
-use crate::scene::geometry::Scanner;
+use crate::scene::geometry::{Scanner, Trajectory};
 use crate::scene::noise::Noise;
 use ndarray::Array3;
 use serde_json::json;
@@ -39,12 +41,20 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
         let remedy = "this is a model, not a scan: trgs convert writes it as .npz or .ply";
         return Err(Error::format(path, "pickle", "a point cloud of R²-Gaussian", "a scan", remedy));
     }
-    let Interpreted { scanner, scale, mut oddities, .. } =
+    let unread = unread(data).map_err(|error| error.in_file(path))?;
+    let Interpreted { scanner, scale, motion, mut oddities, .. } =
         scanner_fields(data).and_then(|meta| meta.interpret()).map_err(|error| error.in_file(path))?;
+    oddities.extend(unread);
     let train = data.get("train").ok_or_else(|| missing(path, "train"))?;
-    let train = views(train, "train", &scanner, scale, path)?;
     let others = ["val", "test"].into_iter().find_map(|key| Some((key, data.get(key)?)));
-    let test = others.map(|(key, part)| views(part, key, &scanner, scale, path)).transpose()?;
+    let counts = [Some(train), others.map(|(_, part)| part)]
+        .map(|part| part.and_then(|part| part.get("angles")?.numbers()).map_or(0, |angles| angles.len()));
+    motion.fits(counts[0], counts[1]).map_err(|error| error.in_file(path))?;
+    let of = |part: &Value, key: &str, first: usize| views(part, key, &scanner, scale, (&motion, first), path);
+    let train = of(train, "train", 0)?;
+    let test = others.map(|(key, part)| of(part, key, train.len())).transpose()?;
+    let both = || std::iter::once(&train).chain(&test);
+    oddities.extend(look_like_degrees(both().flat_map(|views| views.angles.iter().copied())));
     let truth = match data.get("image") {
         None | Some(Value::None) => None,
         Some(image) => {
@@ -67,7 +77,14 @@ fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
     let numbers = |key: &str, unit: f64| {
         data.get(key).and_then(Value::numbers).map(|values| values.into_iter().map(|x| x * unit).collect::<Vec<_>>())
     };
-    let number = |key: &str| data.get(key).and_then(Value::number).map(|x| x * METRE);
+    // One number for all views or one for each; the same of arrays.
+    let any = |key: &str, unit: f64| match data.get(key) {
+        None | Some(Value::None) => Ok(serde_json::Value::Null),
+        Some(value) => nested(value, unit).ok_or_else(|| {
+            let expected = "finite numbers, or such numbers for each view";
+            Error::invalid(key, "something else", expected, "write the file again with plain numbers")
+        }),
+    };
     let size = |count: &str, pitch: &str| {
         let (counts, pitches) = (numbers(count, 1.0)?, numbers(pitch, METRE)?);
         Some(counts.iter().zip(&pitches).map(|(n, d)| n * d).collect::<Vec<_>>())
@@ -78,16 +95,19 @@ fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
     };
     let fields = json!({
         "mode": mode,
-        "DSD": number("DSD"),
-        "DSO": number("DSO"),
+        "DSD": any("DSD", METRE)?,
+        "DSO": any("DSO", METRE)?,
         "nDetector": numbers("nDetector", 1.0).unwrap_or_default(),
-        "sDetector": size("nDetector", "dDetector").unwrap_or_default(),
+        "sDetector": numbers("sDetector", METRE).or_else(|| size("nDetector", "dDetector")).unwrap_or_default(),
         "dDetector": numbers("dDetector", METRE),
         "nVoxel": numbers("nVoxel", 1.0).unwrap_or_default(),
-        "sVoxel": size("nVoxel", "dVoxel").unwrap_or_default(),
+        "sVoxel": numbers("sVoxel", METRE).or_else(|| size("nVoxel", "dVoxel")).unwrap_or_default(),
         "dVoxel": numbers("dVoxel", METRE),
-        "offOrigin": numbers("offOrigin", METRE),
-        "offDetector": numbers("offDetector", METRE),
+        "offOrigin": any("offOrigin", METRE)?,
+        "offDetector": any("offDetector", METRE)?,
+        "COR": any("COR", METRE)?,
+        "rotDetector": any("rotDetector", 1.0)?,
+        "vectors": any("vectors", METRE)?,
     });
     serde_json::from_value(fields).map_err(|error| {
         let expected = "nDetector, dDetector, nVoxel, dVoxel, DSD and DSO as numbers";
@@ -95,7 +115,66 @@ fn scanner_fields(data: &Value) -> Result<ScannerMeta> {
     })
 }
 
-fn views(part: &Value, key: &str, scanner: &Scanner, scale: f64, path: &Path) -> Result<Projections> {
+/// A number, or lists of numbers, times a unit; `None` for anything else.
+fn nested(value: &Value, unit: f64) -> Option<serde_json::Value> {
+    let number = |x: f64| x.is_finite().then(|| json!(x * unit));
+    match value {
+        Value::List(values) => values.iter().map(|value| nested(value, unit)).collect(),
+        Value::Array(Array { shape, values }) => match shape.as_slice() {
+            [] => number(*values.first()?),
+            [_] => values.iter().map(|&x| number(x)).collect(),
+            &[_, n] if n > 0 => {
+                let row = |row: &[f64]| row.iter().map(|&x| number(x)).collect::<Option<serde_json::Value>>();
+                values.chunks_exact(n).map(row).collect()
+            }
+            _ => None,
+        },
+        value => number(value.number()?),
+    }
+}
+
+/// Remarks on the fields that are not read.
+fn unread(data: &Value) -> Result<Vec<String>> {
+    const PARTS: [&str; 4] = ["image", "train", "val", "test"];
+    // Matrices depend on the unit, which differs between lengths and projections here.
+    let scanner: Vec<&str> = SCANNER_FIELDS.into_iter().filter(|name| *name != "matrices").collect();
+    let of = |place: &str, value: &Value, read: &[&str]| {
+        fields::unread(place, value.fields().map(|(name, value)| (name, content(value))), read)
+    };
+    let mut remarks = of("the pickle", data, &[&scanner[..], &PARTS, &fields::OF_GENERATORS].concat())?;
+    for part in &PARTS[1..] {
+        if let Some(value) = data.get(part) {
+            remarks.extend(of(part, value, &["angles", "projections"])?);
+        }
+    }
+    Ok(remarks)
+}
+
+/// The content of a field, as far as it matters for one that is not read.
+fn content(value: &Value) -> Content {
+    let neutral = match value {
+        Value::None => true,
+        Value::Bool(value) => !value,
+        Value::Integer(value) => *value == 0,
+        Value::Float(value) => *value == 0.0,
+        Value::Text(text) => text.is_empty(),
+        Value::Bytes(bytes) => bytes.is_empty(),
+        Value::List(values) => values.iter().all(|value| content(value) == Content::Neutral),
+        Value::Dictionary(pairs) => pairs.iter().all(|(_, value)| content(value) == Content::Neutral),
+        Value::Array(array) => array.values.iter().all(|value| *value == 0.0),
+        Value::Unknown(_) => false,
+    };
+    if neutral { Content::Neutral } else { Content::Something }
+}
+
+fn views(
+    part: &Value,
+    key: &str,
+    scanner: &Scanner,
+    scale: f64,
+    (motion, first): (&Motion, usize),
+    path: &Path,
+) -> Result<Projections> {
     let angles = part.get("angles").and_then(Value::numbers).ok_or_else(|| missing(path, &format!("{key}.angles")))?;
     let Some(Value::Array(Array { shape, values })) = part.get("projections") else {
         return Err(missing(path, &format!("{key}.projections")));
@@ -115,7 +194,10 @@ fn views(part: &Value, key: &str, scanner: &Scanner, scale: f64, path: &Path) ->
     let images =
         Array3::from_shape_vec((expected[0], expected[1], expected[2]), values).expect("the shape was checked");
     check_finite(path, &format!("{key}.projections"), images.view())?;
-    Projections::new(angles, images).map_err(|error| error.in_file(path))
+    let poses = motion.poses(first..first + angles.len(), &angles);
+    let trajectory = Trajectory { angles: &angles, poses: poses.as_deref() };
+    let checked = trajectory.validate(scanner).and_then(|()| Projections::along(trajectory, images));
+    checked.map_err(|error| error.in_file(path))
 }
 
 fn volume(image: &Value) -> Option<Array3<f32>> {

@@ -1,10 +1,13 @@
 //! Pickles that hold only data, protocols 2 to 5: numbers, texts, lists, dictionaries, NumPy arrays.
 //!
 //! A pickle is a program for a stack machine, and Python runs whatever functions it names. This reader knows the few
-//! functions that NumPy uses to describe arrays, interprets them itself, and rejects every other. Memory is bounded by
-//! the file: arrays are copied from its bytes, never allocated by a stated shape.
+//! functions that NumPy uses to describe arrays, and interprets them itself. Whatever another function or class would
+//! make becomes [`Value::Unknown`], so that entries that nobody needs do no harm. Memory is bounded by the file: arrays are copied from its bytes, never allocated by a stated shape.
+
+mod number;
 
 use crate::error::{Error, Result};
+use number::Number;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -33,6 +36,8 @@ pub(crate) enum Value {
     /// Key-value pairs in order; a later pair replaces an earlier one with the same key.
     Dictionary(Vec<(Self, Self)>),
     Array(Array),
+    /// An object that this reader does not know, by the name of its function or class.
+    Unknown(String),
 }
 
 /// A NumPy array of numbers.
@@ -54,6 +59,8 @@ enum Item {
     Function(Function),
     Type(Number),
     Array(Rc<RefCell<Unfinished>>),
+    /// What an unknown function or class makes, and that function itself.
+    Unknown(Rc<str>),
 }
 
 /// The functions and types that NumPy's pickles name.
@@ -74,20 +81,14 @@ enum Function {
     OrderedDict,
 }
 
-/// A NumPy number type.
-#[derive(Clone, Copy)]
-struct Number {
-    kind: u8,
-    size: usize,
-    big_endian: bool,
-}
-
 #[derive(Default)]
 struct Unfinished {
     shape: Vec<usize>,
     number: Option<Number>,
     fortran: bool,
     bytes: Option<Rc<[u8]>>,
+    /// The type of its elements, if they are no numbers.
+    unknown: Option<Rc<str>>,
 }
 
 type Parsed<T> = std::result::Result<T, String>;
@@ -106,7 +107,10 @@ pub(crate) fn parse(content: &[u8], path: &Path) -> Result<Value> {
         spent: 0,
         containers: 0,
     };
-    let outcome = machine.run().and_then(|item| machine.finish(&item, 0));
+    let outcome = machine.run().and_then(|item| machine.finish(&item, 0)).and_then(|value| match value {
+        Value::Unknown(name) => Err(format!("a call of {name}")),
+        value => Ok(value),
+    });
     outcome.map_err(|found| {
         let expected = "a pickle of numbers, texts, lists, dictionaries and NumPy arrays, protocol 2 to 5";
         let remedy = "save it again as plain NumPy arrays and numbers: this reader runs no code";
@@ -222,7 +226,28 @@ impl Machine<'_> {
                     self.global(&module, &name)?;
                 }
                 b'R' => self.reduce()?,
+                // NEWOBJ and NEWOBJ_EX: a class, its arguments, and named ones.
+                0x81 => self.reduce()?,
+                0x92 => {
+                    self.pop()?;
+                    self.reduce()?;
+                }
                 b'b' => self.build()?,
+                b'S' => {
+                    let text = self.line()?;
+                    self.push(Value::Text(text.trim_matches(['\'', '"']).to_owned()));
+                }
+                // Sets are unknown: EMPTY_SET, ADDITEMS, FROZENSET.
+                0x8f => self.stack.push(Item::Unknown("a set".into())),
+                0x90 => {
+                    let mark = self.mark()?;
+                    self.stack.truncate(mark);
+                }
+                0x91 => {
+                    let mark = self.mark()?;
+                    self.stack.truncate(mark);
+                    self.stack.push(Item::Unknown("a set".into()));
+                }
                 other => return Err(format!("the operation {other:#04x}")),
             }
         }
@@ -268,7 +293,8 @@ impl Machine<'_> {
         let size = usize::from(self.byte()?);
         let bytes = self.take(size)?;
         if size > 8 {
-            return Err(format!("a whole number of {size} bytes"));
+            self.stack.push(Item::Unknown(format!("a whole number of {size} bytes").into()));
+            return Ok(());
         }
         let negative = bytes.last().is_some_and(|byte| byte & 0x80 != 0);
         let mut all = [if negative { 0xff } else { 0 }; 8];
@@ -323,14 +349,17 @@ impl Machine<'_> {
     fn append(&mut self, values: Vec<Item>) -> Parsed<()> {
         match self.stack.last() {
             Some(Item::List(list)) => list.borrow_mut().extend(values),
+            Some(Item::Unknown(_)) => {}
             _ => return Err("an element without a list".into()),
         }
         Ok(())
     }
 
     fn set(&mut self, pairs: Vec<Item>) -> Parsed<()> {
-        let Some(Item::Dictionary(dictionary)) = self.stack.last() else {
-            return Err("a key without a dictionary".into());
+        let dictionary = match self.stack.last() {
+            Some(Item::Dictionary(dictionary)) => dictionary,
+            Some(Item::Unknown(_)) => return Ok(()),
+            _ => return Err("a key without a dictionary".into()),
         };
         if pairs.len() % 2 == 1 {
             return Err("a key without a value".into());
@@ -366,7 +395,10 @@ impl Machine<'_> {
             ("builtins" | "__builtin__", "bytes") => Function::Bytes,
             ("builtins" | "__builtin__", "bytearray") => Function::ByteArray,
             ("collections", "OrderedDict") => Function::OrderedDict,
-            _ => return Err(format!("a call of {module}.{name}")),
+            _ => {
+                self.stack.push(Item::Unknown(format!("{module}.{name}").into()));
+                return Ok(());
+            }
         };
         self.stack.push(Item::Function(function));
         Ok(())
@@ -375,18 +407,26 @@ impl Machine<'_> {
     /// Replaces a function and its arguments on the stack by the result.
     fn reduce(&mut self) -> Parsed<()> {
         let (arguments, function) = (self.pop()?, self.pop()?);
-        let (Item::Tuple(arguments), Item::Function(function)) = (arguments, function) else {
-            return Err("a call of something unknown".into());
+        let (arguments, function) = match (arguments, function) {
+            (Item::Tuple(arguments), Item::Function(function)) => (arguments, function),
+            (_, unknown @ Item::Unknown(_)) => {
+                self.stack.push(unknown);
+                return Ok(());
+            }
+            _ => return Err("a call of something unknown".into()),
         };
         let made = match (function, &*arguments) {
             (Function::Reconstruct, _) => Item::Array(Rc::default()),
-            (Function::Type, [Item::Plain(Value::Text(name)), ..]) => Item::Type(Number::parse(name)?),
+            (Function::Type, [Item::Plain(Value::Text(name)), ..]) => {
+                // Texts and objects, for instance.
+                Number::parse(name).map_or_else(|other| Item::Unknown(other.into()), Item::Type)
+            }
             (
                 Function::FromBuffer,
                 [Item::Bytes(bytes), Item::Type(number), shape, Item::Plain(Value::Text(order))],
             ) => {
                 let (shape, bytes) = (self.shape(shape)?, Some(bytes.clone()));
-                let array = Unfinished { shape, number: Some(*number), fortran: order == "F", bytes };
+                let array = Unfinished { shape, number: Some(*number), fortran: order == "F", bytes, unknown: None };
                 Item::Array(Rc::new(RefCell::new(array)))
             }
             (Function::Scalar, [Item::Type(number), Item::Bytes(bytes)]) if bytes.len() == number.size => {
@@ -398,6 +438,9 @@ impl Machine<'_> {
             }
             (Function::Bytes | Function::ByteArray, []) => Item::Bytes(Rc::from([])),
             (Function::Bytes | Function::ByteArray, [Item::Bytes(bytes)]) => Item::Bytes(bytes.clone()),
+            (_, arguments) if arguments.iter().any(|item| matches!(item, Item::Unknown(_))) => {
+                arguments.iter().find(|item| matches!(item, Item::Unknown(_))).cloned().expect("there is one")
+            }
             (Function::OrderedDict, []) => return self.contain(Item::Dictionary(Rc::default())),
             _ => return Err("a call with other arguments than NumPy's".into()),
         };
@@ -408,6 +451,9 @@ impl Machine<'_> {
     /// Completes the object below the top of the stack with the state on top.
     fn build(&mut self) -> Parsed<()> {
         let state = self.pop()?;
+        if let Some(Item::Unknown(_)) = self.stack.last() {
+            return Ok(());
+        }
         let (Some(object), Item::Tuple(state)) = (self.stack.last_mut(), &state) else {
             return Err("a state without an object".into());
         };
@@ -421,8 +467,11 @@ impl Machine<'_> {
             ) => {
                 let (array, number, fortran, bytes) = (array.clone(), *number, *fortran, bytes.clone());
                 let shape = self.shape(shape)?;
-                *array.borrow_mut() = Unfinished { shape, number: Some(number), fortran, bytes: Some(bytes) };
+                *array.borrow_mut() =
+                    Unfinished { shape, number: Some(number), fortran, bytes: Some(bytes), unknown: None };
             }
+            // An array whose elements are no numbers.
+            (Item::Array(array), [_, _, Item::Unknown(name), ..]) => array.borrow_mut().unknown = Some(name.clone()),
             _ => return Err("a state that is not NumPy's".into()),
         }
         Ok(())
@@ -466,9 +515,18 @@ impl Machine<'_> {
                     |(key, value): &(Item, Item)| Ok((self.finish(key, depth + 1)?, self.finish(value, depth + 1)?));
                 Value::Dictionary(pairs.iter().map(finish).collect::<Parsed<_>>()?)
             }
-            Item::Array(array) => Value::Array(self.array(&array.borrow())?),
+            Item::Array(array) => match &array.borrow().unknown {
+                Some(name) => self.unknown(name)?,
+                None => Value::Array(self.array(&array.borrow())?),
+            },
+            Item::Unknown(name) => self.unknown(name)?,
             Item::Function(_) | Item::Type(_) => Value::None,
         })
+    }
+
+    fn unknown(&mut self, name: &str) -> Parsed<Value> {
+        self.spend(name.len())?;
+        Ok(Value::Unknown(name.into()))
     }
 
     fn array(&mut self, array: &Unfinished) -> Parsed<Array> {
@@ -501,43 +559,20 @@ impl Machine<'_> {
     }
 }
 
-impl Number {
-    /// Parses a name such as `f4`, `<i8`, `|u1`.
-    fn parse(name: &str) -> Parsed<Self> {
-        let (big_endian, name) = match name.as_bytes().first() {
-            Some(b'<' | b'|' | b'=') => (false, &name[1..]),
-            Some(b'>') => (true, &name[1..]),
-            _ => (false, name),
-        };
-        let known = ["f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b1"];
-        match known.contains(&name) {
-            true => Ok(Self { kind: name.as_bytes()[0], size: usize::from(name.as_bytes()[1] - b'0'), big_endian }),
-            false => Err(format!("an array of {name}")),
-        }
-    }
-
-    /// The number stored in `bytes`.
-    fn read(self, bytes: &[u8]) -> f64 {
-        let mut word = [0_u8; 8];
-        for (i, &byte) in bytes.iter().enumerate() {
-            word[if self.big_endian { self.size - 1 - i } else { i }] = byte;
-        }
-        let bits = u64::from_le_bytes(word);
-        let unused = 64 - 8 * self.size as u32;
-        match (self.kind, self.size) {
-            (b'f', 4) => f64::from(f32::from_bits(bits as u32)),
-            (b'f', _) => f64::from_bits(bits),
-            (b'i', _) => ((bits << unused).cast_signed() >> unused) as f64,
-            _ => bits as f64,
-        }
-    }
-}
-
 impl Value {
     /// The value of a key of a dictionary.
     pub(crate) fn get(&self, key: &str) -> Option<&Self> {
         let Self::Dictionary(pairs) = self else { return None };
         pairs.iter().rev().find(|(name, _)| matches!(name, Self::Text(name) if name == key)).map(|(_, value)| value)
+    }
+
+    /// The texts among the keys of a dictionary, with their values.
+    pub(crate) fn fields(&self) -> impl Iterator<Item = (&str, &Self)> {
+        let pairs: &[(Self, Self)] = if let Self::Dictionary(pairs) = self { pairs } else { &[] };
+        pairs.iter().filter_map(|(key, value)| match key {
+            Self::Text(name) => Some((name.as_str(), value)),
+            _ => None,
+        })
     }
 
     /// A number of any kind.

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// A small asymmetric scan, in scene units.
-fn sample() -> Dataset {
+pub(super) fn sample() -> Dataset {
     let grid = Grid { shape: [6, 4, 8], min: DVec3::new(-0.7, -0.5, -0.9), spacing: DVec3::new(0.25, 0.3, 0.25) };
     let detector = Detector { rows: 3, columns: 5, pitch_v: 1.1, pitch_u: 0.7, offset_u: 0.2, offset_v: -0.1 };
     let scanner = Scanner { beam: Beam::Cone { dso: 5.3, dsd: 7.1 }, detector, grid };
@@ -92,15 +92,8 @@ fn a_cube_of_any_resolution_is_read_again_exactly() {
         let mut scanner = sample().scanner;
         scanner.grid = Grid::cube(n);
         let meta = ScannerMeta::describe(&scanner, &[0.0], Noise::None);
-        let meta = Meta {
-            scanner: meta,
-            vol: None,
-            ct: None,
-            bbox: None,
-            proj_train: vec![],
-            proj_test: vec![],
-            notes: vec![],
-        };
+        let bbox = [scanner.grid.min.to_array(), scanner.grid.max().to_array()];
+        let meta = Meta::new(meta, None, bbox, Default::default(), Vec::new());
         assert_eq!(meta.interpret(Path::new("meta_data.json")).unwrap().scanner, scanner, "{n} voxels");
     }
 }

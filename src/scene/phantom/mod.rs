@@ -10,7 +10,7 @@ pub mod solid;
 mod voxels;
 
 use super::arrays::{Projections, Volume};
-use super::geometry::{Grid, Ray, Scanner};
+use super::geometry::{Grid, Ray, Scanner, Trajectory};
 use super::trace::trace;
 use crate::error::{Error, Result};
 use crate::numeric::reduce;
@@ -170,12 +170,12 @@ impl Phantom {
         voxels::means(&self.solids, grid, samples)
     }
 
-    /// Exact projections at the given angles (radians), one ray through the centre of each pixel.
+    /// Exact projections in the views of a trajectory, one ray through the centre of each pixel.
     ///
     /// # Errors
     /// When there is no angle, or one is not finite.
-    pub fn project(&self, scanner: &Scanner, angles: &[f64]) -> Result<Projections> {
-        trace(scanner, angles, |ray| self.line_integral(ray))
+    pub fn project<'a>(&self, scanner: &Scanner, views: impl Into<Trajectory<'a>>) -> Result<Projections> {
+        trace(scanner, views, |ray| self.line_integral(ray))
     }
 }
 

@@ -9,13 +9,20 @@
 //! A folder of images (`.tif`, `.png`, `.jpg`, `.raw`) has one frame per file.
 
 mod angles;
+mod scan_file;
 mod series;
 
 pub use angles::{AngleUnit, parse_angles, read_angles};
+pub use scan_file::{ScanFile, read_scan_file};
 pub use series::{Series, read_series};
+
+pub mod rtk;
+
+pub use rtk::RtkGeometry;
 
 use super::arrays::Projections;
 use super::dataset::{Dataset, Description, look_like_degrees};
+use super::geometry::Trajectory;
 use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
@@ -127,7 +134,9 @@ pub fn scan(
     }
     let oddities = description.oddities.iter().cloned().chain(look_like_degrees(angles.iter().copied())).collect();
     let sense = if orientation.clockwise { -1.0 } else { 1.0 };
-    let train = Projections::new(angles.into_iter().map(|angle| sense * angle).collect(), images)?;
+    let angles: Vec<f64> = angles.into_iter().map(|angle| sense * angle).collect();
+    let poses = description.poses(&angles)?;
+    let train = Projections::along(Trajectory { angles: &angles, poses: poses.as_deref() }, images)?;
     Ok(Dataset {
         name: name.into(),
         scanner: *scanner,

@@ -10,7 +10,7 @@ fn frames() -> Array3<f32> {
 fn description() -> Description {
     let detector = Detector { rows: 4, columns: 5, pitch_v: 0.5, pitch_u: 0.5, offset_u: 0.0, offset_v: 0.0 };
     let scanner = Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(4) };
-    Description { scanner, scale: 0.02, listed: Vec::new(), arc: Some((0.5, PI)), oddities: Vec::new() }
+    Description::new(scanner, 0.02, Some((0.5, PI)))
 }
 
 #[test]

@@ -6,6 +6,7 @@
 //! | `.mha`, `.mhd` | MetaImage, x fastest | spacing, origin |
 //! | `.nrrd`, `.nhdr` | NRRD, x fastest | spacing, origin |
 //! | `.nii`, `.nii.gz` | NIfTI-1 and NIfTI-2, x fastest | spacing, origin |
+//! | `.h5`, `.hdf5`, `.hdf`, `.nxs`, `.nx`, `.mat` | an array `[z, y, x]` of HDF5 or MATLAB 7.3, `FILE.h5:/group/name`; read only; needs the feature `hdf5` | nothing |
 //! | `.npz` | the one array with three axes, `[x, y, z]`; read only | nothing |
 //! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | spacing, if ImageJ or OME states it |
 //! | `.png`, `.jpg`, `.jpeg` | one grey slice: row y, column x; read only | nothing |
@@ -50,7 +51,7 @@ pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub(super) use header::without_bom;
 pub use raw::SideFile;
 
-use super::{Volume, npy};
+use super::{Volume, array_path, npy};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
@@ -99,6 +100,7 @@ impl VolumeFile {
 enum Format {
     Npy,
     Npz,
+    Hdf5,
     MetaImage,
     Nrrd,
     Nifti,
@@ -109,7 +111,7 @@ enum Format {
 }
 
 /// Endings of the names of each format.
-const ENDINGS: [(&str, Format); 15] = [
+const ENDINGS: [(&str, Format); 21] = [
     (".npy", Format::Npy),
     (".npz", Format::Npz),
     (".mha", Format::MetaImage),
@@ -125,16 +127,19 @@ const ENDINGS: [(&str, Format); 15] = [
     (".jpeg", Format::Image),
     (".dcm", Format::Dicom),
     (".raw", Format::Raw),
+    (".h5", Format::Hdf5),
+    (".hdf5", Format::Hdf5),
+    (".hdf", Format::Hdf5),
+    (".nxs", Format::Hdf5),
+    (".nx", Format::Hdf5),
+    (".mat", Format::Hdf5),
 ];
 
-/// Endings of formats that are not read, and how to convert them.
-const FOREIGN: [(&str, &str); 14] = [
+/// Endings of formats that are not read, or not as the slices of a folder, and how to convert them.
+const FOREIGN: [(&str, &str); 11] = [
     (".h5", HDF5),
     (".hdf5", HDF5),
-    (".hdf", HDF5),
     (".nxs", HDF5),
-    (".nx", HDF5),
-    (".mat", "python -c \"import numpy, scipy.io; numpy.save('OUT.npy', scipy.io.loadmat('IN.mat')['NAME'])\""),
     (".hdr", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.hdr'), 'OUT.nii')\""),
     (".img", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.img'), 'OUT.nii')\""),
     (".mgz", "python -c \"import nibabel; nibabel.save(nibabel.load('IN.mgz'), 'OUT.nii')\""),
@@ -144,10 +149,14 @@ const FOREIGN: [(&str, &str); 14] = [
     (".vol", "rename it with its size and type, as in name_256x256x256_float32.raw"),
     (".bin", "rename it with its size and type, as in name_256x256x256_float32.raw"),
 ];
+
 const HDF5: &str = "python -c \"import h5py, numpy; numpy.save('OUT.npy', h5py.File('IN')['NAME'][:])\"";
 
 impl Format {
     fn of(path: &Path) -> Result<Self> {
+        if array_path::is_hdf5(path) {
+            return Ok(Self::Hdf5);
+        }
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         if let Some((_, format)) = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)) {
             return Ok(*format);
@@ -195,7 +204,8 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
     if let Format::Npy = Format::of(path)? {
         return npy::read_f32::<Ix3>(path, "[x, y, z]").map(VolumeFile::bare);
     }
-    let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let file = array_path::parts(path).0;
+    let content = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;
     parse_in_any_order(&content, path)
 }
 
@@ -216,6 +226,10 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
             npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]").map(VolumeFile::bare)
         }
         Format::Npz => archive::parse(content, path),
+        #[cfg(any(feature = "hdf5", test))]
+        Format::Hdf5 => super::hdf5::parse(content, path),
+        #[cfg(not(any(feature = "hdf5", test)))]
+        Format::Hdf5 => Err(no_hdf5(path)),
         Format::MetaImage => meta_image::parse(content, path),
         Format::Nrrd => nrrd::parse(content, path),
         Format::Nifti => nifti::parse(content, path),
@@ -246,8 +260,8 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
         Format::Nrrd => nrrd::header(path, shape, spacing, origin, volume.directions)?,
         Format::Nifti => return nifti::write(path, volume, spacing, origin),
         Format::Tiff => return tiff::write(path, &volume.values),
-        Format::Dicom | Format::Image | Format::Npz => {
-            let expected = "another format: DICOM, PNG, JPEG and volumes as .npz are read but not written";
+        Format::Dicom | Format::Image | Format::Npz | Format::Hdf5 => {
+            let expected = "another format: DICOM, HDF5, PNG, JPEG and volumes as .npz are read but not written";
             return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
         }
         Format::Raw => {
@@ -276,6 +290,13 @@ pub fn write_volume(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
 fn no_dicom(path: &Path) -> Error {
     let expected = "a build that reads DICOM";
     Error::invalid("DICOM", path.display(), expected, "build with the feature dicom: `cargo build -r -F dicom`")
+}
+
+/// The error of a build without the feature.
+#[cfg(not(any(feature = "hdf5", test)))]
+pub(super) fn no_hdf5(path: &Path) -> Error {
+    let remedy = format!("build with the feature hdf5: `cargo build -r -F hdf5`, or convert it: {HDF5}");
+    Error::invalid("HDF5", path.display(), "a build that reads HDF5", remedy)
 }
 
 impl VolumeFile {
@@ -318,13 +339,13 @@ impl VolumeFile {
 const LONGEST: usize = 400;
 
 /// An error about damaged content of a file.
-fn damaged(path: &Path, found: &str) -> Error {
+pub(super) fn damaged(path: &Path, found: &str) -> Error {
     let found: String = found.chars().take(LONGEST).collect();
     Error::format(path, "volume", found, "a whole file with one number per voxel", "copy or export the file again")
 }
 
 /// An error about content that is sound, but of a kind that is not read.
-fn unsupported(path: &Path, what: &str, got: impl Display, expected: &str, remedy: &str) -> Error {
+pub(super) fn unsupported(path: &Path, what: &str, got: impl Display, expected: &str, remedy: &str) -> Error {
     let got: String = got.to_string().chars().take(LONGEST).collect();
     Error::format(path, what, format!("{got}, which is not supported"), expected, remedy)
 }

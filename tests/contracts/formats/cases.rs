@@ -474,8 +474,6 @@ fn others() -> Vec<Case> {
         bare(one("raw: one byte too many", "a_3x4x5_float32.raw", [floats(), vec![0]].concat())).refused("correct the size"),
         two("raw: side file with a byte-order mark", "a.raw", shorts(), "a.raw.json",
             b"\xef\xbb\xbf{\"shape\": [3, 4, 5], \"type\": \"int16\", \"spacing\": [0.5, 0.75, 1.25], \"origin\": [-3, 7, 0.5]}".to_vec()),
-        bare(one("HDF5", "a.h5", Vec::new())).refused("not supported"),
-        bare(one("MATLAB", "a.mat", Vec::new())).refused("not supported"),
         bare(one("Analyze", "a.img", Vec::new())).refused("not supported"),
     ]
 }

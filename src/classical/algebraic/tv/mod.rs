@@ -18,9 +18,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-pub use state::TvState;
-
-use super::{CHUNK, Counter, Observe, Pass, System, dot, norm};
+use super::{CHUNK, Observe, Pass, System, dot, norm, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::error::{Error, Result};
 use crate::numeric::{Real, real, reduce, threads};
@@ -70,13 +68,7 @@ pub fn tv<R: Real>(
     start: Option<&Volume>,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
-    let mut run = TvRun::<R>::new(projector, projections, settings, start)?;
-    let mut counter = Counter::new(settings.iterations, observe);
-    while !run.is_finished() {
-        let pass = run.step()?;
-        counter.show(&pass)?;
-    }
-    run.volume()
+    run_to_the_end(TvRun::<R>::new(projector, projections, settings, start)?, observe)
 }
 
 /// A reconstruction with total variation, run one iteration at a time.
@@ -133,7 +125,7 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// The state without L and the values derived from x.
     fn prepared(projector: &'a VoxelProjector, projections: &'a Projections, settings: &TvSettings) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
-        let views = projector.views(system.angles)?;
+        let views = projector.views(system.trajectory)?;
         let grid = &projector.scanner().grid;
         let idle = system.idle(&views);
         let (x, empty) = (system.empty(), || system.empty());

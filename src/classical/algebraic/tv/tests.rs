@@ -1,5 +1,6 @@
 use super::*;
 use crate::classical::RayModel;
+use crate::classical::algebraic::VoxelRun;
 use crate::scene::{Beam, Detector, Grid, Scanner};
 use crate::tolerances::largest;
 use glam::DVec3;

@@ -1,0 +1,78 @@
+//! The defaults of each method, and what the parts of the library are told.
+
+use super::{
+    AlgebraicConfig, AsdPocsConfig, Config, DensityControl, Finish, Method, PositionOptimiser, Preset, TvConfig,
+};
+use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
+use crate::primitives::KernelKind;
+use crate::projector::Projection;
+
+impl Config {
+    /// The defaults of a method: [`Config::default`], and what the other methods have of their own.
+    pub fn of(method: Method) -> Self {
+        let mut config = Self { method, ..Self::default() };
+        match method {
+            Method::TrGs | Method::Fdk => {}
+            Method::R2Gaussian => {
+                config.finish = Finish::None;
+                config.projection = Projection::Affine;
+                config.model.kernel = KernelKind::Gaussian;
+                config.confidence.enabled = false;
+                config.wavelet.enabled = false;
+                config.optimiser.position = PositionOptimiser::Adam;
+                config.density_control.method = DensityControl::Adc;
+                config.density_control.stop = 0.5;
+            }
+            Method::Sart | Method::Cgls => config.iterations = SartSettings::default().iterations,
+            Method::OsSart => (config.iterations, config.algebraic.subset) = (SartSettings::default().iterations, 10),
+            Method::AsdPocs => {
+                let sart = AsdPocsSettings::default().sart;
+                (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
+            }
+            Method::Tv => (config.iterations, config.checkpoint_every) = (TvSettings::default().iterations, 20),
+        }
+        config
+    }
+
+    /// Takes over the settings of another comparison; [`Preset::R2Gaussian`]'s are those of [`Config::of`].
+    pub fn apply(&mut self, preset: Preset) {
+        *self = Self { seed: self.seed, ..Self::of(self.method) };
+        if preset == Preset::SaxNerf && matches!(self.method, Method::Sart | Method::OsSart | Method::AsdPocs) {
+            self.iterations = 6;
+            self.algebraic.reduction = 0.999;
+            (self.asd_pocs.epsilon, self.asd_pocs.r_max) = (0.2, 0.95);
+        }
+    }
+
+    /// What SART is told.
+    pub fn sart(&self) -> SartSettings {
+        let AlgebraicConfig {
+            relaxation, reduction, constant_relaxation, subset, order, non_negative, tolerance, ..
+        } = self.algebraic;
+        let (iterations, seed) = (self.iterations, self.seed);
+        SartSettings {
+            iterations,
+            relaxation,
+            reduction,
+            constant_relaxation,
+            subset,
+            order,
+            non_negative,
+            tolerance,
+            seed,
+        }
+    }
+
+    /// What the reconstruction with total variation is told, with the default weight where that is to be found.
+    pub fn tv(&self) -> TvSettings {
+        let TvConfig { weight, tolerance, steps, .. } = self.tv;
+        TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
+    }
+
+    /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.
+    pub fn asd_pocs(&self) -> AsdPocsSettings {
+        let AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon } = self.asd_pocs;
+        let unit = self.density_unit.or(1.0);
+        AsdPocsSettings { sart: self.sart(), tv_steps, alpha, alpha_reduction, r_max, epsilon, unit }
+    }
+}

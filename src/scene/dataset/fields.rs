@@ -1,0 +1,218 @@
+//! Fields of a description that are not read: remarks, and errors where one would move something.
+
+use crate::error::{Error, Result};
+
+/// Fields that move source, detector, volume or rays, by the names that this reader knows.
+const MOVING: [&str; 19] = [
+    "mode",
+    "DSD",
+    "DSO",
+    "nDetector",
+    "sDetector",
+    "dDetector",
+    "nVoxel",
+    "sVoxel",
+    "dVoxel",
+    "offOrigin",
+    "offDetector",
+    "COR",
+    "rotDetector",
+    "vectors",
+    "matrices",
+    "vector",
+    "matrix",
+    "angle",
+    "angles",
+];
+/// Names of other programs for what moves something. They are not read.
+const ELSEWHERE: [&str; 24] = [
+    "tau",
+    "roll",
+    "tilt",
+    "pitch",
+    "yaw",
+    "helicalPitch",
+    "tiltAngle",
+    "rollAngle",
+    "InPlaneAngle",
+    "OutOfPlaneAngle",
+    "GantryAngle",
+    "SourceOffsetX",
+    "SourceOffsetY",
+    "ProjectionOffsetX",
+    "ProjectionOffsetY",
+    "SourceToIsocenterDistance",
+    "SourceToDetectorDistance",
+    "RadiusCylindricalDetector",
+    "sourceOffset",
+    "detectorOffset",
+    "centerOfRotation",
+    "centreOfRotation",
+    "sourceHeight",
+    "detectorHeight",
+];
+/// Fields of generators that say how a scan was made. Nothing of them is needed to read it.
+pub(super) const OF_GENERATORS: [&str; 15] = [
+    "accuracy",
+    "totalAngle",
+    "startAngle",
+    "randomAngle",
+    "filter",
+    "noise",
+    "possion_noise",
+    "gaussian_noise",
+    "noise_model",
+    "convert",
+    "rescale_slope",
+    "rescale_intercept",
+    "normalize",
+    "numTrain",
+    "numVal",
+];
+
+/// The value of a field, as far as it matters here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Content {
+    /// Nothing, false, an empty text or list, or zeros: it moves nothing.
+    Neutral,
+    /// Anything else.
+    Something,
+}
+
+impl Content {
+    /// The content of a JSON value.
+    pub(super) fn of(value: &serde_json::Value) -> Self {
+        use serde_json::Value;
+        let neutral = match value {
+            Value::Null => true,
+            Value::Bool(value) => !value,
+            Value::Number(number) => number.as_f64() == Some(0.0),
+            Value::String(text) => text.is_empty(),
+            Value::Array(values) => values.iter().all(|value| Self::of(value) == Self::Neutral),
+            Value::Object(values) => values.values().all(|value| Self::of(value) == Self::Neutral),
+        };
+        if neutral { Self::Neutral } else { Self::Something }
+    }
+}
+
+/// Remarks on the fields of an object that are not among those `read`; `place` says where the object is.
+///
+/// # Errors
+/// [`Error::Invalid`] for a field that is named almost like one that moves something, or as other programs name such
+/// a field, unless it is neutral.
+pub(super) fn unread<'a>(
+    place: &str,
+    fields: impl IntoIterator<Item = (&'a str, Content)>,
+    read: &[&str],
+) -> Result<Vec<String>> {
+    let mut remarks = Vec::new();
+    for (name, content) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
+        let near = read.iter().chain(&MOVING).find(|known| are_near(name, known));
+        let elsewhere = ELSEWHERE.iter().any(|other| plain(other) == plain(name));
+        let misplaced = MOVING.contains(&name);
+        let moves = elsewhere || misplaced || near.is_some_and(|near| MOVING.contains(near));
+        let hint = near.filter(|_| !misplaced).map_or_else(String::new, |near| format!("; did you mean {near}?"));
+        if moves && content == Content::Something {
+            let remedy = match near {
+                Some(_) if misplaced => {
+                    "move it to where it is read: see the geometry page and reference/COMMANDS.md".into()
+                }
+                Some(near) => format!("did you mean {near}? Rename it, or remove it"),
+                None => {
+                    "state it as COR, offDetector, rotDetector, offOrigin, vectors or matrices, or remove it".into()
+                }
+            };
+            let expected = "only fields that are read, among those that move source, detector or volume";
+            return Err(Error::invalid(
+                format!("field {name} of {place}"),
+                "a field that is not read",
+                expected,
+                remedy,
+            ));
+        }
+        let neutral = if moves { ", but moves nothing" } else { "" };
+        remarks.push(format!("the field {name} of {place} is not read{neutral}{hint}"));
+    }
+    Ok(remarks)
+}
+
+/// A name without case and separators.
+fn plain(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// Whether a name is so close to another that it may be meant: but for case, separators and a slip or two.
+fn are_near(name: &str, known: &str) -> bool {
+    let (a, b): (Vec<char>, Vec<char>) = (plain(name).chars().collect(), plain(known).chars().collect());
+    let allowed = match b.len() {
+        0..=4 => usize::from(a.len() >= 3 && a.len() != b.len()),
+        5..=7 => 1,
+        _ => 2,
+    };
+    a == b || slips(&a, &b) <= allowed
+}
+
+/// Letters that are missing, added, replaced or exchanged with the next between two names.
+fn slips(a: &[char], b: &[char]) -> usize {
+    let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
+    for i in 0..=a.len() {
+        for j in 0..=b.len() {
+            rows[i][j] = match (i, j) {
+                (0, n) | (n, 0) => n,
+                _ => {
+                    let replaced = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+                    let least = replaced.min(rows[i - 1][j] + 1).min(rows[i][j - 1] + 1);
+                    if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                        least.min(rows[i - 2][j - 2] + 1)
+                    } else {
+                        least
+                    }
+                }
+            };
+        }
+    }
+    rows[a.len()][b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Content::{Neutral, Something};
+
+    fn of(name: &str, content: Content) -> std::result::Result<Vec<String>, String> {
+        unread("the scanner", [(name, content)], &["offDetector", "DSO", "COR", "filter"]).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_typo_of_a_field_that_moves_something_is_an_error_with_the_name_meant() {
+        for typo in ["offDetecor", "offdetector", "off_detector", "offDetectro", "ofDetectr", "Cor", "OffDetectors"] {
+            let message = of(typo, Something).unwrap_err();
+            assert!(message.contains("did you mean"), "{message}");
+            let remarks = of(typo, Neutral).unwrap();
+            assert!(remarks[0].contains("moves nothing") && remarks[0].contains("did you mean"), "{remarks:?}");
+        }
+        assert!(of("helical_pitch", Something).unwrap_err().contains("vectors"));
+        assert!(of("rotDetector", Something).unwrap_err().contains("move it to where it is read"));
+    }
+
+    #[test]
+    fn other_fields_are_remarks_and_what_is_read_is_none() {
+        assert_eq!(of("offDetector", Something), Ok(Vec::new()));
+        assert_eq!(of("operator", Something).unwrap(), ["the field operator of the scanner is not read"]);
+        assert!(of("fliter", Something).unwrap()[0].ends_with("did you mean filter?"));
+        for other in ["kVp", "CT", "DSI", "vol", "date", "tube_current"] {
+            assert_eq!(of(other, Something).unwrap().len(), 1, "{other}");
+        }
+    }
+
+    #[test]
+    fn zeros_and_nothing_are_neutral() {
+        let of = |text: &str| Content::of(&serde_json::from_str(text).unwrap());
+        for text in ["null", "0", "0.0", "[0, 0]", "[[0, 0], [0, 0.0]]", "false", "\"\"", "[]", "{}", "{\"a\": 0}"] {
+            assert_eq!(of(text), Neutral, "{text}");
+        }
+        for text in ["0.1", "[0, 1]", "true", "\"a\"", "{\"a\": 2}"] {
+            assert_eq!(of(text), Something, "{text}");
+        }
+    }
+}

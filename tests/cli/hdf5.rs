@@ -1,0 +1,50 @@
+//! Scans and volumes in HDF5: fields and angles come with the frames. Needs the feature `hdf5`.
+
+use crate::program::{Sandbox, stderr};
+use serde_json::json;
+use trgs::numeric::elementary::log;
+use trgs::scene::{Dataset, npy};
+
+const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
+const SCANNER: &str = r#"{ "scanner": {
+    "mode": "cone", "DSD": 7.0, "DSO": 5.0, "nDetector": [3, 5], "sDetector": [4.0, 4.0],
+    "nVoxel": [4, 4, 4], "sVoxel": [2.0, 2.0, 2.0] } }"#;
+
+#[test]
+fn both_layouts_of_a_scan_give_the_same_line_integrals() {
+    let sandbox = Sandbox::new();
+    sandbox.write("scanner.json", SCANNER);
+    let read = |source: &str, out: &str, flags: &str| {
+        let convert = format!("convert {DATA}/{source} {out} --scanner scanner.json {flags}");
+        let output = sandbox.run(&convert);
+        assert!(output.status.success(), "{}", stderr(&output));
+        (Dataset::read(sandbox.path(out)).unwrap(), stderr(&output))
+    };
+    let (exchange, message) = read("exchange.h5", "a", "");
+    assert!(message.contains("arrays that are not read: /measurement"), "{message}");
+    let (nexus, _) = read("nxtomo.nxs", "b", "");
+    assert_eq!(exchange.train.images, nexus.train.images);
+    // The unit of length is that of the description.
+    let expected = -log((100.0 - 10.0) / (1000.0 - 10.0)) as f32;
+    assert_eq!(exchange.train.images[[0, 0, 0]], expected);
+    assert_eq!(exchange.train.angles, [0.0_f64, 45.0, 90.0, 135.0].map(f64::to_radians));
+    assert_eq!(nexus.train.angles, [0.75, 1.0, 1.25, 1.5]);
+    // A flag replaces what the file says, and the array alone has no fields.
+    let (white, message) = read("exchange.h5", "c", "--white 1000");
+    assert!(message.contains("flat field of this file: not used"), "{message}");
+    assert_eq!(white.train.images, exchange.train.images);
+    let (plain, _) = read("exchange.h5:/exchange/data", "d", "--line-integrals");
+    assert_eq!(plain.train.images[[0, 0, 0]], 100.0);
+}
+
+#[test]
+fn files_are_inspected_and_volumes_are_converted() {
+    let sandbox = Sandbox::new();
+    assert_eq!(sandbox.done(&format!("inspect {DATA}/nxtomo.nxs"))["shape"], json!([4, 3, 5]));
+    let arrays = &sandbox.done(&format!("inspect {DATA}/arrays.h5"))["arrays"];
+    assert_eq!(arrays["/types/u2"], json!({ "shape": [4, 3, 5], "numbers": "uint16" }));
+    sandbox.done(&format!("convert {DATA}/matlab.mat v.npy"));
+    let array = npy::read_f32::<ndarray::Ix3>(&sandbox.path("v.npy"), "[x, y, z]").unwrap();
+    assert_eq!((array.dim(), array[[1, 2, 3]]), ((5, 3, 4), ((3 * 3 + 2) * 5 + 1) as f32 * 7.0 + 100.0));
+    assert!(sandbox.refused("inspect missing.h5").contains("missing.h5"));
+}
