@@ -314,3 +314,74 @@ pub(super) fn factors(nu: &[f64], role: &str) -> Vec<Suspect> {
     });
     all.collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Precision;
+    use crate::oracle::answers::answer;
+    use crate::oracle::manifest::Vectors;
+    use crate::tolerances::largest;
+
+    fn question(id: &str) -> Question {
+        let vectors = Vectors::embedded().unwrap();
+        let case = vectors.manifest.cases.iter().find(|case| case.id == id).unwrap();
+        Question::new(&vectors, case).unwrap()
+    }
+
+    fn error(a: &ArrayD<f64>, b: &ArrayD<f64>) -> f64 {
+        super::super::distance(a, b) / b.iter().map(|x| x * x).sum::<f64>().sqrt()
+    }
+
+    #[test]
+    fn without_a_fault_values_are_the_answers() {
+        let scenes = [
+            ("density/cone-offset", "volume"),
+            ("image-affine/cone-offset", "image"),
+            ("image-exact/cone-offset", "image"),
+            ("image-exact/parallel-offset", "image"),
+            ("image-exact/gaussian-cone", "image"),
+            ("projected-kernel-exact/cone-centred", "kernels"),
+        ];
+        for (id, role) in scenes {
+            let q = question(id);
+            let right = answer(&q, Precision::F64).unwrap().remove(role).unwrap().remove("").unwrap();
+            let values = Plain::new(&q).unwrap().values(None, role == "kernels");
+            assert_eq!(values.shape(), right.shape(), "{id}");
+            within!(error(&values, &right), "{id}");
+        }
+    }
+
+    #[test]
+    fn without_a_fault_gradients_are_the_answers() {
+        for id in
+            ["gradient-density/cone-offset", "gradient-image-affine/cone-offset", "gradient-image-exact/cone-offset"]
+        {
+            let q = question(id);
+            let right = answer(&q, Precision::F64).unwrap().remove("grad").unwrap();
+            let (plain, cotangent) = (Plain::new(&q).unwrap(), q.array::<ndarray::Ix3>("cotangent").unwrap());
+            for (part, right) in right {
+                let gradient = plain.gradient(&cotangent, &part, None).unwrap();
+                within!(error(&gradient, &right), "{id} {part}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_fault_kernel_and_factor_are_those_of_the_library() {
+        let nu = [2.0, 3.7, 30.0, 100.0];
+        let factors = nu.map(|nu| (nu * PI).sqrt() * gamma_ratio(nu) / student_t::line_integral(nu).0 - 1.0);
+        within!("factor", largest(factors));
+        let powers = nu.map(|nu| power(2.5, nu, 3.0, None) / libm::pow(1.0 + 2.5 / nu, -(nu + 3.0) / 2.0) - 1.0);
+        within!("kernel", largest(powers));
+        assert_eq!(power(9.1, 4.0, 3.0, Some(Fault::Cut)), 0.0);
+    }
+
+    #[test]
+    fn a_sum_in_half_precision_has_its_rounding() {
+        let plain = Plain::new(&question("image-exact/cone-five")).unwrap();
+        let error = error(&plain.accumulated(Format::F16), &plain.values(None, false));
+        within!("most", error);
+        beyond!("least", error);
+    }
+}

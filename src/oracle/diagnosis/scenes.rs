@@ -330,3 +330,59 @@ fn without_normalisation(q: &Question, p: &Parameters) -> Result<Vec<ArrayD<f64>
     let faults = [plain::Fault::Unnormalised, plain::Fault::UnnormalisedRay];
     Ok(faults.into_iter().filter_map(|fault| plain.gradient(&cotangent, "quaternion", Some(fault))).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::of_part;
+    use super::*;
+    use crate::oracle::manifest::Vectors;
+
+    /// Puts each change into a case, and counts the names: right, among candidates, none, wrong.
+    fn named(id: &str, role: &str, part: &str, changes: &[(&str, Change)]) -> [usize; 4] {
+        let vectors = Vectors::embedded().unwrap();
+        let case = vectors.manifest.cases.iter().find(|case| case.id == id).unwrap();
+        let question = Question::new(&vectors, case).unwrap();
+        let right = take(answer(&question, Precision::F64).unwrap(), role, part).unwrap();
+        let mut counts = [0; 4];
+        for (name, change) in changes {
+            let mut changed = question.clone();
+            change(&mut changed).unwrap();
+            let wrong = take(answer(&changed, Precision::F64).unwrap(), role, part).unwrap();
+            if wrong == right {
+                continue;
+            }
+            let found = of_part(&question, (role, part), &right, &wrong, Format::F64, 1e-13);
+            let kind = match &found {
+                None => 2,
+                Some(found) if found == name => 0,
+                Some(found) if found.split(", or ").any(|one| one == *name) => 1,
+                Some(found) => {
+                    println!("{id}: {found} for {name}");
+                    3
+                }
+            };
+            counts[kind] += 1;
+        }
+        println!("{id} {part}: {counts:?}");
+        counts
+    }
+
+    #[test]
+    fn each_mistake_of_geometry_and_models_is_named() {
+        let images = [&OF_VIEWS[..], &OF_MODELS].concat();
+        let volumes = [&OF_VOLUMES[..], &OF_MODELS].concat();
+        let all = [
+            named("image-exact/cone-offset", "image", "", &images),
+            named("image-affine/cone-offset", "image", "", &images),
+            named("density/cone-offset", "volume", "", &volumes),
+            named("gradient-image-exact/cone-offset", "grad", "mean", &OF_VIEWS),
+            named("gradient-image-affine/cone-offset", "grad", "quaternion", &OF_VIEWS),
+            named("gradient-density/cone-offset", "grad", "scale", &OF_VOLUMES),
+        ];
+        let total = all.iter().fold([0; 4], |sum, one| std::array::from_fn(|k| sum[k] + one[k]));
+        let tried = total.iter().sum::<usize>();
+        assert!(tried > 90, "{tried} mistakes");
+        assert_eq!(total[3], 0, "wrong names: {total:?}");
+        assert!(10 * total[0] >= 9 * tried, "right, among candidates, none, wrong: {total:?}");
+    }
+}

@@ -93,3 +93,45 @@ fn trajectory(rule: Adam, start: &[f64], gradients: &Array2<f64>, rates: &[f64])
     }
     result.into_dyn()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::of_part;
+    use super::*;
+    use crate::config::Precision;
+    use crate::oracle::answers::answer;
+    use crate::oracle::format::Format;
+    use crate::oracle::manifest::Vectors;
+
+    #[test]
+    fn each_mistake_is_named_alone() {
+        let vectors = Vectors::embedded().unwrap();
+        let case = vectors.manifest.cases.iter().find(|case| case.id == "adam/random").unwrap();
+        let q = Question::new(&vectors, case).unwrap();
+        let right = answer(&q, Precision::F64).unwrap().remove("trajectory").unwrap().remove("").unwrap();
+        for suspect in adam(&q).unwrap() {
+            let found = of_part(&q, ("trajectory", ""), &right, &suspect.array, Format::F64, 1e-14);
+            // ε inside of the root is 1e-15 here: rounding in this case.
+            let expected = Some(suspect.name.as_str()).filter(|&name| name != "Adam with ε inside of the root");
+            assert_eq!(found.as_deref(), expected);
+        }
+        // Mistakes that are not in the catalogue: no name.
+        let (start, gradients, rates) =
+            (q.numbers("start").unwrap(), q.array::<Ix2>("gradients").unwrap(), q.numbers("rates").unwrap());
+        for (beta, epsilon) in [([0.85, 0.999], 1e-15), ([0.9, 0.98], 1e-15), ([0.9, 0.999], 1e-4)] {
+            let rule = Adam {
+                beta,
+                epsilon,
+                corrected: [true; 2],
+                ahead: 0,
+                inside: false,
+                largest: false,
+                decay: [0.0; 2],
+                nesterov: false,
+                absolute: false,
+            };
+            let wrong = trajectory(rule, &start, &gradients, &rates);
+            assert_eq!(of_part(&q, ("trajectory", ""), &right, &wrong, Format::F64, 1e-14), None, "{beta:?} {epsilon}");
+        }
+    }
+}
