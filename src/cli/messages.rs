@@ -43,6 +43,21 @@ pub(super) fn warning(path: &Path, text: &str) {
     tracing::warn!("{}: {}", path.display(), with_flags(text));
 }
 
+/// Warns of a build without the vector instructions of this CPU.
+#[cfg(all(target_arch = "x86_64", not(all(target_feature = "avx2", target_feature = "fma"))))]
+pub(super) fn unused_instructions() {
+    if std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma") {
+        tracing::warn!(
+            "this program was built without AVX2 and FMA, which this CPU has: results are the same, but take many times as \
+             long; build it with RUSTFLAGS=\"-C target-cpu=native\" cargo install --path ."
+        );
+    }
+}
+
+/// Warns of a build without the vector instructions of this CPU: this build has them, or they are another CPU's.
+#[cfg(not(all(target_arch = "x86_64", not(all(target_feature = "avx2", target_feature = "fma")))))]
+pub(super) fn unused_instructions() {}
+
 /// Converts the values of a volume from Hounsfield units, and says how many were below those of air.
 pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, mu_water: f64) -> trgs::Result<()> {
     let looks_like_it = hounsfield::remark("volume", values).is_some();

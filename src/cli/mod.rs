@@ -110,6 +110,7 @@ pub(crate) fn main() -> ExitCode {
         }
     };
     messages::install(&cli.global);
+    messages::unused_instructions();
     interrupt::install();
     let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
     match answer.flatten().and_then(|answer| answer.print(cli.global.json).map(|()| answer.approves())) {

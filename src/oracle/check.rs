@@ -309,7 +309,9 @@ impl Part<'_> {
                 result.message = Some("NaN".into());
             }
             let question = Question::new(self.vectors, self.case)?;
-            result.looks_like = diagnosis::of_part(&question, self.role, self.name, self.expected, got, self.format);
+            let limit = rule.limits[&self.format].peak.unwrap_or(0.0);
+            let names = (self.role, self.name);
+            result.looks_like = diagnosis::of_part(&question, names, self.expected, got, self.format, limit);
         }
         result.difference = Some(difference);
         Ok(result)

@@ -58,7 +58,7 @@ pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Re
             Some(g) => {
                 let difference = Difference::new(e, g, None, format);
                 if difference.peak > 0.0 {
-                    result.looks_like = diagnosis::of_array(e, g, axes);
+                    result.looks_like = diagnosis::of_array(e, g, axes, format);
                 }
                 result.difference = Some(difference);
             }

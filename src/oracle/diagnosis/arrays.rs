@@ -1,15 +1,22 @@
 //! Mistakes that can be recognised from the right and the wrong array alone.
 
 use super::Suspect;
+use super::evidence::Accuracy;
+use crate::oracle::format::Format;
 use ndarray::{ArrayD, Axis, IxDyn, Slice};
+use std::f64::consts::{LN_2, PI, TAU};
 
-/// Suspects: zeros, wrong sign or factor, `1 - x`, wrong order of axes, direction or index.
-pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Vec<Suspect> {
+/// Suspects: wrong sign or factor, `1 - x`, rounding to a coarser format, wrong order of axes, direction or index.
+pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str], accuracy: Accuracy) -> Vec<Suspect> {
     let mut all = vec![
-        Suspect::new("zeros: nothing was computed", ArrayD::zeros(expected.raw_dim())),
-        Suspect::new("the opposite sign", -expected),
-        Suspect::new("1 - x instead of x", expected.mapv(|x| 1.0 - x)),
+        Suspect::observed("the opposite sign", -expected),
+        Suspect::observed("1 - x instead of x", expected.mapv(|x| 1.0 - x)),
     ];
+    for format in [Format::F32, Format::F16, Format::Bf16] {
+        if 4.0 * accuracy.limit < format.ulp(1.0) {
+            all.push(Suspect::new(format!("values rounded to {format}"), expected.mapv(|x| format.round(x))));
+        }
+    }
     let name = |axis| axis_name(axes, axis);
     for axis in (0..expected.ndim()).filter(|&axis| expected.len_of(Axis(axis)) > 1) {
         let mut flipped = expected.clone();
@@ -27,10 +34,11 @@ pub(super) fn suspects(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str])
     for axis in (0..expected.ndim()).filter(|&axis| expected.len_of(Axis(axis)) > 2) {
         for (by, towards) in [(1, "higher"), (-1, "lower")] {
             let text = format!("shifted by one along {} towards {towards} indices", name(axis));
-            all.push(Suspect { residual: 0.2, ..Suspect::new(text, shifted(expected, got, axis, by)) });
+            all.push(Suspect { fitted: true, ..Suspect::new(text, shifted(expected, got, axis, by)) });
         }
     }
-    all.extend(factor(expected, got));
+    all.extend(factors(expected, got, accuracy));
+    all.retain(|suspect| suspect.array != *expected);
     all
 }
 
@@ -74,31 +82,36 @@ fn shifted(expected: &ArrayD<f64>, got: &ArrayD<f64>, axis: usize, by: isize) ->
     result
 }
 
-/// The best constant factor, with its meaning if it is a known one.
-fn factor(expected: &ArrayD<f64>, got: &ArrayD<f64>) -> Option<Suspect> {
-    let finite = || expected.iter().zip(got).filter(|(e, _)| e.is_finite());
-    let (eg, ee) = finite().fold((0.0, 0.0), |(eg, ee), (e, g)| (eg + e * g, ee + e * e));
-    let k = eg / ee;
-    if !k.is_finite() || k == 0.0 {
-        return None;
-    }
-    let numbers = finite().filter(|(e, _)| **e != 0.0).count();
+/// Known factors, and the best constant factor.
+fn factors(expected: &ArrayD<f64>, got: &ArrayD<f64>, accuracy: Accuracy) -> Vec<Suspect> {
     let n = expected.len() as f64;
-    let known = [
+    let mut known = vec![
         (2.0, "2".to_owned()),
         (0.5, "½".to_owned()),
         (-2.0, "-2".to_owned()),
-        (n, format!("{n}, the number of elements: a sum instead of a mean")),
-        (1.0 / n, format!("1/{n}: a mean instead of a sum")),
-        (std::f64::consts::TAU.sqrt(), "√(2π)".to_owned()),
-        (1.0 / std::f64::consts::TAU.sqrt(), "1/√(2π)".to_owned()),
-        (std::f64::consts::LN_2, "ln 2: powers of 2 instead of e".to_owned()),
-        (std::f64::consts::PI / 180.0, "π/180: degrees instead of radians".to_owned()),
+        (4.0, "4".to_owned()),
+        (0.25, "¼".to_owned()),
+        (TAU.sqrt(), "√(2π)".to_owned()),
+        (1.0 / TAU.sqrt(), "1/√(2π)".to_owned()),
+        (TAU, "2π".to_owned()),
+        (1.0 / TAU, "1/(2π)".to_owned()),
+        (LN_2, "ln 2: powers of 2 instead of e".to_owned()),
+        (PI / 180.0, "π/180: degrees instead of radians".to_owned()),
     ];
-    let text = known.into_iter().find(|(value, _)| (k / value - 1.0).abs() < 1e-2).map(|(_, text)| text);
-    // With two numbers or fewer, some factor always fits.
-    let text = text.or_else(|| (numbers > 2).then(|| format!("{k:.6}")))?;
-    Some(Suspect::new(format!("a factor of {text}"), expected * k))
+    if n > 4.0 {
+        known.push((n, format!("{n}, the number of elements: a sum instead of a mean")));
+        known.push((1.0 / n, format!("1/{n}: a mean instead of a sum")));
+    }
+    let suspect = |(k, text): (f64, String)| Suspect::observed(format!("a factor of {text}"), expected * k);
+    let mut all: Vec<Suspect> = known.into_iter().map(suspect).collect();
+    let finite = expected.iter().zip(got).filter(|(e, _)| e.is_finite());
+    let (eg, ee) = finite.fold((0.0, 0.0), |(eg, ee), (e, g)| (eg + e * g, ee + e * e));
+    let k = eg / ee;
+    if k.is_finite() && k != 0.0 && (k - 1.0).abs() > accuracy.smallest_factor() {
+        let fitted = Suspect::observed(format!("a factor of {k:.6}"), expected * k);
+        all.push(Suspect { fitted: true, residual: 0.01, ..fitted });
+    }
+    all
 }
 
 /// Shifts by half a pixel along the last two axes, interpolated; used if there is no scene to render.
@@ -110,7 +123,7 @@ pub(super) fn half_shifts(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&st
         for (side, towards) in [(0, "higher"), (1, "lower")] {
             let array = between(expected, got, axis, side);
             let name = format!("a half-pixel shift in {name} towards {towards} indices");
-            all.push(Suspect { name, array, residual: 0.25 });
+            all.push(Suspect { residual: 0.25, interpolated: true, ..Suspect::new(name, array) });
         }
     }
     all
@@ -153,7 +166,7 @@ mod tests {
 
     #[track_caller]
     fn assert_named(got: &ArrayD<f64>, name: &str) {
-        let found = of_array(&blob(8.3), got, &["view", "v", "u"]);
+        let found = of_array(&blob(8.3), got, &["view", "v", "u"], Format::F64);
         assert!(found.as_deref().is_some_and(|found| found.contains(name)), "{found:?} for {name}");
     }
 
@@ -180,6 +193,6 @@ mod tests {
     #[test]
     fn what_is_no_known_mistake_gets_no_name() {
         let noise = Array3::from_shape_fn((2, 12, 15), |(n, r, c)| ((n * 7 + r * 31 + c * 17) % 13) as f64).into_dyn();
-        assert_eq!(of_array(&blob(8.3), &noise, &["view", "v", "u"]), None);
+        assert_eq!(of_array(&blob(8.3), &noise, &["view", "v", "u"], Format::F64), None);
     }
 }

@@ -1,10 +1,18 @@
 //! Diagnosis of a wrong answer: compares it with the truth under common mistakes.
 //!
-//! Not in the paper. A mistake is named only if it explains the answer: the remaining error must be a small fraction.
-//! The mistakes of [`arrays`] need only the truth; those of `scenes` recompute the question with one thing changed.
+//! Not in the paper. A mistake is named only if it explains the answer: the remaining error must be a small fraction, and
+//! enough elements must agree (`evidence`). Mistakes that explain it equally well are named together.
+//! The mistakes of [`arrays`] need only the truth. Those of `scenes` recompute the question with one thing changed,
+//! `plain` has the equations of kernels and projections with one fault, `losses` and `steps` those of losses and optimisers.
 
 pub mod arrays;
+mod evidence;
+mod losses;
+mod plain;
 mod scenes;
+mod steps;
+
+use evidence::{Accuracy, most_likely};
 
 use super::format::Format;
 use super::question::Question;
@@ -19,49 +27,66 @@ pub struct Suspect {
     pub array: ArrayD<f64>,
     /// The fraction of the error that may remain: small for exact arrays, larger for interpolated ones.
     pub residual: f64,
+    /// Whether the array is an approximation, which leaves more than rounding.
+    pub interpolated: bool,
+    /// Whether the array has no error but rounding, so that nothing above the tolerance may remain.
+    pub exact: bool,
+    /// Whether a number of the mistake was fitted to the answer.
+    pub fitted: bool,
+    /// Whether the name says what is seen, as a factor, and not what causes it.
+    pub observation: bool,
 }
 
 impl Suspect {
     /// A mistake whose result is known exactly.
     pub(super) fn new(name: impl Into<String>, array: ArrayD<f64>) -> Self {
-        Self { name: name.into(), array, residual: 0.05 }
+        Self {
+            name: name.into(),
+            array,
+            residual: 0.05,
+            interpolated: false,
+            exact: false,
+            fitted: false,
+            observation: false,
+        }
+    }
+
+    /// A mistake that another one resembles up to a small part: rounding alone may remain.
+    pub(super) fn exactly(name: impl Into<String>, array: ArrayD<f64>) -> Self {
+        Self { exact: true, ..Self::new(name, array) }
+    }
+
+    /// A property of the answer that several mistakes can cause.
+    pub(super) fn observed(name: impl Into<String>, array: ArrayD<f64>) -> Self {
+        Self { observation: true, ..Self::new(name, array) }
     }
 }
 
 /// Names the mistake behind a wrong array, if a known mistake explains it.
+///
+/// `limit` is the tolerance of the largest error relative to the peak.
 pub(super) fn of_part(
     question: &Question,
-    role: &str,
-    part: &str,
+    (role, part): (&str, &str),
     expected: &ArrayD<f64>,
     got: &ArrayD<f64>,
     format: Format,
+    limit: f64,
 ) -> Option<String> {
-    let axes = axes(role);
-    let mut suspects = arrays::suspects(expected, got, axes);
+    let accuracy = Accuracy::of_tolerance(limit.max(format.ulp(1.0)));
+    let mut suspects = arrays::suspects(expected, got, axes(role), accuracy);
     suspects.extend(scenes::suspects(question, role, part, expected, format));
-    most_likely(expected, got, suspects)
+    most_likely(expected, got, suspects, accuracy)
 }
 
 /// Names the mistake behind a wrong array for which only the truth is known.
 ///
-/// `axes` names the axes, outermost first.
-pub fn of_array(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str]) -> Option<String> {
-    let mut suspects = arrays::suspects(expected, got, axes);
+/// `axes` names the axes, outermost first; `format` is the one in which the arrays were computed.
+pub fn of_array(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str], format: Format) -> Option<String> {
+    let accuracy = Accuracy::of_format(format);
+    let mut suspects = arrays::suspects(expected, got, axes, accuracy);
     suspects.extend(arrays::half_shifts(expected, got, axes));
-    most_likely(expected, got, suspects)
-}
-
-/// The suspect that leaves the least error, if that is small enough; the first of equals.
-///
-/// Suspects are ordered from simple to complex.
-fn most_likely(expected: &ArrayD<f64>, got: &ArrayD<f64>, suspects: Vec<Suspect>) -> Option<String> {
-    let error = distance(expected, got);
-    let likely = suspects.into_iter().map(|s| (distance(&s.array, got) / error, s));
-    let likely = likely.filter(|(left, s)| *left <= s.residual);
-    // Rounding must not decide between two names for one array.
-    let simplest = likely.reduce(|best, next| if next.0 < 0.5 * best.0 && best.0 > 1e-6 { next } else { best });
-    simplest.map(|(_, s)| s.name)
+    most_likely(expected, got, suspects, accuracy)
 }
 
 /// Root of the sum of squared differences; NaN if any value is NaN.

@@ -1,23 +1,23 @@
 //! Mistakes whose result is found by recomputing the question with one change.
 
-use super::Suspect;
+use super::{Suspect, losses, plain, steps};
 use crate::config::Precision;
 use crate::error::Result;
-use crate::numeric::elementary::{exp, log, log1p};
+use crate::numeric::elementary::{exp, log};
 use crate::oracle::answers::answer;
 use crate::oracle::format::Format;
 use crate::oracle::outputs::Outputs;
 use crate::oracle::question::Question;
 use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
-use crate::scene::{Detector, Scanner};
-use ndarray::{Array1, Array2, Array4, ArrayD, Axis, Ix2};
+use crate::scene::{Beam, Detector, Scanner};
+use ndarray::{Array1, Array4, ArrayD, Axis};
 use serde_json::json;
 use std::f64::consts::PI;
 
 /// A change of a question.
 type Change = fn(&mut Question) -> Result<()>;
 
-const OF_VIEWS: [(&str, Change); 15] = [
+const OF_VIEWS: [(&str, Change); 23] = [
     ("a half-pixel shift in u towards lower columns", |q| detector(q, |d| d.offset_u += 0.5 * d.pitch_u)),
     ("a half-pixel shift in u towards higher columns", |q| detector(q, |d| d.offset_u -= 0.5 * d.pitch_u)),
     ("a half-pixel shift in v towards lower rows", |q| detector(q, |d| d.offset_v += 0.5 * d.pitch_v)),
@@ -38,20 +38,47 @@ const OF_VIEWS: [(&str, Change); 15] = [
     }),
     ("the pixel sizes of u and v exchanged", |q| detector(q, |d| (d.pitch_u, d.pitch_v) = (d.pitch_v, d.pitch_u))),
     ("the opposite sense of rotation", |q| angles(q, |angle| -angle)),
+    ("the detector's offset along u with the opposite sign", |q| detector(q, |d| d.offset_u = -d.offset_u)),
+    ("the detector's height and width exchanged", |q| {
+        detector(q, |d| {
+            let (rows, columns) = (d.rows as f64, d.columns as f64);
+            (d.pitch_v, d.pitch_u) = (d.pitch_u * columns / rows, d.pitch_v * rows / columns);
+        })
+    }),
+    ("a quarter turn backwards", |q| angles(q, |angle| angle - PI / 2.0)),
+    ("a quarter turn forwards", |q| angles(q, |angle| angle + PI / 2.0)),
+    ("DSD - DSO for DSD", |q| distances(q, |dso, dsd| (dso, dsd - dso))),
+    ("DSO + DSD for DSD", |q| distances(q, |dso, dsd| (dso, dso + dsd))),
+    ("DSO and DSD exchanged", |q| distances(q, |dso, dsd| (dsd, dso))),
     ("source and detector on each other's side", |q| angles(q, |angle| angle + PI)),
     ("angles taken for degrees", |q| angles(q, |angle| angle * PI / 180.0)),
-    ("the other projection: affine for exact, or exact for affine", |q| {
-        let (from, to) = if q.stage.ends_with("affine") { ("affine", "exact") } else { ("exact", "affine") };
-        q.stage = q.stage.replace(from, to);
-        Ok(())
-    }),
+    ("the affine projection for the exact", |q| projection(q, "exact", "affine")),
+    ("the exact projection for the affine", |q| projection(q, "affine", "exact")),
 ];
 
-const OF_VOLUMES: [(&str, Change); 5] = [
+const OF_VOLUMES: [(&str, Change); 8] = [
     ("a half-voxel shift along x", |q| grid(q, |s| s.grid.min.x -= 0.5 * s.grid.spacing.x)),
     ("a half-voxel shift along y", |q| grid(q, |s| s.grid.min.y -= 0.5 * s.grid.spacing.y)),
     ("a half-voxel shift along z", |q| grid(q, |s| s.grid.min.z -= 0.5 * s.grid.spacing.z)),
     ("voxel corners for voxel centres", |q| grid(q, |s| s.grid.min -= 0.5 * s.grid.spacing)),
+    ("voxels from one end of the box to the other", |q| {
+        grid(q, |s| {
+            let last = glam::DVec3::from_array(s.grid.shape.map(|n| (n.max(2) - 1) as f64));
+            let size = s.grid.size();
+            s.grid.spacing = size / last;
+            s.grid.min -= 0.5 * s.grid.spacing;
+        })
+    }),
+    ("the volume's offset with the opposite sign", |q| grid(q, |s| s.grid.min = -s.grid.max())),
+    ("the sides of the volume in the order z, y, x", |q| {
+        grid(q, |s| {
+            let (centre, n) =
+                (s.grid.min + 0.5 * s.grid.size(), glam::DVec3::from_array(s.grid.shape.map(|n| n as f64)));
+            let size = s.grid.size();
+            s.grid.spacing = glam::DVec3::new(size.z, size.y, size.x) / n;
+            s.grid.min = centre - 0.5 * s.grid.spacing * n;
+        })
+    }),
     ("the volume's offset ignored", |q| {
         grid(q, |s| {
             let shape = glam::DVec3::from_array(s.grid.shape.map(|n| n as f64));
@@ -82,6 +109,19 @@ fn grid(q: &mut Question, change: impl Fn(&mut Scanner)) -> Result<()> {
     let mut scanner = q.scanner()?;
     change(&mut scanner);
     q.scanner = Some(scanner);
+    Ok(())
+}
+
+fn distances(q: &mut Question, change: impl Fn(f64, f64) -> (f64, f64)) -> Result<()> {
+    grid(q, |scanner| {
+        if let Beam::Cone { dso, dsd } = &mut scanner.beam {
+            (*dso, *dsd) = change(*dso, *dsd);
+        }
+    })
+}
+
+fn projection(q: &mut Question, from: &str, to: &str) -> Result<()> {
+    q.stage = q.stage.replace(from, to);
     Ok(())
 }
 
@@ -129,12 +169,21 @@ pub(super) fn suspects(
     let mut all: Vec<Suspect> = changes.iter().filter_map(changed).collect();
     let special = match question.stage.as_str() {
         "kernel" => power_without_log1p(question, format),
-        "image-exact" | "projected-kernel-exact" => variants(question, format),
-        "adam" => adam(question),
+        "image-exact" | "projected-kernel-exact" => rounded_logarithm(question, format),
+        "adam" => steps::adam(question),
+        "loss-l1" | "loss-ssim" | "loss-image" => losses::images(question, role),
+        "loss-tv" => losses::variation(question, role),
+        "integral-factor" => question.numbers("nu").map(|nu| plain::factors(&nu, role)),
+        "covariance" => Ok(scales(question, expected)),
         _ if gradient => parametrisations(question, part, expected),
         _ => Ok(Vec::new()),
     };
     all.extend(special.unwrap_or_default());
+    let scene =
+        ["image-affine", "image-exact", "density", "gradient-density", "gradient-image-affine", "gradient-image-exact"];
+    if scene.contains(&question.stage.as_str()) || question.stage.starts_with("projected-kernel") {
+        all.extend(plain::scenes(question, part).unwrap_or_default());
+    }
     all.retain(|suspect| suspect.array.shape() == expected.shape());
     all
 }
@@ -143,16 +192,11 @@ fn take(mut outputs: Outputs, role: &str, part: &str) -> Option<ArrayD<f64>> {
     outputs.remove(role)?.remove(part)
 }
 
-const NO_LOG1P: &str = "log(1 + x) for log1p(x), or a power of 1 + x [X3]";
+const NO_LOG1P: &str = "log(1 + x) or a power of 1 + x in place of log1p(x) [X3]";
 
 /// `(1+x)^-exponent` with 1+x rounded to the format, which loses the digits of a small x.
 fn rounded_power(x: f64, exponent: f64, format: Format) -> f64 {
     exp(-exponent * log(format.round(1.0 + x)))
-}
-
-/// `(1+x)^-exponent`.
-fn power(x: f64, exponent: f64) -> f64 {
-    exp(-exponent * log1p(x))
 }
 
 fn power_without_log1p(q: &Question, format: Format) -> Result<Vec<Suspect>> {
@@ -161,33 +205,33 @@ fn power_without_log1p(q: &Question, format: Format) -> Result<Vec<Suspect>> {
         if nu.is_finite() { rounded_power(delta / nu, (nu + 3.0) / 2.0, format) } else { exp(-delta / 2.0) }
     };
     let values: Array1<f64> = delta.iter().zip(&nu).map(value).collect();
-    Ok(vec![Suspect::new(NO_LOG1P, values.into_dyn())])
+    let mut all = vec![Suspect::new(NO_LOG1P, values.into_dyn())];
+    all.extend(plain::kernel(&delta, &nu));
+    Ok(all)
 }
 
-/// The exact projection with another profile or weight, from the closest point of each ray.
-fn variants(q: &Question, format: Format) -> Result<Vec<Suspect>> {
-    type Profile = fn(f64, f64, Format) -> f64;
-    let profiles: [(&str, Profile); 3] = [
-        (NO_LOG1P, |delta, nu, format| rounded_power(delta / nu, (nu + 2.0) / 2.0, format)),
-        ("the exponent (ν+3)/2 of the density for the projection's (ν+2)/2", |delta, nu, _| {
-            power(delta / nu, (nu + 3.0) / 2.0)
-        }),
-        ("the exponent (ν+1)/2 for the projection's (ν+2)/2", |delta, nu, _| power(delta / nu, (nu + 1.0) / 2.0)),
-    ];
-    let (primitives, scanner, angles) = (q.primitives()?, q.scanner()?, q.angles()?);
-    let mut all = Vec::new();
-    if primitives.kernel == KernelKind::StudentT {
-        for (name, profile) in profiles {
-            let profile = |delta, nu| profile(delta, nu, format);
-            all.push(Suspect::new(name, images(q, &primitives, &scanner, &angles, &profile, &|_| 1.0)));
-        }
+/// The inverse of the covariances, and the covariances of quaternions that are not normalised.
+fn scales(q: &Question, expected: &ArrayD<f64>) -> Vec<Suspect> {
+    let Ok(p) = q.parameters("model") else { return Vec::new() };
+    let mut inverse = expected.clone();
+    for (i, mut matrix) in inverse.outer_iter_mut().enumerate() {
+        let precision = p.covariance(i).inverse();
+        matrix.indexed_iter_mut().for_each(|(index, x)| *x = precision.col(index[1])[index[0]]);
     }
-    let profile = |delta: f64, nu: f64| {
-        if nu.is_finite() { power(delta / nu, (nu + 2.0) / 2.0) } else { exp(-delta / 2.0) }
-    };
-    let cosine = "the ray's length left out: a factor of the cosine of the ray's angle to the detector's axis";
-    all.push(Suspect::new(cosine, images(q, &primitives, &scanner, &angles, &profile, &|cosine| cosine)));
-    Ok(all)
+    vec![
+        Suspect::new("the inverse of the covariance", inverse),
+        Suspect::new("quaternions not normalised", plain::covariances(&p)),
+    ]
+}
+
+/// The exact projection with a logarithm of 1 + x, from the closest point of each ray.
+fn rounded_logarithm(q: &Question, format: Format) -> Result<Vec<Suspect>> {
+    let (primitives, scanner, angles) = (q.primitives()?, q.scanner()?, q.angles()?);
+    if primitives.kernel != KernelKind::StudentT {
+        return Ok(Vec::new());
+    }
+    let profile = |delta: f64, nu: f64| rounded_power(delta / nu, (nu + 2.0) / 2.0, format);
+    Ok(vec![Suspect::new(NO_LOG1P, images(q, &primitives, &scanner, &angles, &profile))])
 }
 
 /// Images of the stage's shape, by the closed form in world coordinates `[X1]`.
@@ -197,7 +241,6 @@ fn images(
     scanner: &Scanner,
     angles: &[f64],
     profile: &impl Fn(f64, f64) -> f64,
-    weight: &impl Fn(f64) -> f64,
 ) -> ArrayD<f64> {
     let p = &primitives.parameters;
     let precision: Vec<_> = (0..primitives.len()).map(|i| p.covariance(i).inverse()).collect();
@@ -210,7 +253,7 @@ fn images(
         let nearest = offset - ray.direction * (ray.direction.dot(precision[i] * offset) / a);
         let delta = nearest.dot(precision[i] * nearest);
         let line = if p.nu[i].is_finite() { student_t::line_integral(p.nu[i]).0 } else { gaussian::line_integral() };
-        p.density[i] * line / a.sqrt() * profile(delta, p.nu[i]) * weight(ray.direction.dot(view.w))
+        p.density[i] * line / a.sqrt() * profile(delta, p.nu[i])
     });
     if q.stage.starts_with("projected-kernel") { kernels.into_dyn() } else { kernels.sum_axis(Axis(0)).into_dyn() }
 }
@@ -228,19 +271,32 @@ fn parametrisations(q: &Question, part: &str, expected: &ArrayD<f64>) -> Result<
         "scale" => {
             let scales = p.scale.as_flattened();
             vec![
+                Suspect::new("the gradient to the scale's inverse", times(scales.iter().map(|s| -s * s).collect())),
                 Suspect::new("the gradient to the scale's logarithm", times(scales.to_vec())),
                 Suspect::new("the gradient to the variance", times(scales.iter().map(|s| 0.5 / s).collect())),
             ]
         }
         "quaternion" => {
             let norm = |q: &[f64; 4]| q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let norms = p.quaternion.iter().flat_map(|q| [norm(q); 4]).collect();
+            let norms: Vec<f64> = p.quaternion.iter().flat_map(|q| [norm(q); 4]).collect();
             let order = [1, 2, 3, 0].map(|k| expected.index_axis(Axis(1), k).insert_axis(Axis(1)));
             let order = ndarray::concatenate(Axis(1), &order).expect("columns of one array");
-            vec![
-                Suspect::new("the gradient to the normalised quaternion", times(norms)),
+            let mut all = vec![
+                Suspect::new("the gradient to the normalised quaternion", times(norms.clone())),
                 Suspect::new("the quaternion's order (x, y, z, w)", order),
-            ]
+            ];
+            let mut signs = expected.clone();
+            signs.index_axis_mut(Axis(1), 0).mapv_inplace(|x| -x);
+            all.push(Suspect::new("the opposite sign of the gradient to w", signs.clone()));
+            all.push(Suspect::new("the opposite sign of the gradient to x, y, z", -signs));
+            let norms = ArrayD::from_shape_vec(expected.raw_dim(), norms).expect("as many as parameters");
+            for unit in without_normalisation(q, &p).unwrap_or_default() {
+                // The formula for a unit quaternion, and the derivative with a constant norm.
+                let name = "the gradient not through the quaternion's normalisation";
+                all.push(Suspect::new(name, &unit / &norms));
+                all.push(Suspect::new(name, unit));
+            }
+            all
         }
         "density" => vec![Suspect::new("the gradient to the density's logarithm", times(p.density.clone()))],
         "nu" if q.stage.starts_with("gradient-image") => {
@@ -250,35 +306,83 @@ fn parametrisations(q: &Question, part: &str, expected: &ArrayD<f64>) -> Result<
                 expected[[i]] - slope / line * p.density[i] * d_density[[i]]
             };
             let values: Array1<f64> = (0..p.len()).map(constant).collect();
-            vec![Suspect::new("∂C/∂ν of the integral factor left out [Eq. 5]", values.into_dyn())]
+            vec![
+                Suspect::new("the gradient to the logarithm of ν", times(p.nu.clone())),
+                Suspect::new("∂C/∂ν of the integral factor left out [Eq. 5]", values.into_dyn()),
+            ]
         }
+        "nu" => vec![Suspect::new("the gradient to the logarithm of ν", times(p.nu.clone()))],
         _ => Vec::new(),
     })
 }
 
-/// Adam with common mistakes.
-fn adam(q: &Question) -> Result<Vec<Suspect>> {
-    let (start, gradients, rates) = (q.numbers("start")?, q.array::<Ix2>("gradients")?, q.numbers("rates")?);
-    let [beta1, beta2, epsilon] = [q.setting("beta1")?, q.setting("beta2")?, q.setting("epsilon")?];
-    let run = |corrected: bool, inside: bool, beta1: f64, beta2: f64| {
-        let mut trajectory = Array2::zeros(gradients.raw_dim());
-        for (k, &first) in start.iter().enumerate() {
-            let (mut x, mut m, mut v, mut power) = (first, 0.0, 0.0, [1.0, 1.0]);
-            for (t, rate) in rates.iter().enumerate() {
-                let g = gradients[[t, k]];
-                (m, v) = (beta1 * m + (1.0 - beta1) * g, beta2 * v + (1.0 - beta2) * g * g);
-                power = [power[0] * beta1, power[1] * beta2];
-                let [c1, c2] = if corrected { power.map(|p| 1.0 - p) } else { [1.0, 1.0] };
-                let root = if inside { (v / c2 + epsilon).sqrt() } else { (v / c2).sqrt() + epsilon };
-                x -= rate * (m / c1) / root;
-                trajectory[[t, k]] = x;
+/// The gradient to the normalised quaternion, by the rotation's formula for a unit quaternion.
+fn without_normalisation(q: &Question, p: &Parameters) -> Result<Vec<ArrayD<f64>>> {
+    let mut changed = q.clone();
+    let mut unit = p.clone();
+    for quaternion in &mut unit.quaternion {
+        let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+        quaternion.iter_mut().for_each(|x| *x /= norm);
+    }
+    changed.set_model(&unit);
+    let cotangent = q.array::<ndarray::Ix3>("cotangent")?;
+    let plain = plain::Plain::new(&changed)?;
+    let faults = [plain::Fault::Unnormalised, plain::Fault::UnnormalisedRay];
+    Ok(faults.into_iter().filter_map(|fault| plain.gradient(&cotangent, "quaternion", Some(fault))).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::of_part;
+    use super::*;
+    use crate::oracle::manifest::Vectors;
+
+    /// Puts each change into a case, and counts the names: right, among candidates, none, wrong.
+    fn named(id: &str, role: &str, part: &str, changes: &[(&str, Change)]) -> [usize; 4] {
+        let vectors = Vectors::embedded().unwrap();
+        let case = vectors.manifest.cases.iter().find(|case| case.id == id).unwrap();
+        let question = Question::new(&vectors, case).unwrap();
+        let right = take(answer(&question, Precision::F64).unwrap(), role, part).unwrap();
+        let mut counts = [0; 4];
+        for (name, change) in changes {
+            let mut changed = question.clone();
+            change(&mut changed).unwrap();
+            let wrong = take(answer(&changed, Precision::F64).unwrap(), role, part).unwrap();
+            if wrong == right {
+                continue;
             }
+            let found = of_part(&question, (role, part), &right, &wrong, Format::F64, 1e-13);
+            let kind = match &found {
+                None => 2,
+                Some(found) if found == name => 0,
+                Some(found) if found.split(", or ").any(|one| one == *name) => 1,
+                Some(found) => {
+                    println!("{id}: {found} for {name}");
+                    3
+                }
+            };
+            counts[kind] += 1;
         }
-        trajectory.into_dyn()
-    };
-    Ok(vec![
-        Suspect::new("Adam without bias correction", run(false, false, beta1, beta2)),
-        Suspect::new("Adam with ε inside of the root", run(true, true, beta1, beta2)),
-        Suspect::new("Adam with β₁ and β₂ exchanged", run(true, false, beta2, beta1)),
-    ])
+        println!("{id} {part}: {counts:?}");
+        counts
+    }
+
+    #[test]
+    fn each_mistake_of_geometry_and_models_is_named() {
+        let images = [&OF_VIEWS[..], &OF_MODELS].concat();
+        let volumes = [&OF_VOLUMES[..], &OF_MODELS].concat();
+        let all = [
+            named("image-exact/cone-offset", "image", "", &images),
+            named("image-affine/cone-offset", "image", "", &images),
+            named("density/cone-offset", "volume", "", &volumes),
+            named("gradient-image-exact/cone-offset", "grad", "mean", &OF_VIEWS),
+            named("gradient-image-affine/cone-offset", "grad", "quaternion", &OF_VIEWS),
+            named("gradient-density/cone-offset", "grad", "scale", &OF_VOLUMES),
+        ];
+        let total = all.iter().fold([0; 4], |sum, one| std::array::from_fn(|k| sum[k] + one[k]));
+        let tried = total.iter().sum::<usize>();
+        assert!(tried > 90, "{tried} mistakes");
+        assert_eq!(total[3], 0, "wrong names: {total:?}");
+        assert!(10 * total[0] >= 9 * tried, "right, among candidates, none, wrong: {total:?}");
+    }
 }

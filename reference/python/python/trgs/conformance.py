@@ -1,0 +1,230 @@
+"""Conformance vectors for other implementations: questions with inputs, and a judge of the answers.
+
+A backend's test with pytest, in which `image` is the backend's own function::
+
+    import trgs.conformance
+
+    @trgs.conformance.cases(stage="image-exact", level="core")
+    def test_image(case):
+        case.check(image=image(case.inputs["model"], case.inputs["scanner"], case.settings["angles"]), precision="f32")
+
+`export` writes the page that defines every stage beside the vectors.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._core import (
+    Scanner,
+    conformance_cases,
+    conformance_check,
+    conformance_export,
+    conformance_input,
+    conformance_truth,
+)
+
+Level = Literal["core", "optional", "stress"]
+Precision = Literal["f64", "f32", "f16", "bf16"]
+Answer = ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike]
+
+_GROUPS = ("mean", "scale", "quaternion", "density", "nu")
+
+__all__ = ["Case", "Failure", "cases", "export", "find"]
+
+
+class Failure(AssertionError):
+    """An answer is beyond a tolerance, missing, not finite, or of another shape. `result` has the numbers."""
+
+    def __init__(self, message: str, result: dict[str, Any]) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+@dataclass(frozen=True)
+class Case:
+    """A question with its inputs."""
+
+    id: str
+    """`stage/name`."""
+    stage: str
+    """The part of the method in question."""
+    title: str
+    """A description in one sentence."""
+    level: Level
+    settings: dict[str, Any]
+    """Numbers and words that are not arrays; angles are in radians."""
+    input_names: tuple[str, ...] = field(repr=False)
+    output_names: tuple[str, ...] = field(repr=False)
+
+    @cached_property
+    def inputs(self) -> dict[str, Any]:
+        """Role → float64 array, dict of arrays (models), or the scanner: the dict of section 2 of the protocol."""
+        return {role: self._input(role) for role in self.input_names}
+
+    def _input(self, role: str) -> Any:
+        value = conformance_input(self.id, role)
+        return json.loads(value)["scanner"] if isinstance(value, str) else value
+
+    @property
+    def scanner(self) -> Scanner:
+        """The scanner as trgs has it."""
+        return Scanner.parse(conformance_input(self.id, "scanner"))
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """Role → what is expected, computed with 50 digits: a float64 array or a dict of arrays."""
+        return {role: conformance_truth(self.id, role) for role in self.output_names}
+
+    def check(self, *, precision: Precision = "f32", **answers: Answer) -> dict[str, Any]:
+        """Judges answers by the tolerances of the stage.
+
+        Parameters
+        ----------
+        precision : {"f64", "f32", "f16", "bf16"}
+            The arithmetic of the backend: it selects limits.
+        **answers
+            Role → array of any number type; of a model or gradient a mapping of its arrays, or the five of them in order.
+
+        Returns
+        -------
+        dict
+            Norms of the errors and limits by array.
+
+        Raises
+        ------
+        Failure
+            For an answer beyond a limit, missing, not finite, or of another shape.
+        TypeError
+            For an unknown role.
+        """
+        unknown = sorted(set(answers) - set(self.output_names))
+        if unknown:
+            raise TypeError(
+                f"answer: got {', '.join(unknown)}, expected {', '.join(self.output_names)}; "
+                f"give case.check({self.output_names[0]}=…)"
+            )
+        arrays = {role: self._arrays(answer) for role, answer in answers.items()}
+        result: dict[str, Any] = json.loads(conformance_check(self.id, arrays, precision))
+        if result["status"] not in ("passed", "skipped"):
+            raise Failure(_message(result, precision), result)
+        return result
+
+    @staticmethod
+    def _arrays(answer: Answer) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+        if isinstance(answer, (tuple, list)) and len(answer) == len(_GROUPS):
+            answer = dict(zip(_GROUPS, answer))
+        named: Mapping[str, Any] = answer if isinstance(answer, Mapping) else {"": answer}
+        return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in named.items()}
+
+
+def _message(result: dict[str, Any], precision: str) -> str:
+    lines = [f"{result['id']} {result['status']} in {precision}"]
+    for part in result["parts"]:
+        if part["status"] == "passed":
+            continue
+        beyond = [f"{excess['norm']} {excess['value']}, limit {excess['limit']}" for excess in part.get("exceeded", [])]
+        facts = [*beyond, part.get("message"), part.get("looks_like") and f"looks like: {part['looks_like']}"]
+        lines.append(f"  {part['output']}: " + "; ".join(fact for fact in facts if fact))
+    return "\n".join(lines)
+
+
+def _stages(stage: str | Sequence[str] | None) -> list[str]:
+    return [] if stage is None else [stage] if isinstance(stage, str) else list(stage)
+
+
+def find(*, stage: str | Sequence[str] | None = None, level: Level = "core") -> list[Case]:
+    """The cases of some stages up to a level.
+
+    Parameters
+    ----------
+    stage : str or sequence of str, optional
+        All stages if absent.
+    level : {"core", "optional", "stress"}
+
+    Returns
+    -------
+    list of Case
+
+    Raises
+    ------
+    ValueError
+        For an unknown stage or level, or when no case is left.
+    """
+    entries = json.loads(conformance_cases(_stages(stage), level))
+    return [
+        Case(
+            entry["id"],
+            entry["stage"],
+            entry["title"],
+            entry["level"],
+            entry["settings"],
+            tuple(entry["inputs"]),
+            tuple(entry["outputs"]),
+        )
+        for entry in entries
+    ]
+
+
+def cases(*, stage: str | Sequence[str] | None = None, level: Level = "core") -> Callable[..., Any]:
+    """Parametrises a test with the argument `case`. Needs pytest.
+
+    Parameters
+    ----------
+    stage, level
+        As of `find`.
+
+    Returns
+    -------
+    callable
+        A decorator, `pytest.mark.parametrize`.
+
+    Raises
+    ------
+    ValueError
+        As `find`.
+    """
+    import pytest
+
+    return pytest.mark.parametrize("case", [pytest.param(case, id=case.id) for case in find(stage=stage, level=level)])
+
+
+def export(
+    folder: str | PathLike[str],
+    *,
+    stage: str | Sequence[str] | None = None,
+    level: Level = "core",
+    blind: bool = False,
+) -> int:
+    """Writes manifest.json, PROTOCOL.md and inputs to a folder, and the truth to its folder `expected`.
+
+    Parameters
+    ----------
+    folder : str or os.PathLike
+        It appears as a whole or not at all.
+    stage, level
+        As of `find`.
+    blind : bool
+        Whether the truth is left out.
+
+    Returns
+    -------
+    int
+        Number of files of inputs and truth.
+
+    Raises
+    ------
+    OSError
+        For a folder that cannot be written.
+    ValueError
+        As `find`, and for a folder that holds other files.
+    """
+    return conformance_export(folder, _stages(stage), level, blind)

@@ -1,0 +1,109 @@
+//! The conformance vectors, and the judge of answers.
+
+use crate::arrays::{give, word};
+use crate::work::{raise, try_run};
+use ndarray::IxDyn;
+use numpy::{PyReadonlyArray, PyReadonlyArrayDyn};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::OnceLock;
+use trgs::oracle::manifest::{Arrays, Case, FileRef};
+use trgs::oracle::{Format, Level, Options, Outputs, Tolerances, Vectors, answers, check, waivers};
+
+const LEVELS: [(&str, Level); 3] = [("core", Level::Core), ("optional", Level::Optional), ("stress", Level::Stress)];
+const FORMATS: [(&str, Format); 4] =
+    [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
+
+fn vectors() -> PyResult<&'static Vectors> {
+    static VECTORS: OnceLock<Vectors> = OnceLock::new();
+    if let Some(vectors) = VECTORS.get() {
+        return Ok(vectors);
+    }
+    let vectors = Vectors::embedded().map_err(raise)?;
+    Ok(VECTORS.get_or_init(|| vectors))
+}
+
+fn case<'a>(vectors: &'a Vectors, id: &str) -> PyResult<&'a Case> {
+    vectors.manifest.cases.iter().find(|case| case.id == id).ok_or_else(|| {
+        crate::arrays::wrong_value("case", format!("{id:?}"), "the id of a case", "take one of trgs.conformance.find()")
+    })
+}
+
+/// The cases of some stages up to a level, as JSON: the entries of the manifest.
+#[pyfunction]
+pub(crate) fn conformance_cases(stages: Vec<String>, level: &str) -> PyResult<String> {
+    let selected = check::select(vectors()?, word("level", level, &LEVELS)?, &stages).map_err(raise)?;
+    Ok(serde_json::to_string(&selected).expect("a manifest is JSON"))
+}
+
+fn of_file<'py>(py: Python<'py>, file: &FileRef) -> PyResult<Bound<'py, PyAny>> {
+    let vectors = vectors()?;
+    if file.file.ends_with(".json") {
+        let bytes = vectors.bytes(file).map_err(raise)?;
+        return Ok(String::from_utf8_lossy(&bytes).into_owned().into_pyobject(py)?.into_any());
+    }
+    let mut arrays = vectors.arrays(file).map_err(raise)?;
+    if let Some(array) = arrays.remove("") {
+        return Ok(give(py, array));
+    }
+    let all = PyDict::new(py);
+    arrays.into_iter().try_for_each(|(name, array)| all.set_item(name, give(py, array)))?;
+    Ok(all.into_any())
+}
+
+/// An input of a case: an array, a dict of arrays, or the text of a JSON file.
+#[pyfunction]
+pub(crate) fn conformance_input<'py>(py: Python<'py>, id: &str, role: &str) -> PyResult<Bound<'py, PyAny>> {
+    of_file(py, &case(vectors()?, id)?.inputs[role])
+}
+
+/// The truth of an output of a case: an array or a dict of arrays.
+#[pyfunction]
+pub(crate) fn conformance_truth<'py>(py: Python<'py>, id: &str, role: &str) -> PyResult<Bound<'py, PyAny>> {
+    of_file(py, &case(vectors()?, id)?.outputs[role])
+}
+
+/// Judges the answers of a case, `{role: {name: array}}`; returns the result as JSON.
+#[pyfunction]
+pub(crate) fn conformance_check<'py>(
+    py: Python<'py>,
+    id: &str,
+    outputs: BTreeMap<String, BTreeMap<String, PyReadonlyArrayDyn<'py, f64>>>,
+    precision: &str,
+) -> PyResult<String> {
+    let format = word("precision", precision, &FORMATS)?;
+    let case = case(vectors()?, id)?;
+    let owned = |array: PyReadonlyArray<'py, f64, IxDyn>| array.as_array().to_owned();
+    let outputs: Outputs = outputs
+        .into_iter()
+        .map(|(role, arrays)| {
+            let arrays: Arrays = arrays.into_iter().map(|(name, array)| (name, owned(array))).collect();
+            (role, arrays)
+        })
+        .collect();
+    let mut one = vectors()?.clone();
+    one.manifest.cases = vec![case.clone()];
+    try_run(py, || {
+        let folder = tempfile::tempdir().map_err(|source| trgs::Error::write(&std::env::temp_dir(), source))?;
+        answers::write(folder.path(), case, &outputs)?;
+        let options = Options { format, level: case.level, stages: &[], waivers: &[], today: waivers::today() };
+        let report = check::check(&one, &Tolerances::embedded()?, folder.path(), &options)?;
+        Ok(serde_json::to_string(&report.results[0]).expect("a result is JSON"))
+    })
+}
+
+/// Writes manifest, protocol and inputs of cases to a folder, and the truth unless `blind`; returns the number of files.
+#[pyfunction]
+pub(crate) fn conformance_export(
+    py: Python<'_>,
+    folder: PathBuf,
+    stages: Vec<String>,
+    level: &str,
+    blind: bool,
+) -> PyResult<usize> {
+    let vectors = vectors()?;
+    let selected = check::select(vectors, word("level", level, &LEVELS)?, &stages).map_err(raise)?;
+    try_run(py, || vectors.export(&folder, blind, &selected))
+}

@@ -1,0 +1,561 @@
+//! Scans: reading, simulation, evaluation, and reconstruction by any method.
+
+use crate::arrays::{self, give, named, read, wrong_type, wrong_value};
+use crate::classical::{measured, pass_event};
+use crate::geometry::{Grid, Scanner};
+use crate::model::Model;
+use crate::work::{Event, Watch, python, raise, run, try_run};
+use ndarray::{Array1, Array3, Ix3};
+use numpy::PyArray3;
+use pyo3::exceptions::PyUserWarning;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyList, PyString, PyTuple};
+use serde_json::json;
+use std::ffi::CString;
+use std::path::PathBuf;
+use trgs::reconstruction::{self, Checkpoints, Progress};
+use trgs::scene::phantom::{PHANTOMS, Phantom};
+use trgs::scene::simulate::{self, Object, Plan};
+use trgs::scene::{Noise, volume_file};
+use trgs::{Config, Dataset, Method, Projections, Run, Volume};
+
+/// Projections with their geometry, and the true volume if it is known.
+///
+/// Read by `load_scan`, made by `simulate`, or from arrays. An attribute that is an array is a copy.
+///
+/// Parameters
+/// ----------
+/// scanner : Scanner
+/// angles : sequence of float
+///     Of the views, radians.
+/// projections : ndarray [view, v, u], float32
+///     Line integrals, scene units of length times density.
+/// truth : ndarray [x, y, z], float32, optional
+///     The true volume, attenuation per scene unit.
+/// test_angles : sequence of float, optional
+/// test_projections : ndarray [view, v, u], float32, optional
+///     Views to judge by.
+/// name : str
+///
+/// Raises
+/// ------
+/// TypeError
+///     For arrays of another type or number of axes.
+/// ValueError
+///     For shapes that do not fit the scanner, and numbers that are not finite.
+#[pyclass(frozen, module = "trgs")]
+pub(crate) struct Scan(Dataset);
+
+fn views(scanner: &Scanner, projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
+    let measured = measured(projections, angles)?;
+    let expected = [measured.angles.len(), scanner.0.detector.rows, scanner.0.detector.columns];
+    let remedy = "give one image [v, u] of the scanner's detector per angle";
+    arrays::check_shape("projections", measured.images.shape(), &expected, remedy)?;
+    Ok(measured)
+}
+
+fn volume(grid: trgs::Grid, values: &Bound<'_, PyAny>, what: &str) -> PyResult<Volume> {
+    let values = read::<f32, Ix3>(values, what, "[x, y, z]")?;
+    Volume::new(grid, values.as_array().to_owned()).map_err(raise)
+}
+
+fn copy<'py>(py: Python<'py>, values: &Array3<f32>) -> Bound<'py, PyAny> {
+    PyArray3::from_array(py, values).into_any()
+}
+
+#[pymethods]
+impl Scan {
+    #[new]
+    #[pyo3(signature = (scanner, angles, projections, *, truth = None, test_angles = None, test_projections = None,
+        name = "scan"))]
+    fn new(
+        scanner: &Scanner,
+        angles: &Bound<'_, PyAny>,
+        projections: &Bound<'_, PyAny>,
+        truth: Option<&Bound<'_, PyAny>>,
+        test_angles: Option<&Bound<'_, PyAny>>,
+        test_projections: Option<&Bound<'_, PyAny>>,
+        name: &str,
+    ) -> PyResult<Self> {
+        let test = match (test_angles, test_projections) {
+            (Some(angles), Some(projections)) => Some(views(scanner, projections, angles)?),
+            (None, None) => None,
+            _ => {
+                let remedy = "give test_angles and test_projections, or neither";
+                return Err(wrong_value("test views", "one of angles and projections", "both", remedy));
+            }
+        };
+        Ok(Self(Dataset {
+            name: name.into(),
+            scanner: scanner.0,
+            scale: 1.0,
+            noise: Noise::None,
+            train: views(scanner, projections, angles)?,
+            test,
+            truth: truth.map(|truth| volume(scanner.0.grid, truth, "truth")).transpose()?,
+            initial_points: None,
+            notes: Vec::new(),
+            oddities: Vec::new(),
+        }))
+    }
+
+    /// The name: of a scan that was read, its folder's.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Beam, detector and volume, scene units.
+    #[getter]
+    fn scanner(&self) -> Scanner {
+        Scanner(self.0.scanner)
+    }
+
+    /// Scene units per unit of length of the files.
+    #[getter]
+    fn scale(&self) -> f64 {
+        self.0.scale
+    }
+
+    /// Of the training views, radians: float64 [view].
+    #[getter]
+    fn angles<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        give(py, Array1::from(self.0.train.angles.clone()))
+    }
+
+    /// Training views: float32 [view, v, u], scene units of length times density.
+    #[getter]
+    fn projections<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        copy(py, &self.0.train.images)
+    }
+
+    /// Of the test views, radians: float64 [view], or None.
+    #[getter]
+    fn test_angles<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
+        self.0.test.as_ref().map(|test| give(py, Array1::from(test.angles.clone())))
+    }
+
+    /// Test views: float32 [view, v, u], or None.
+    #[getter]
+    fn test_projections<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
+        self.0.test.as_ref().map(|test| copy(py, &test.images))
+    }
+
+    /// The true volume: float32 [x, y, z], attenuation per scene unit, or None.
+    #[getter]
+    fn truth<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
+        self.0.truth.as_ref().map(|truth| copy(py, &truth.values))
+    }
+
+    /// Facts needed to judge results on this scan, one sentence each.
+    #[getter]
+    fn notes(&self) -> Vec<String> {
+        self.0.notes.clone()
+    }
+
+    /// Unusual properties of the files, one sentence each.
+    #[getter]
+    fn oddities(&self) -> Vec<String> {
+        self.0.oddities.clone()
+    }
+
+    /// Writes the scan as a folder in the format of R²-Gaussian, as a whole or not at all.
+    ///
+    /// Parameters
+    /// ----------
+    /// folder : str or os.PathLike
+    ///
+    /// Raises
+    /// ------
+    /// OSError
+    ///     For a folder that cannot be written.
+    /// ValueError
+    ///     For a folder that holds other files.
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        try_run(py, || self.0.write(&folder))
+    }
+
+    /// Metrics of a volume, and of the projections of a model or else of the volume.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : ndarray [x, y, z], float32
+    ///     On the scanner's grid.
+    /// model : Model, optional
+    ///     The primitives that the volume came from, whose projections are compared with the test views.
+    ///
+    /// Returns
+    /// -------
+    /// dict of str to Metric
+    ///     `psnr_3d` and `ssim_3d` where the truth is known, `psnr_2d` and `ssim_2d` where there are test views.
+    ///
+    /// Raises
+    /// ------
+    /// TypeError
+    ///     For a volume of another type or number of axes.
+    /// ValueError
+    ///     For a volume of another shape.
+    #[pyo3(signature = (volume, model = None))]
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        volume: &Bound<'py, PyAny>,
+        model: Option<&Model>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let volume = self::volume(self.0.scanner.grid, volume, "volume")?;
+        let config = Config::default();
+        let model = model.map(|model| &model.0);
+        let metrics = try_run(py, || reconstruction::evaluate(&self.0, &volume, model, &config))?.metrics;
+        let found = PyDict::new(py);
+        let names = trgs::evaluation::Metrics::NAMES.into_iter().chain(trgs::evaluation::Metrics::RANGE_NAMES);
+        for (name, metric) in names.zip(metrics.columns().into_iter().chain(metrics.of_range())) {
+            if let Some(metric) = metric {
+                let values = (metric.value, metric.definition.as_str(), metric.detail.clone());
+                found.set_item(name, named(py, "Metric")?.call1(values)?)?;
+            }
+        }
+        Ok(found)
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.train.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let Dataset { name, scanner, train, .. } = &self.0;
+        let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
+        format!(
+            "<trgs.Scan {name:?} of {} views, {rows} × {columns} pixels, {:?} voxels>",
+            train.len(),
+            scanner.grid.shape
+        )
+    }
+}
+
+/// Reads a scan. Every oddity of its files is a warning.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     A dataset's folder in the format of R²-Gaussian, its `meta_data.json`, or a `.pickle` of NAF.
+///
+/// Returns
+/// -------
+/// Scan
+///     In scene units: the longest side of the volume is 2.
+///
+/// Raises
+/// ------
+/// OSError
+///     For a file that cannot be read.
+/// ValueError
+///     For content that is damaged or does not fit the scanner.
+#[pyfunction]
+pub(crate) fn load_scan(py: Python<'_>, path: PathBuf) -> PyResult<Scan> {
+    let scan = Scan(try_run(py, || Dataset::read(&path))?);
+    let category = py.get_type::<PyUserWarning>();
+    for oddity in &scan.0.oddities {
+        let text = CString::new(format!("{}: {oddity}", path.display()).replace('\0', " "))?;
+        PyErr::warn(py, &category, &text, 1)?;
+    }
+    Ok(scan)
+}
+
+/// Simulates a scan of a phantom, whose projections are exact, or of a volume.
+///
+/// Parameters
+/// ----------
+/// object : str or ndarray [x, y, z], float32
+///     The name of a phantom (see `phantoms`), or a volume on the scanner's grid, attenuation per scene unit.
+/// scanner : Scanner
+/// views : int
+///     Training views, evenly spaced over a full turn from angle 0.
+/// test_views : int
+///     Views without noise at random angles.
+/// noise : str
+///     "none", "low", "medium", "high", or "I0,SIGMA" in photons and counts; ",physical" after it for the law of
+///     Beer and Lambert.
+/// seed : int
+///     Of noise, test angles, and phantoms with random parts.
+///
+/// Returns
+/// -------
+/// Scan
+///
+/// Raises
+/// ------
+/// ValueError
+///     For an unknown phantom or noise, no views, or a volume of another shape.
+#[pyfunction]
+#[pyo3(name = "simulate", signature = (object, scanner, views, *, test_views = 0, noise = "none", seed = 0))]
+pub(crate) fn simulate_scan(
+    py: Python<'_>,
+    object: &Bound<'_, PyAny>,
+    scanner: &Scanner,
+    views: usize,
+    test_views: usize,
+    noise: &str,
+    seed: u64,
+) -> PyResult<Scan> {
+    let plan = Plan { views, test_views, noise: noise.parse().map_err(raise)?, seed };
+    if let Ok(name) = object.cast::<PyString>() {
+        let name = name.to_string();
+        let phantom = Phantom::by_name(&name, seed).map_err(raise)?;
+        let scan = try_run(py, || simulate::simulate(&name, Object::Phantom(&phantom), &scanner.0, &plan))?;
+        return Ok(Scan(scan));
+    }
+    let volume = volume(scanner.0.grid, object, "object")?;
+    Ok(Scan(try_run(py, || simulate::simulate("volume", Object::Volume(&volume), &scanner.0, &plan))?))
+}
+
+/// The names of the phantoms.
+///
+/// Returns
+/// -------
+/// list of str
+#[pyfunction]
+pub(crate) fn phantoms() -> Vec<&'static str> {
+    PHANTOMS.iter().map(|phantom| phantom.name).collect()
+}
+
+/// Reads a volume. Every oddity of the file is a warning.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     `.npy`, `.nii.gz`, `.mha`, `.nrrd`, `.tif`, `.raw` with its size in the name, and others.
+///
+/// Returns
+/// -------
+/// ndarray [x, y, z], float32
+///
+/// Raises
+/// ------
+/// OSError
+///     For a file that cannot be read.
+/// ValueError
+///     For content that is damaged.
+#[pyfunction]
+pub(crate) fn load_volume(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
+    let file = try_run(py, || volume_file::read(&path))?;
+    let category = py.get_type::<PyUserWarning>();
+    for oddity in &file.oddities {
+        let text = CString::new(format!("{}: {oddity}", path.display()).replace('\0', " "))?;
+        PyErr::warn(py, &category, &text, 1)?;
+    }
+    Ok(give(py, file.values))
+}
+
+/// Writes a volume with the spacing and the origin of its grid, as a whole or not at all.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     Its ending is the format: `.npy`, `.nii.gz`, `.mha`, `.nrrd`, `.tif`, `.raw`.
+/// volume : ndarray [x, y, z], float32
+/// grid : Grid or Scanner
+///
+/// Raises
+/// ------
+/// OSError
+///     For a file that cannot be written.
+/// ValueError
+///     For a volume of another shape than the grid's, numbers that are not finite, and an unknown ending.
+#[pyfunction]
+pub(crate) fn save_volume(
+    py: Python<'_>,
+    path: PathBuf,
+    volume: &Bound<'_, PyAny>,
+    grid: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    let volume = self::volume(crate::geometry::grid_of(grid)?, volume, "volume")?;
+    try_run(py, || trgs::write_volume(&path, &volume))
+}
+
+/// What a method found.
+#[pyclass(frozen, module = "trgs")]
+pub(crate) struct Reconstruction {
+    /// float32 [x, y, z] on the scanner's grid, attenuation per scene unit.
+    #[pyo3(get)]
+    volume: Py<PyAny>,
+    /// The primitives, or None of a method on voxels.
+    #[pyo3(get)]
+    model: Option<Py<Model>>,
+    /// The volume of the primitives, where `volume` is finished on voxels: float32 [x, y, z], or None.
+    #[pyo3(get)]
+    unfinished: Option<Py<PyAny>>,
+    /// Reports of a method that fits primitives: a dict each.
+    #[pyo3(get)]
+    log: Py<PyAny>,
+    /// What was chosen by views held out, or None.
+    #[pyo3(get)]
+    choice: Py<PyAny>,
+    /// Attenuation per scene unit that counted as 1, or None.
+    #[pyo3(get)]
+    unit: Option<f64>,
+    /// All settings of the run: TOML.
+    #[pyo3(get)]
+    settings: String,
+    grid: trgs::Grid,
+    name: &'static str,
+}
+
+#[pymethods]
+impl Reconstruction {
+    /// The grid of the volume.
+    #[getter]
+    fn grid(&self) -> Grid {
+        Grid(self.grid)
+    }
+
+    /// Writes the volume, see `save_volume`.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str or os.PathLike
+    ///
+    /// Raises
+    /// ------
+    /// OSError
+    ///     For a file that cannot be written.
+    /// ValueError
+    ///     For an unknown ending.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let volume = self::volume(self.grid, self.volume.bind(py), "volume")?;
+        try_run(py, || trgs::write_volume(&path, &volume))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<trgs.Reconstruction by {}, {:?} voxels>", self.name, self.grid.shape)
+    }
+}
+
+/// A value of a setting as TOML.
+fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
+    let wrong = || wrong_type(key, value, "a bool, int, float, str, or a sequence of them", "give such a value");
+    if value.is_instance_of::<PyBool>() {
+        return Ok(value.extract::<bool>()?.to_string());
+    }
+    if let Ok(text) = value.cast::<PyString>() {
+        return Ok(json!(text.to_string()).to_string());
+    }
+    if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
+        let parts = value.try_iter()?.map(|part| toml(key, &part?)).collect::<PyResult<Vec<_>>>()?;
+        return Ok(format!("[{}]", parts.join(", ")));
+    }
+    if let Ok(number) = value.extract::<i64>() {
+        return Ok(number.to_string());
+    }
+    value.extract::<f64>().map(|number| format!("{number:?}")).map_err(|_| wrong())
+}
+
+/// Sets keys of the configuration; a dict has the keys of a table.
+fn configure(config: &mut Config, table: &str, settings: &Bound<'_, PyDict>) -> PyResult<()> {
+    for (key, value) in settings {
+        let key = format!("{table}{}", key.extract::<String>()?);
+        match value.cast::<PyDict>() {
+            Ok(table) => configure(config, &format!("{key}."), table)?,
+            Err(_) => config.set(&format!("{key}={}", toml(&key, &value)?)).map_err(raise)?,
+        }
+    }
+    Ok(())
+}
+
+fn event(progress: Progress<'_>) -> Option<Event> {
+    match progress {
+        Progress::Iteration(_, None) | Progress::Choosing(_, None) => None,
+        Progress::Iteration(iteration, Some(record)) => {
+            let values = serde_json::to_value(record).expect("a record is JSON");
+            Some(Event { stage: "primitives", iteration, iterations: record.iterations, values })
+        }
+        Progress::Pass(pass) => Some(pass_event(pass)),
+        Progress::Choosing(key, Some(trial)) => {
+            let values = json!({ "key": key, "value": trial.value, "error": trial.error });
+            Some(Event { stage: "choosing", iteration: 0, iterations: 0, values })
+        }
+    }
+}
+
+/// Reconstructs a scan.
+///
+/// Parameters
+/// ----------
+/// scan : Scan
+/// method : {"tr-gs", "r2-gaussian", "fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"}
+/// progress : bool
+///     Whether reports are printed to stderr.
+/// callback : callable, optional
+///     Gets a `Progress` with every report. What it raises ends the run and is raised here.
+/// checkpoint : str or os.PathLike, optional
+///     A file that keeps the state of the run. If it exists, the run goes on from there, to the same bits.
+/// **settings
+///     Keys of the configuration, `iterations=2000`; those of a table as a dict, `model={"points": 5000}`. `settings` of a
+///     result has all keys with their documentation.
+///
+/// Returns
+/// -------
+/// Reconstruction
+///     The same bits as `trgs reconstruct` writes with the same settings.
+///
+/// Raises
+/// ------
+/// TypeError
+///     For a setting of another type.
+/// ValueError
+///     For an unknown method or setting, or one out of its range.
+/// ArithmeticError
+///     When values become infinite.
+/// KeyboardInterrupt
+///     After Ctrl-C.
+#[pyfunction]
+#[pyo3(signature = (scan, method = "tr-gs", *, progress = false, callback = None, checkpoint = None, **settings))]
+pub(crate) fn reconstruct(
+    py: Python<'_>,
+    scan: &Scan,
+    method: &str,
+    progress: bool,
+    callback: Option<Py<PyAny>>,
+    checkpoint: Option<PathBuf>,
+    settings: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Reconstruction> {
+    const METHODS: [(&str, Method); 8] = [
+        ("tr-gs", Method::TrGs),
+        ("r2-gaussian", Method::R2Gaussian),
+        ("fdk", Method::Fdk),
+        ("sart", Method::Sart),
+        ("os-sart", Method::OsSart),
+        ("asd-pocs", Method::AsdPocs),
+        ("cgls", Method::Cgls),
+        ("tv", Method::Tv),
+    ];
+    let kind = arrays::word("method", method, &METHODS)?;
+    let name = METHODS.iter().find(|(_, one)| *one == kind).expect("it was found").0;
+    let mut config = Config::of(kind);
+    if let Some(settings) = settings {
+        configure(&mut config, "", settings)?;
+    }
+    let printer = progress.then(|| named(py, "Printer")?.call0().map(Bound::unbind)).transpose()?;
+    let callbacks: Vec<_> = printer.into_iter().chain(callback).collect();
+    let checkpoints = checkpoint.map(Checkpoints::resume).transpose().map_err(raise)?;
+    let (result, watch) = run(py, || {
+        let mut watch = Watch::new(callbacks);
+        let run = Run::new(&scan.0, &config).observe(|progress| watch.see(event(progress)));
+        let run = match checkpoints {
+            Some(checkpoints) => run.checkpoints(checkpoints),
+            None => run,
+        };
+        (run.reconstruct(), watch)
+    })?;
+    let found = watch.end(result)?;
+    Ok(Reconstruction {
+        volume: give(py, found.volume.values).unbind(),
+        model: found.primitives.map(|primitives| Py::new(py, Model(primitives))).transpose()?,
+        unfinished: found.unfinished.map(|volume| give(py, volume.values).unbind()),
+        log: python(py, &serde_json::to_value(&found.log).expect("a log is JSON"))?.unbind(),
+        choice: python(py, &serde_json::to_value(&found.choice).expect("a choice is JSON"))?.unbind(),
+        unit: found.unit,
+        settings: config.to_toml(),
+        grid: scan.0.scanner.grid,
+        name,
+    })
+}

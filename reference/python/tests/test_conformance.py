@@ -1,0 +1,318 @@
+"""Every function of one step against the 50-digit vectors, in both precisions, and the judge itself."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import trgs
+from trgs import conformance, density, losses, metrics, optim
+
+TYPES = {"f64": np.float64, "f32": np.float32}
+
+
+def model(case: conformance.Case, role: str = "model") -> trgs.Model:
+    return trgs.Model(*(case.inputs[role][name] for name in trgs.Parameters._fields))
+
+
+def raw(case: conformance.Case) -> trgs.Parameters:
+    return trgs.Parameters(*(case.inputs["raw"][name] for name in trgs.Parameters._fields))
+
+
+def activation(case: conformance.Case) -> optim.Activation:
+    settings = case.settings
+    return optim.Activation(tuple(settings["scale_range"]), tuple(settings["nu_range"]), settings["kernel"].replace("_", "-"))
+
+
+def single(value: float) -> np.ndarray:
+    return np.array([value])
+
+
+def valued(value_and_gradient):
+    value, gradient = value_and_gradient
+    return {"value": single(value), "gradient": gradient}
+
+
+def images(case, dtype, **more):
+    return trgs.project(model(case), case.scanner, case.settings["angles"], dtype=dtype, **more)
+
+
+def gradient(case, dtype, **more):
+    cotangent = case.inputs["cotangent"].astype(dtype)
+    return trgs.project_vjp(model(case), case.scanner, case.settings["angles"], cotangent, **more)
+
+
+def each_kernel(case, dtype, projection):
+    whole = case.inputs["model"]
+    alone = [trgs.Model(*(whole[name][i : i + 1] for name in trgs.Parameters._fields)) for i in range(len(whole["nu"]))]
+    angles = case.settings["angles"]
+    return np.stack([trgs.project(one, case.scanner, angles, projection=projection, dtype=dtype) for one in alone])
+
+
+def with_cutoff(case):
+    return {key: case.settings[key] for key in ("projection", "cutoff")}
+
+
+def gradient_raw(case, dtype):
+    map_, parameters = activation(case), raw(case)
+    physical = map_.forward(parameters)
+    cotangent = case.inputs["cotangent"].astype(dtype)
+    found = trgs.project_vjp(physical, case.scanner, case.settings["angles"], cotangent)
+    return map_.vjp(physical, found)
+
+
+def haar(case, dtype):
+    (coefficients,) = trgs.haar(case.inputs["block"].astype(dtype))
+    bands = []
+    for band in range(1, 7):
+        alone = np.zeros_like(coefficients)
+        alone[band] = coefficients[band]
+        bands.append(trgs.haar_inverse([alone]))
+    return {"coefficients": coefficients, "bands": np.stack(bands)}
+
+
+def wavelet(case, block):
+    settings = {key: case.settings[key] for key in ("neighbours", "enhancement", "suppress", "enhance", "levels")}
+    return trgs.wavelet_loss(block, case.inputs["high"].astype(np.uint16), **settings)
+
+
+def wavelet_loss(case, dtype):
+    loss = wavelet(case, case.inputs["block"].astype(dtype))
+    return {
+        "value": single(loss.value),
+        "gradient": loss.gradient,
+        "enhancement": single(loss.enhancement),
+        "suppression": single(loss.suppression),
+    }
+
+
+def gradient_wavelet(case, dtype):
+    primitives, grid = model(case), case.scanner.grid
+    loss = wavelet(case, trgs.voxelize(primitives, grid, dtype=dtype))
+    return trgs.voxelize_vjp(primitives, grid, loss.gradient)
+
+
+def adam(case, _):
+    settings, values = case.settings, case.inputs["start"].copy()
+    state = optim.Adam(len(values), (settings["beta1"], settings["beta2"]), settings["epsilon"])
+    trajectory = []
+    for slope, rate in zip(case.inputs["gradients"], case.inputs["rates"]):
+        state.step(values, slope, rate)
+        trajectory.append(values.copy())
+    return np.array(trajectory)
+
+
+def sghmc(case, _):
+    inputs, settings, positions = case.inputs, case.settings, case.inputs["start"].copy()
+    state, trajectory = optim.Sghmc(len(positions)), []
+    for step, rate in enumerate(inputs["rates"]):
+        burns_in = step < settings["burn_in"]
+        state.step(
+            positions,
+            inputs["directions"][step],
+            rate=rate,
+            friction=settings["burn_in_friction" if burns_in else "friction"],
+            gate=inputs["gates"],
+            noise=inputs["noise"][step],
+            covariance=inputs["covariance"] if burns_in else None,
+        )
+        trajectory.append(positions.copy())
+    return np.array(trajectory)
+
+
+def population(next_):
+    of = next_.model
+    arrays = dict(zip(trgs.Parameters._fields, (of.mean, of.scale, of.quaternion, of.density, of.nu)))
+    return {"model": arrays, "parent": next_.parent, "fresh": next_.fresh}
+
+
+def ar(case, _):
+    keys = ("dead", "recycled", "growth", "cap", "relocation")
+    return population(density.ar(model(case), case.inputs["uniform"], **{key: case.settings[key] for key in keys}))
+
+
+def adc(case, _):
+    keys = ("gradient", "split_scale", "faint", "cap", "low", "high")
+    settings = {key: case.settings[key] for key in keys}
+    return population(density.adc(model(case), case.inputs["pull"], case.inputs["normals"], **settings))
+
+
+def all_metrics(case, _):
+    pairs = {"psnr_3d": "volume", "ssim_3d": "volume", "psnr_2d": "projections", "ssim_2d": "projections"}
+    found = {}
+    for name, role in pairs.items():
+        truth, result = (case.inputs[key].astype(np.float32) for key in (f"{role}_truth", role))
+        found[name] = single(getattr(metrics, name)(truth, result).value)
+    return {"metrics": found}
+
+
+def two(case, dtype):
+    return case.inputs["prediction"].astype(dtype), case.inputs["target"].astype(dtype)
+
+
+def covered(case):
+    keys = ("sphere_points", "r_max", "kappa")
+    settings = {key: case.settings[key] for key in keys}
+    return trgs.confidence(model(case), case.scanner, case.settings["angles"], **settings)
+
+
+def routed(case):
+    settings = {key: case.settings[key] for key in ("neighbours", "threshold")}
+    return trgs.wavelet_routing(case.scanner, case.inputs["means"], case.inputs["confidence"], **settings)
+
+
+def filtered(case, dtype):
+    projections, settings = case.inputs["projections"].astype(dtype), case.settings
+    return trgs.fdk_filter(projections, case.scanner, settings["angles"], window=settings["window"])
+
+
+def pulled(case, _):
+    settings = {key: case.settings[key] for key in ("sphere_points", "temperature")}
+    return trgs.nu_target(case.inputs["c"], nu_range=tuple(case.settings["nu_range"]), **settings)
+
+
+def rates(case, _):
+    settings = (case.settings[key] for key in ("first", "last", "length"))
+    first, last, length = settings
+    return np.array([optim.learning_rate(int(step), first, last, length) for step in case.inputs["steps"]])
+
+
+def nu_loss(case, _):
+    return valued(losses.nu_loss(*(case.inputs[key] for key in ("nu", "target", "confidence")), case.settings["weight"]))
+
+
+def activated(case, _):
+    of = activation(case).forward(raw(case))
+    return (of.mean, of.scale, of.quaternion, of.density, of.nu)
+
+
+# Stage → the answer for a case and a type: outputs by role, or the only output.
+STAGES = {
+    "covariance": lambda case, _: model(case).covariance(),
+    "kernel": lambda case, dtype: trgs.kernel(case.inputs["delta"], case.inputs["nu"], dtype=dtype),
+    "integral-factor": lambda case, _: dict(zip(("factor", "slope"), trgs.integral_factor(case.inputs["nu"]))),
+    "density": lambda case, dtype: trgs.voxelize(model(case), case.scanner, dtype=dtype),
+    "density-cutoff": lambda case, dtype: trgs.voxelize(
+        model(case), case.scanner.grid, cutoff=case.settings["cutoff"], dtype=dtype
+    ),
+    "projected-kernel-affine": lambda case, dtype: each_kernel(case, dtype, "affine"),
+    "projected-kernel-exact": lambda case, dtype: each_kernel(case, dtype, "exact"),
+    "image-affine": lambda case, dtype: images(case, dtype, projection="affine"),
+    "image-exact": lambda case, dtype: images(case, dtype),
+    "image-cutoff": lambda case, dtype: images(case, dtype, **with_cutoff(case)),
+    "gradient-density": lambda case, dtype: trgs.voxelize_vjp(
+        model(case), case.scanner, case.inputs["cotangent"].astype(dtype)
+    ),
+    "gradient-image-affine": lambda case, dtype: gradient(case, dtype, projection="affine"),
+    "gradient-image-exact": lambda case, dtype: gradient(case, dtype),
+    "activation": activated,
+    "gradient-raw": gradient_raw,
+    "support": lambda case, _: trgs.support(model(case), case.scanner, case.settings["angles"], **with_cutoff(case)),
+    "truncation-bound": lambda case, _: trgs.truncation_bound(
+        model(case), case.scanner, case.settings["angles"], **with_cutoff(case)
+    ),
+    "loss-l1": lambda case, dtype: valued(losses.l1(*two(case, dtype))),
+    "loss-ssim": lambda case, dtype: valued(losses.ssim(*two(case, dtype))),
+    "loss-image": lambda case, dtype: valued(losses.image_loss(*two(case, dtype), case.settings["weight"])),
+    "loss-tv": lambda case, dtype: valued(losses.tv(case.inputs["block"].astype(dtype))),
+    "confidence": lambda case, _: covered(case),
+    "nu-target": pulled,
+    "loss-nu": nu_loss,
+    "haar": haar,
+    "wavelet-routing": lambda case, _: routed(case),
+    "wavelet-loss": wavelet_loss,
+    "gradient-wavelet": gradient_wavelet,
+    "schedule": rates,
+    "adam": adam,
+    "sghmc-gate": lambda case, _: optim.gate(case.inputs["density"], case.settings["reference"]),
+    "sghmc": sghmc,
+    "ar": ar,
+    "adc": adc,
+    "gradient-shadow": lambda case, dtype: trgs.footprint_gradient(
+        model(case),
+        case.scanner,
+        case.settings["angles"],
+        case.inputs["cotangent"].astype(dtype),
+        projection=case.settings["projection"],
+    ),
+    "fdk-filter": filtered,
+    "fdk-backprojection": lambda case, dtype: trgs.fdk_backproject(
+        case.inputs["filtered"].astype(dtype), case.scanner, case.settings["angles"]
+    ),
+    "fdk": lambda case, dtype: trgs.fdk_backproject(filtered(case, dtype), case.scanner, case.settings["angles"]),
+    "metrics": all_metrics,
+}
+
+
+def answers(case, found):
+    """Outputs by role."""
+    is_all = isinstance(found, dict) and set(found) == set(case.output_names)
+    return found if is_all else {case.output_names[0]: found}
+
+
+@pytest.mark.parametrize("precision", TYPES)
+@conformance.cases(stage=list(STAGES), level="stress")
+def test_answers_are_those_of_fifty_digits(case, precision):
+    found = STAGES[case.stage](case, TYPES[precision])
+    case.check(precision=precision, **answers(case, found))
+
+
+def test_all_stages_but_two_are_functions_of_the_package():
+    every = {case.stage for case in conformance.find(level="stress")}
+    assert every - set(STAGES) == {"noise", "random"}
+
+
+def test_a_wrong_answer_fails_with_the_likely_mistake():
+    (case, *_) = conformance.find(stage="image-exact")
+    wrong = images(case, np.float64)[:, ::-1]
+    with pytest.raises(conformance.Failure, match="image-exact/.* failed in f64\n.*limit") as caught:
+        case.check(precision="f64", image=wrong)
+    assert caught.value.result["status"] == "failed"
+    assert "looks like" in str(caught.value)
+    with pytest.raises(conformance.Failure, match="shape"):
+        case.check(image=wrong[:, :-1])
+    with pytest.raises(conformance.Failure, match="missing"):
+        case.check()
+    with pytest.raises(TypeError, match="answer: got picture, expected image"):
+        case.check(picture=wrong)
+
+
+def test_a_gradient_is_a_mapping_or_five_arrays():
+    (case, *_) = conformance.find(stage="gradient-image-exact")
+    found = gradient(case, np.float64)
+    case.check(grad=found, precision="f64")
+    case.check(grad=found._asdict(), precision="f64")
+    with pytest.raises(conformance.Failure, match="grad.mean"):
+        case.check(grad=found._replace(mean=2 * found.mean), precision="f64")
+
+
+def test_truth_and_inputs_are_those_of_an_export(tmp_path):
+    folder = tmp_path / "vectors"
+    assert conformance.export(folder, stage="image-exact") > 10
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (folder / "PROTOCOL.md").exists()
+    for entry, case in zip(manifest["cases"], conformance.find(stage="image-exact"), strict=True):
+        assert entry["id"] == case.id
+        truth = np.load(folder / "expected" / entry["outputs"]["image"]["file"])
+        assert np.array_equal(truth, case.truth["image"])
+        with np.load(folder / entry["inputs"]["model"]["file"]) as arrays:
+            assert all(np.array_equal(arrays[name], case.inputs["model"][name]) for name in arrays)
+    with pytest.raises(ValueError, match="`stage`: got image"):
+        conformance.find(stage="image")
+
+
+def test_the_ten_lines_of_a_backend_run(tmp_path):
+    test = tmp_path / "test_backend.py"
+    test.write_text(
+        "import trgs\n"
+        "import trgs.conformance\n"
+        '@trgs.conformance.cases(stage="gradient-image-exact", level="core")\n'
+        "def test_gradient(case):\n"
+        '    model = trgs.Model(**case.inputs["model"])\n'
+        '    grad = trgs.project_vjp(model, case.scanner, case.settings["angles"], case.inputs["cotangent"])\n'
+        '    case.check(grad=grad, precision="f64")\n'
+    )
+    run = subprocess.run([sys.executable, "-m", "pytest", "-q", str(test)], capture_output=True, text=True)
+    assert run.returncode == 0 and "17 passed" in run.stdout, run.stdout

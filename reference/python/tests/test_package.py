@@ -1,0 +1,216 @@
+"""The package itself: import, the GIL, threads, processes, builds, types and documentation."""
+
+import doctest
+import importlib.metadata
+import importlib.util
+import inspect
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import trgs
+import trgs._core
+from conftest import model_of
+from trgs import conformance, density, losses, metrics, optim  # noqa: F401
+
+DIGEST = """
+import hashlib, numpy as np, trgs
+digest = hashlib.sha256()
+scan = trgs.simulate("torso", trgs.Scanner.synthetic(16, 24), views=6, test_views=1, noise="low", seed=2)
+result = trgs.reconstruct(scan, iterations=20, model={"points": 200})
+m = result.model
+for array in (scan.projections, result.volume, m.mean, m.scale, m.quaternion, m.density, m.nu):
+    digest.update(array.tobytes())
+for dtype in (np.float32, np.float64):
+    image = trgs.project(m, scan.scanner, scan.angles, dtype=dtype)
+    digest.update(image.tobytes())
+    for gradient in trgs.project_vjp(m, scan.scanner, scan.angles, image):
+        digest.update(gradient.tobytes())
+    digest.update(trgs.voxelize(m, scan.scanner, dtype=dtype).tobytes())
+digest.update(trgs.sart(scan.projections, scan.scanner, scan.angles, iterations=2).tobytes())
+digest.update(trgs.confidence(m, scan.scanner, scan.angles).tobytes())
+print(dict(trgs.build())["features"] or "baseline")
+print(digest.hexdigest())
+"""
+
+
+def fresh(code, **environment):
+    """Runs code in an interpreter of its own; returns its output."""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | environment)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_the_import_takes_a_fifth_of_a_second_at_most():
+    code = "import numpy, time; began = time.perf_counter(); import trgs; print(time.perf_counter() - began)"
+    assert min(float(fresh(code)) for _ in range(5)) <= 0.2
+
+
+def test_the_version_is_that_of_the_library():
+    try:
+        stated = importlib.metadata.version("trgs")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("the package is not installed")
+    assert stated == trgs.__version__
+
+
+def test_the_example_of_the_package_runs():
+    assert doctest.testmod(trgs) == (0, 4)
+
+
+def test_a_call_costs_little_and_copies_no_model():
+    """Besides the work: less than a thousandth of that for an image of 512² pixels and 50,000 primitives, about 50 ms."""
+    tiny = trgs.Scanner.cone(5.0, 7.0, detector=(1, 1), pitch=(4.0, 4.0), grid=trgs.Grid((1, 1, 1)))
+    model = model_of(1)
+
+    def once():
+        began = time.perf_counter()
+        trgs.project(model, tiny, [0.3])
+        return time.perf_counter() - began
+
+    assert min(once() for _ in range(300)) < 50e-6
+
+
+def test_other_frameworks_are_imported_when_asked_for():
+    code = "import sys, trgs, trgs.conformance; print([name for name in ('torch', 'jax', 'pytest') if name in sys.modules])"
+    assert fresh(code).strip() == "[]"
+
+
+def advance(work):
+    """Steps of a thread that counts while `work` runs, and the seconds it took."""
+    counter, over = [0], threading.Event()
+
+    def count():
+        while not over.is_set():
+            counter[0] += 1
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    time.sleep(0.01)
+    before, began = counter[0], time.perf_counter()
+    work()
+    steps, took = counter[0] - before, time.perf_counter() - began
+    over.set()
+    thread.join()
+    return steps, took
+
+
+def test_long_calls_release_the_gil():
+    scanner = trgs.Scanner.synthetic(48, 96)
+    model, angles = model_of(1500), trgs.Scanner.uniform_angles(2)
+    images = np.ones((2, 96, 96))
+    projections = np.ones((2, 96, 96), dtype=np.float32)
+    volume = np.ones((48, 48, 48))
+    calls = {
+        "project": lambda: trgs.project(model, scanner, angles),
+        "project_vjp": lambda: trgs.project_vjp(model, scanner, angles, images),
+        "voxelize": lambda: trgs.voxelize(model, scanner),
+        "voxelize_vjp": lambda: trgs.voxelize_vjp(model, scanner, volume),
+        "sart": lambda: trgs.sart(projections, scanner, angles, iterations=20),
+        "forward_project": lambda: trgs.forward_project(volume, scanner, angles * 20),
+    }
+    for name, call in calls.items():
+        steps, took = advance(call)
+        # A thread without the GIL takes no step; one that has it a thousand a second, fewer on a machine that is busy.
+        assert steps >= max(1, 50 * took) or took < 0.02, f"{name}: {steps} steps in {took:.3f} s"
+
+
+def test_the_number_of_threads_is_set_once_and_changes_no_bit():
+    one, two = (fresh(f"import trgs; trgs.set_threads({n}); assert trgs.threads() == {n}\n{DIGEST}") for n in (1, 3))
+    assert one == two
+    code = "import trgs; trgs.threads(); trgs.phantoms()\nscan = trgs.simulate('torso', trgs.Scanner.synthetic(8, 8), views=2)\n"
+    code += "try: trgs.set_threads(2)\nexcept RuntimeError as error: print(error)"
+    assert "expected a call before the first computation" in fresh(code)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_gets_an_error_and_does_not_hang():
+    code = """
+import os, trgs
+scanner = trgs.Scanner.synthetic(8, 8)
+trgs.simulate("torso", scanner, views=2)
+if os.fork() == 0:
+    try:
+        trgs.simulate("torso", scanner, views=2)
+    except RuntimeError as error:
+        os.write(1, str(error).encode())
+    os._exit(0)
+os.wait()
+"""
+    assert 'give multiprocessing.get_context("spawn")' in fresh(code)
+
+
+def test_ctrl_c_ends_a_run():
+    code = """
+import signal, threading, trgs
+scan = trgs.simulate("torso", trgs.Scanner.synthetic(16, 24), views=6)
+threading.Timer(1.0, lambda: signal.raise_signal(signal.SIGINT)).start()
+try:
+    trgs.reconstruct(scan, iterations=1_000_000)
+except KeyboardInterrupt:
+    print("ended")
+"""
+    assert fresh(code).strip() == "ended"
+
+
+def modules():
+    """The modules that this installation has and this CPU can run."""
+    has_v3 = importlib.util.find_spec("trgs._v3") is not None and trgs._core.has_x86_64_v3()
+    return ["baseline", "v3"] if has_v3 else ["baseline"]
+
+
+def test_all_modules_give_the_same_bits():
+    if len(modules()) == 1:
+        assert "TRGS_TWO_MODULES" not in os.environ, "the wheel should have two modules"
+        pytest.skip("this installation has one module that this CPU can run; that of .ci/wheel has two")
+    outputs = {name: fresh(DIGEST, TRGS_MODULE=name).split() for name in modules()}
+    assert "avx2" not in outputs["baseline"] and "avx2" in outputs["v3"]
+    assert outputs["baseline"][-1] == outputs["v3"][-1], outputs
+
+
+def test_the_fastest_module_is_chosen_and_a_wrong_wish_is_an_error():
+    fast = fresh("import warnings; warnings.simplefilter('ignore'); import trgs._core; print(trgs._core.is_fast())")
+    assert fast.strip() == "True" or not trgs._core.has_x86_64_v3()
+    run = subprocess.run(
+        [sys.executable, "-c", "import trgs"], capture_output=True, text=True, env=os.environ | {"TRGS_MODULE": "v5"}
+    )
+    assert "TRGS_MODULE: got 'v5', expected one of auto, baseline, v3; unset TRGS_MODULE" in run.stderr
+
+
+def public():
+    for module in (trgs, losses, metrics, optim, density, conformance):
+        for name in module.__all__:
+            yield f"{module.__name__}.{name}", getattr(module, name)
+
+
+def test_all_that_is_public_has_documentation():
+    for name, value in public():
+        assert inspect.getdoc(value), name
+        if inspect.isclass(value):
+            for member, of in vars(value).items():
+                if not member.startswith("_") and (callable(of) or isinstance(of, (property, staticmethod))):
+                    assert inspect.getdoc(getattr(value, member)), f"{name}.{member}"
+
+
+def test_documentation_names_all_arguments():
+    for name, value in public():
+        if inspect.isclass(value) or not callable(value):
+            continue
+        documentation = inspect.getdoc(value)
+        for argument in inspect.signature(value).parameters:
+            assert re.search(rf"\b{argument}\b", documentation), f"{name}: {argument}"
+
+
+def test_types_agree_with_the_module():
+    pytest.importorskip("mypy")
+    run = subprocess.run(
+        [sys.executable, "-m", "mypy.stubtest", "trgs._core", "--ignore-disjoint-bases"], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
