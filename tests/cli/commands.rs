@@ -271,7 +271,8 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
     let fdk = sandbox.done("reconstruct scan --out fdk --method fdk")["psnr_3d"]["value"].as_f64().unwrap();
     for (method, iterations) in [("sart", 20), ("os-sart", 20), ("asd-pocs", 10), ("cgls", 20)] {
         let run = sandbox.done(&format!("reconstruct scan --out {method} --method {method}"));
-        let files = ["config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html", "volume.npy"];
+        let files =
+            ["checkpoints", "config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html", "volume.npy"];
         assert_eq!(sandbox.names_in(method), files);
         let psnr = run["psnr_3d"]["value"].as_f64().unwrap();
         assert!(psnr > fdk + 1.0, "{method}: {psnr} dB, FDK {fdk} dB");
