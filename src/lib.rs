@@ -99,6 +99,9 @@
 #[macro_use]
 #[path = "../tests/common/tolerances.rs"]
 mod tolerances;
+#[cfg(test)]
+#[path = "../tests/contracts/damage.rs"]
+mod damage;
 
 pub mod classical;
 pub mod confidence;

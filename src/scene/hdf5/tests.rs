@@ -1,10 +1,7 @@
-#[path = "../../../tests/contracts/damage.rs"]
-mod damage;
-
 use super::*;
+use crate::damage::{MANY, assert_reader_survives};
 use crate::scene::stack::{self, ScanFile};
 use crate::scene::volume_file;
-use damage::{MANY, assert_reader_survives};
 use ndarray::Array3;
 
 fn path(name: &str) -> PathBuf {

@@ -1,8 +1,5 @@
-#[path = "../../../../tests/contracts/damage.rs"]
-mod damage;
-
 use super::*;
-use damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives};
+use crate::damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives};
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 use std::io::Write;
