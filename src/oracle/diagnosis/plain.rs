@@ -117,7 +117,7 @@ fn field(numbers: &Numbers, scanner: &Scanner, fault: Option<Fault>) -> Array3<f
     })
 }
 
-/// One primitive in one view `[v, u]` [Eq. 4] [Eq. 5] [X1].
+/// One primitive in one view `[v, u]` `[Eq. 4]` `[Eq. 5]` `[X1]`.
 fn footprint(numbers: &Numbers, scanner: &Scanner, view: &View, exact: bool, fault: Option<Fault>) -> Array2<f64> {
     let (p, axes) = read(numbers, fault);
     let shape = (scanner.detector.rows, scanner.detector.columns);

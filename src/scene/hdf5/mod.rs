@@ -1,7 +1,7 @@
 //! HDF5 files: arrays of numbers with names. The crate hdf5-reader parses the format.
 //!
 //! `FILE.h5:/group/name` names an array of a file; without a name the only array with three axes is read, or the scan of
-//! a known layout ([`layouts`]). MATLAB's files from version 7.3 on are HDF5. The axes of an array are `[z, y, x]`, and of
+//! a known layout (see `Hdf5::scan`). MATLAB's files from version 7.3 on are HDF5. The axes of an array are `[z, y, x]`, and of
 //! a stack `[view, v, u]`; MATLAB writes `A(x, y, z)` in this order.
 //!
 //! Numbers are integers or floats of 32 or 64 bits, contiguous or in chunks, with the filters deflate, shuffle, LZ4,
