@@ -150,6 +150,8 @@ os.wait()
 def test_ctrl_c_ends_a_run():
     code = """
 import signal, threading, trgs
+# A process that a shell starts in the background ignores the signal.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 scan = trgs.simulate("torso", trgs.Scanner.synthetic(16, 24), views=6)
 threading.Timer(1.0, lambda: signal.raise_signal(signal.SIGINT)).start()
 try:
