@@ -33,7 +33,8 @@ fn both_layouts_of_a_scan_give_the_same_line_integrals() {
     let (white, message) = read("exchange.h5", "c", "--white 1000");
     assert!(message.contains("flat field of this file: not used"), "{message}");
     assert_eq!(white.train.images, exchange.train.images);
-    let (plain, _) = read("exchange.h5:/exchange/data", "d", "--line-integrals");
+    sandbox.write("angles.txt", "0 1 2 3");
+    let (plain, _) = read("exchange.h5:/exchange/data", "d", "--line-integrals --angles angles.txt");
     assert_eq!(plain.train.images[[0, 0, 0]], 100.0);
 }
 
