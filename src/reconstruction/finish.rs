@@ -29,6 +29,8 @@ const PART: f64 = 0.25;
 pub(super) const LEAST: f64 = 2e-3;
 /// Without a pilot run: iterations at most.
 const ITERATIONS: usize = 20;
+/// Without a pilot run: iterations, from zeros, after which each weight is judged.
+const JUDGED_AFTER: usize = 50;
 /// Fewest iterations where the projections are corrected. Without a pilot run the finish may end from then on, when the
 /// last [`WINDOW`] iterations have lowered the residual by less than [`FALL`]: the correction is used up.
 pub(super) const SHORTEST: usize = 10;
@@ -99,7 +101,8 @@ fn by_rule<R: Real>(
         return Ok((settings, None, may_end));
     }
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
-    let chosen = choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch)?;
+    let judged = TvSettings { iterations: JUDGED_AFTER, tolerance: 0.0, ..config.tv() };
+    let chosen = choose_weight::<R>(projector, &dataset.train, &judged, &mut watch)?;
     settings.weight = if interpolated { PART * chosen.value } else { chosen.value.max(LEAST) };
     Ok((settings, Some(chosen), may_end))
 }
