@@ -104,7 +104,8 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.fold(None, |range, v| Some(range.map_or((v, v), |(low, high): (f64, f64)| (low.min(v), high.max(v)))))
 }
 
-/// Ticks at 1, 2, 5 times powers of ten, or at powers only if that gives more than six ticks.
+/// Ticks at 1, 2, 5 times powers of ten, or at powers only if that gives more than six ticks. Less than a third of a decade
+/// has evenly spaced values.
 fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     let decades = low.floor() as i32..=high.floor() as i32;
     let ticks = |steps: &[f64]| -> Vec<f64> {
@@ -112,7 +113,22 @@ fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
         all.filter(|&tick| (low..=high).contains(&log10(tick))).collect()
     };
     let fine = ticks(&[1.0, 2.0, 5.0]);
-    if fine.len() <= 6 { fine } else { ticks(&[1.0]) }
+    match fine.len() {
+        0..=1 => round_values(pow(10.0, low), pow(10.0, high)),
+        2..=6 => fine,
+        _ => ticks(&[1.0]),
+    }
+}
+
+/// Three to seven multiples of 1, 2 or 5 times a power of ten.
+fn round_values(low: f64, high: f64) -> Vec<f64> {
+    let decade = log10((high - low).max(f64::MIN_POSITIVE)).floor();
+    // Divisions by whole numbers: the ticks are the doubles nearest to their decimals.
+    let steps = [5.0, 2.0, 1.0].map(|part| part * pow(10.0, -decade));
+    let per_unit = steps.into_iter().find(|per_unit| (high - low) * per_unit <= 6.0);
+    let per_unit = per_unit.unwrap_or(0.5 * pow(10.0, -decade));
+    let first = (low * per_unit).ceil();
+    (0..).map(|i| (first + f64::from(i)) / per_unit).take_while(|&tick| tick <= high).collect()
 }
 
 /// Three to seven ticks at round integers, since they count iterations.
@@ -136,6 +152,10 @@ mod tests {
         assert_eq!(linear_ticks(100.0, 1000.0), [200., 400., 600., 800., 1000.]);
         assert_eq!(logarithmic_ticks(-2.0, -0.5), [0.01, 0.02, 0.05, 0.1, 0.2]);
         assert_eq!(logarithmic_ticks(-3.2, 1.1).len(), 5);
+        // Ranges with fewer than two of these: 0.018 to 0.032, 0.0628 to 0.0661, and 4.0 to 4.4.
+        assert_eq!(logarithmic_ticks(log10(0.018), log10(0.032)), [0.02, 0.025, 0.03]);
+        assert_eq!(logarithmic_ticks(log10(0.0628), log10(0.0661)), [0.063, 0.064, 0.065, 0.066]);
+        assert_eq!(logarithmic_ticks(log10(3.99), log10(4.41)), [4.0, 4.1, 4.2, 4.3, 4.4]);
     }
 
     #[test]

@@ -52,7 +52,11 @@ impl<'a> Gallery<'a> {
         if !stacked {
             html += &legends;
         }
-        for cut in self.cuts {
+        let is_line =
+            |cut: &Cut| <[usize; 2]>::from(cut.plane()).map(|axis| self.reference.grid.shape[axis]).contains(&1);
+        // Of a volume of one slice, that slice alone is shown.
+        let shown = self.cuts.iter().filter(|cut| !is_line(cut) || self.cuts.iter().all(is_line));
+        for &cut in shown {
             let (axis, position) = (AXES[cut.axis], short(cut.position(self.reference)));
             let (number, count) = (cut.index + 1, self.reference.grid.shape[cut.axis]);
             let place = format!("at {axis} = {position}, voxel {number} of {count}");

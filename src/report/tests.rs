@@ -93,6 +93,22 @@ fn sections_without_content_are_left_out() {
 }
 
 #[test]
+fn of_a_volume_of_one_slice_that_slice_is_shown() {
+    let shown = |shape: [usize; 3]| {
+        let grid = Grid::new(shape, DVec3::NEG_ONE, DVec3::ONE).unwrap();
+        let volume = Volume::new(grid, Array3::from_elem(shape, 1.0)).unwrap();
+        let methods = vec![Method { name: "TV", volume: Some(&volume), metrics: None }];
+        let html = render(&Report { title: "slice", methods, ..Report::default() }).unwrap();
+        ["x", "y", "z"].map(|axis| html.contains(&format!("<h3>Across {axis} ")))
+    };
+    assert_eq!(shown([4, 3, 1]), [false, false, true]);
+    assert_eq!(shown([1, 3, 2]), [true, false, false]);
+    assert_eq!(shown([4, 3, 2]), [true; 3]);
+    // A line is better than nothing.
+    assert_eq!(shown([4, 1, 1]), [true; 3]);
+}
+
+#[test]
 fn volumes_of_different_shapes_are_refused() {
     let (truth, other) = (volume(1.0), Volume::new(Grid::cube(2), Array3::zeros((2, 2, 2))).unwrap());
     let methods = vec![Method { name: "other", volume: Some(&other), metrics: None }];
