@@ -126,6 +126,7 @@ pub mod scene;
 pub mod setting;
 pub mod train;
 pub mod wavelet;
+pub mod words;
 
 pub use config::{Config, Method};
 pub use error::{Error, Result};

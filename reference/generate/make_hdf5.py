@@ -63,8 +63,24 @@ def arrays():
         file.create_dataset("constant", shape=(50, 60, 70), dtype="f4", fillvalue=2.5, chunks=(10, 10, 10))
 
 
+def limits():
+    """An array deeper than the search for arrays goes, and one beyond 2¹⁰ paths through ten groups."""
+    with h5py.File(DATA / "deep.h5", "w", libver="latest") as file:
+        file["/".join(f"g{i}" for i in range(18)) + "/deep"] = VALUES
+        file["top"] = VALUES[:2]
+    with h5py.File(DATA / "many_paths.h5", "w", libver="latest") as file:
+        group = file
+        for _ in range(10):
+            inner = group.create_group("a")
+            group["b"] = inner
+            group = inner
+        group["data"] = VALUES
+        file["z/data"] = VALUES[:2]
+
+
 if __name__ == "__main__":
     data_exchange()
     nx_tomo()
     matlab()
     arrays()
+    limits()

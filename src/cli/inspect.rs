@@ -17,6 +17,7 @@ use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
 use trgs::scene::stack::RtkGeometry;
 use trgs::scene::{Beam, Dataset, Projections, Volume, array_path, plausibility, volume_file};
+use trgs::words::{counted, verb};
 use trgs::{Error, Result};
 
 /// Ratio of longest to shortest scale from which on a primitive counts as a needle.
@@ -88,8 +89,10 @@ fn dataset(path: &Path) -> Result<Value> {
     };
     let views = |views: &Projections| json!({ "views": views.len(), "values": range(&views.images) });
     let negative = |views: &Projections| views.images.iter().filter(|value| **value < 0.0).count();
-    if negative(&train) > 0 {
-        oddities.push(format!("{} pixels of the training views are negative", negative(&train)));
+    let below_zero = negative(&train);
+    if below_zero > 0 {
+        let (pixels, are) = (counted(below_zero, "pixel"), verb(below_zero, "is", "are"));
+        oddities.push(format!("{pixels} of the training views {are} negative"));
     }
     let mut found = json!({
         "kind": "dataset",
@@ -178,7 +181,7 @@ fn arrays(npz: &Npz) -> Value {
 
 fn of_model(primitives: &Primitives) -> Value {
     let p = &primitives.parameters;
-    let count = |what: &str, n: usize| (n > 0).then(|| format!("{n} of {} primitives {what}", p.len()));
+    let count = |what: &str, n: usize| (n > 0).then(|| format!("{n} of {} {what}", counted(p.len(), "primitive")));
     let outside = p.mean.iter().filter(|mean| mean.iter().any(|x| x.abs() > 1.0)).count();
     let needles = p.scale.iter().filter(|s| s.iter().any(|a| s.iter().any(|b| *a > NEEDLE * b))).count();
     let oddities = [

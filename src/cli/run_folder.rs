@@ -16,6 +16,7 @@ use trgs::reconstruction::Sampled;
 use trgs::report::{self, Curve, Report};
 use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;
+use trgs::words::counted;
 use trgs::{Error, Result};
 
 /// Folder with the state of an iterative run.
@@ -244,7 +245,7 @@ fn page(
     }
     report::render(&Report {
         title: &format!("{} from {}", outcome.name(), dataset.name),
-        subtitle: &format!("Reconstructed from {} projections", dataset.train.len()),
+        subtitle: &format!("Reconstructed from {}", counted(dataset.train.len(), "projection")),
         methods: outcome.on_the_page().chain(beside.into_iter().flat_map(Outcome::on_the_page)).collect(),
         truth: dataset.truth.as_ref(),
         curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),

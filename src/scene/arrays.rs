@@ -3,6 +3,7 @@
 use super::geometry::{Grid, Pose, Trajectory};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
+use crate::words::counted;
 use ndarray::{Array3, ArrayView2, Axis};
 
 /// Density per voxel: attenuation per scene unit of length.
@@ -55,7 +56,7 @@ impl Projections {
         if angles.is_empty() || images.shape()[0] != angles.len() {
             return Err(Error::invalid(
                 "projections",
-                format!("{} images for {} angles", images.shape()[0], angles.len()),
+                format!("{} for {}", counted(images.shape()[0], "image"), counted(angles.len(), "angle")),
                 "one image per angle, at least one",
                 "give one angle per image",
             ));

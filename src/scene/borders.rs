@@ -5,6 +5,7 @@
 //! a view whose border exceeds [`CLEARLY`] of the view's largest entry.
 
 use crate::numeric::Real;
+use crate::words::counted;
 use ndarray::{ArrayView1, ArrayView3, Axis};
 use std::ops::Range;
 
@@ -119,8 +120,9 @@ impl Borders {
         cut.map(|(side, border)| {
             let count = (border.share * views as f64).round();
             format!(
-                "{} (in {count} of {views} views, up to {:.0} % of the view's largest)",
+                "{} (in {count} of {}, up to {:.0} % of the view's largest)",
                 side.name(),
+                counted(views, "view"),
                 100.0 * border.level
             )
         })

@@ -7,6 +7,7 @@ use super::{noise::Noise, trilinear};
 use crate::error::Result;
 use crate::numeric::elementary::{asin, atan2};
 use crate::numeric::reduce;
+use crate::words::{counted, verb};
 use glam::DVec3;
 use ndarray::{Array3, Axis};
 use std::f64::consts::TAU;
@@ -62,7 +63,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<DescriptionLine>> {
             let (low, mean, high) = range(&truth.values);
             let mut remarks = Vec::new();
             if low < 0.0 {
-                remarks.push(format!("{} negative voxels", truth.values.iter().filter(|v| **v < 0.0).count()));
+                remarks.push(counted(truth.values.iter().filter(|v| **v < 0.0).count(), "negative voxel"));
             }
             if high > 1.0 {
                 remarks.push("above 1, which PSNR takes as the peak".into());
@@ -156,7 +157,7 @@ fn view_rows(kind: &str, views: &Projections) -> [DescriptionLine; 2] {
     }
     let repeated = gaps().filter(|gap| *gap < 1e-6).count();
     if repeated > 0 && views.len() > 1 && views.poses.is_none() {
-        remarks.push(format!("{repeated} angles occur again"));
+        remarks.push(format!("{} {} again", counted(repeated, "angle"), verb(repeated, "occurs", "occur")));
     }
     let value = format!("{}, {first:.2}° to {last:.2}°, largest gap {:.2}°", views.len(), largest.to_degrees());
     let count = line(format!("{kind} views"), value, remarks.join("; "));
@@ -165,7 +166,7 @@ fn view_rows(kind: &str, views: &Projections) -> [DescriptionLine; 2] {
     let mut remarks = Vec::new();
     let negative = views.images.iter().filter(|p| **p < 0.0).count();
     if negative > 0 {
-        remarks.push(format!("{negative} negative pixels"));
+        remarks.push(counted(negative, "negative pixel"));
     }
     let [_, rows, columns] = [0, 1, 2].map(|axis| views.images.len_of(Axis(axis)));
     for (side, axis, index) in [("top", 1, 0), ("bottom", 1, rows - 1), ("left", 2, 0), ("right", 2, columns - 1)] {
@@ -308,10 +309,10 @@ mod tests {
         let remarks = remarks(&scan);
         for part in [
             "no view for 220.0°",
-            "1 angles occur again",
+            "1 angle occurs again",
             "cut off at the left",
-            "1 negative pixels",
-            "1 negative voxels",
+            "1 negative pixel",
+            "1 negative voxel",
             "oddity: something else",
         ] {
             assert!(remarks.contains(part), "{part} is missing in {remarks}");

@@ -21,6 +21,7 @@ pub mod simulate;
 pub mod stack;
 pub mod trace;
 pub mod trilinear;
+pub mod truncation;
 pub mod volume_file;
 
 pub use arrays::{Projections, Volume};

@@ -10,16 +10,17 @@
 //! | another scale of the test views | the mean values differ by more than a factor of [`SCALE`] |
 //! | another scale of the true volume | its mass and that seen by the views differ by more than a factor of [`SCALE`] |
 //! | Hounsfield units | the true volume has values below [`super::hounsfield::IMPOSSIBLE`] |
-//! | an object wider than the detector | it is cut off left or right, and no opposite view sees the rest |
+//! | an object wider than the detector | see [`super::truncation`] |
+//! | an object taller than the detector | see [`super::truncation`] |
 
 use super::arrays::{Projections, Volume};
 use super::borders::{Borders, Side};
 use super::dataset::Dataset;
 use super::geometry::{Beam, Scanner};
 use super::hounsfield;
+use super::truncation::{taller, wider};
 use crate::numeric::reduce;
 use crate::setting::Setting;
-use std::f64::consts::TAU;
 
 /// Range of whole numbers from which on they are remarked on.
 pub const LEVELS: f64 = 16.0;
@@ -31,10 +32,6 @@ const WHOLE: f64 = 1e-6;
 const AIR: f64 = 0.7;
 /// The object in readings: the smallest value of the mean view, in units of its border, at most.
 const SHADE: f64 = 0.8;
-/// Ratio of the parts of the detector on both sides of the axis from which on it is displaced.
-const DISPLACED: f64 = 1.05;
-/// Widest gap between the views of a full turn, radians.
-const GAP: f64 = TAU / 12.0;
 
 /// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
 pub fn remarks(dataset: &Dataset) -> Vec<String> {
@@ -51,7 +48,8 @@ pub fn remarks(dataset: &Dataset) -> Vec<String> {
         _ => None,
     };
     let wide = if are_readings { None } else { wider(scanner, train, &borders) };
-    [readings, test_scale, hounsfield, mass, wide].into_iter().flatten().collect()
+    let tall = if are_readings { None } else { taller(scanner, train, &borders) };
+    [readings, test_scale, hounsfield, mass, wide, tall].into_iter().flatten().collect()
 }
 
 /// A remark on training views that are readings of a detector.
@@ -136,36 +134,6 @@ fn scale_of_truth(scanner: &Scanner, train: &Projections, truth: &Volume) -> Opt
     })
 }
 
-/// A remark on an object that is wider than the detector, where no opposite view sees the rest.
-fn wider(scanner: &Scanner, train: &Projections, borders: &Borders) -> Option<String> {
-    let detector = &scanner.detector;
-    let half = detector.columns as f64 * detector.pitch_u / 2.0;
-    let sides = [(half - detector.offset_u, Side::Left), (half + detector.offset_u, Side::Right)];
-    let [(left, _), (right, _)] = sides;
-    // On a full turn, the far side of a displaced detector sees what its near side lacks.
-    let turns = widest_gap(&train.angles) <= GAP;
-    let replaced = |width: f64| turns && width > 0.0 && left.max(right) >= DISPLACED * width;
-    let lacking: Vec<Side> = sides.into_iter().filter(|(width, _)| !replaced(*width)).map(|(_, side)| side).collect();
-    let cut = borders.cut(&lacking, train.len());
-    (!cut.is_empty()).then(|| {
-        format!(
-            "the object is wider than the detector: cut off at the {}; near the border results are wrong; fdk \
-             continues the projections if it has all other rays, the other methods need a volume (sVoxel) that contains \
-             the whole object",
-            cut.join(" and the ")
-        )
-    })
-}
-
-/// The widest gap between neighbouring angles on the circle, radians.
-fn widest_gap(angles: &[f64]) -> f64 {
-    let mut sorted: Vec<f64> = angles.iter().map(|angle| angle.rem_euclid(TAU)).collect();
-    sorted.sort_by(f64::total_cmp);
-    let Some(&first) = sorted.first() else { return TAU };
-    sorted.push(first + TAU);
-    sorted.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, |a, b| if b > a { b } else { a })
-}
-
 /// The smallest and the largest value; infinite for none.
 fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
@@ -239,19 +207,5 @@ mod tests {
         other.truth.as_mut().unwrap().values.mapv_inplace(|mu| 1000.0 * (mu - 1.0));
         let found = only(&other);
         assert!(found.contains("Hounsfield") && found.contains("`mu_water`"), "{found}");
-    }
-
-    #[test]
-    fn an_object_wider_than_the_detector_is_found_unless_opposite_views_see_it() {
-        let narrow = only(&scan(12, 0.0));
-        assert!(
-            narrow.contains("cut off at the left (in 18 of 18 views") && narrow.contains("and the right"),
-            "{narrow}"
-        );
-        // Displaced: whole on a full turn, and not on an arc.
-        let mut displaced = scan(28, 0.9);
-        displaced.train.angles.iter_mut().for_each(|angle| *angle *= 0.6);
-        let found = only(&displaced);
-        assert!(found.contains("left") && !found.contains("the right"), "{found}");
     }
 }

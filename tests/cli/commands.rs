@@ -400,7 +400,7 @@ fn readings_of_a_detector_become_a_scan() {
         ("scan other --clockwise", "--clockwise"),
         ("frames.tif other --scanner meta.json --white 5 --flat flats.tif", "cannot be used with"),
         ("frames.tif other --scanner meta.json --air 0,0,99,3", "14 rows and 15 columns"),
-        ("darks.tif other --scanner meta.json --angles angles.txt", "one for each of 1 frames"),
+        ("darks.tif other --scanner meta.json --angles angles.txt", "one for each of 1 frame;"),
         ("frames.tif other --scanner meta.json --flat scan/vol_gt.npy", "flat field: got shape [12, 12]"),
     ] {
         let output = sandbox.run(&format!("convert {arguments}"));

@@ -1,8 +1,14 @@
 //! Scans and volumes in HDF5: fields and angles come with the frames. Needs the feature `hdf5`.
+//!
+//! h5py judges the reader, if `python3`, or the program named by `TRGS_PYTHON`, has it; a CI server must have it.
 
 use crate::program::{Sandbox, stderr};
-use serde_json::json;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
 use trgs::numeric::elementary::log;
+use trgs::scene::hdf5::Hdf5;
 use trgs::scene::{Dataset, npy};
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
@@ -44,8 +50,50 @@ fn files_are_inspected_and_volumes_are_converted() {
     assert_eq!(sandbox.done(&format!("inspect {DATA}/nxtomo.nxs"))["shape"], json!([4, 3, 5]));
     let arrays = &sandbox.done(&format!("inspect {DATA}/arrays.h5"))["arrays"];
     assert_eq!(arrays["/types/u2"], json!({ "shape": [4, 3, 5], "numbers": "uint16" }));
+    let oddities = &sandbox.done(&format!("inspect {DATA}/many_paths.h5"))["oddities"];
+    assert!(oddities[0].as_str().unwrap().contains("after 1000 groups"), "{oddities}");
     sandbox.done(&format!("convert {DATA}/matlab.mat v.npy"));
     let array = npy::read_f32::<ndarray::Ix3>(&sandbox.path("v.npy"), "[x, y, z]").unwrap();
     assert_eq!((array.dim(), array[[1, 2, 3]]), ((5, 3, 4), ((3 * 3 + 2) * 5 + 1) as f32 * 7.0 + 100.0));
     assert!(sandbox.refused("inspect missing.h5").contains("missing.h5"));
+}
+
+/// The arrays of files as h5py reads them, or `None` with a message without h5py.
+fn read_with_h5py(folder: &Path, files: &[String]) -> Option<Value> {
+    let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
+    let has_it = Command::new(&program).args(["-c", "import h5py"]).output();
+    if !has_it.is_ok_and(|out| out.status.success()) {
+        assert!(std::env::var_os("CI").is_none(), "{program} lacks h5py; set TRGS_PYTHON");
+        std::io::stderr().write_all(format!("SKIPPED: {program} lacks h5py; set TRGS_PYTHON\n").as_bytes()).unwrap();
+        return None;
+    }
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/reference/formats/hdf5.py");
+    let output = Command::new(program).arg(script).arg(folder).args(files).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn every_array_is_read_as_h5py_reads_it() {
+    let sandbox = Sandbox::new();
+    let names = ["arrays.h5", "exchange.h5", "nxtomo.nxs", "matlab.mat", "deep.h5", "many_paths.h5"];
+    let files = names.map(|name| format!("{DATA}/{name}"));
+    let Some(expected) = read_with_h5py(&sandbox.path(""), &files) else { return };
+    let mut compared = 0;
+    for file in &files {
+        let found = Hdf5::read(Path::new(file)).unwrap();
+        for (name, expected) in expected[file].as_object().unwrap() {
+            let entry = found.entry(name).unwrap();
+            assert_eq!(
+                json!([entry.shape, entry.numbers]),
+                json!([expected["shape"], expected["numbers"]]),
+                "{file}: {name}"
+            );
+            let array = npy::read(Path::new(expected["array"].as_str().unwrap())).unwrap();
+            let values = found.numbers(&entry).unwrap().into_f64();
+            assert_eq!(values, array.numbers.into_f64(), "{file}: {name}");
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 28);
 }

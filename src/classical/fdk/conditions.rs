@@ -4,7 +4,8 @@
 
 use super::redundancy::{half_fan, shadow};
 use crate::error::{Error, Result};
-use crate::scene::borders::{Borders, Side};
+use crate::scene::borders::Borders;
+use crate::scene::truncation::Displacement;
 use crate::scene::{Beam, Scanner};
 use std::f64::consts::{PI, TAU};
 
@@ -16,8 +17,6 @@ const HOLE: f64 = PI / 6.0;
 const HOLE_FACTOR: f64 = 6.0;
 /// Mean steps between views that a full turn of a displaced detector may lack.
 const STEPS: f64 = 4.0;
-/// Ratio of the parts of the detector on the two sides of the axis from which on it is displaced.
-const DISPLACED: f64 = 1.05;
 /// The methods that need no condition.
 const OTHERS: &str = "use the method tr-gs, sart, asd-pocs, cgls or tv, which need no complete rays";
 
@@ -40,43 +39,6 @@ pub(super) enum Weights {
     Displaced(Displacement),
 }
 
-/// The detector relative to the rotation axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Displacement {
-    /// Width from the axis to the nearer end; negative if the detector does not reach the axis.
-    pub(super) overlap: f64,
-    /// Width from the axis to the farther end.
-    pub(super) far: f64,
-    /// 1 if the farther end is the right one, otherwise -1.
-    pub(super) side: f64,
-    /// Where the detector sees the axis, along u.
-    pub(super) axis: f64,
-}
-
-impl Displacement {
-    /// `shift` of source and detector along u, scene units.
-    pub(super) fn of(scanner: &Scanner, shift: f64) -> Self {
-        let detector = &scanner.detector;
-        let half = detector.columns as f64 * detector.pitch_u / 2.0;
-        let axis = match scanner.beam {
-            Beam::Cone { dso, dsd } => -shift * dsd / dso,
-            Beam::Parallel { .. } => 0.0,
-        };
-        let offset = detector.offset_u - axis;
-        let (low, high) = (half - offset, half + offset);
-        Self { overlap: low.min(high), far: low.max(high), side: if high > low { 1.0 } else { -1.0 }, axis }
-    }
-
-    fn is_displaced(&self) -> bool {
-        self.far >= DISPLACED * self.overlap
-    }
-
-    /// Index of the nearer end in `[left, right]`.
-    fn near(&self) -> usize {
-        usize::from(self.side < 0.0)
-    }
-}
-
 impl Plan {
     /// The decision for views at `angles` whose borders are `seen`; `shift` of source and detector along u, scene units.
     ///
@@ -89,7 +51,7 @@ impl Plan {
         };
         let (arc, turn) = (Arc::of(angles, circle), Arc::of(angles, TAU));
         let displacement = Displacement::of(scanner, shift);
-        let cut = [Side::Left, Side::Right].map(|side| seen.at(side).is_cut());
+        let cut = Displacement::SIDES.map(|side| seen.at(side).is_cut());
         let near_is_cut = displacement.is_displaced() && cut[displacement.near()];
 
         if displacement.overlap <= 0.0 {

@@ -11,12 +11,13 @@
 //! `[Parker82]`: D. L. Parker, *Optimal short scan convolution reconstruction for fanbeam CT*, Med. Phys. 9 (1982) 254.
 //! `[Wang02]`: G. Wang, *X-ray micro-CT with a displaced detector array*, Med. Phys. 29 (2002) 1634.
 
-use super::conditions::{Arc, Displacement, Plan, Weights};
+use super::conditions::{Arc, Plan, Weights};
 use super::continuation;
 use crate::error::Result;
 use crate::numeric::Real;
 use crate::numeric::elementary::{asin, atan, sin, tan};
 use crate::scene::borders::Borders;
+use crate::scene::truncation::Displacement;
 use crate::scene::{Beam, Scanner};
 use ndarray::{Array3, ArrayView3, Axis};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};

@@ -72,7 +72,11 @@ pub(super) fn hdf5(path: &Path) -> Result<Value> {
         .entries()
         .iter()
         .map(|entry| (entry.name.clone(), json!({ "shape": entry.shape, "numbers": entry.numbers })));
-    Ok(json!({ "kind": "HDF5 file; FILE:/group/name names an array", "arrays": arrays.collect::<Value>() }))
+    Ok(json!({
+        "kind": "HDF5 file; FILE:/group/name names an array",
+        "arrays": arrays.collect::<Value>(),
+        "oddities": file.limit().into_iter().collect::<Vec<_>>(),
+    }))
 }
 
 /// The error of a build without the feature.

@@ -1,29 +1,10 @@
 //! Fields of a description that are not read: remarks, and errors where one would move something.
 
+use super::meta::SCANNER_FIELDS;
 use crate::error::{Error, Result};
 
-/// Fields that move source, detector, volume or rays, by the names that this reader knows.
-const MOVING: [&str; 19] = [
-    "mode",
-    "DSD",
-    "DSO",
-    "nDetector",
-    "sDetector",
-    "dDetector",
-    "nVoxel",
-    "sVoxel",
-    "dVoxel",
-    "offOrigin",
-    "offDetector",
-    "COR",
-    "rotDetector",
-    "vectors",
-    "matrices",
-    "vector",
-    "matrix",
-    "angle",
-    "angles",
-];
+/// Fields of views that move rays; those of the scanner are [`SCANNER_FIELDS`].
+const OF_VIEWS: [&str; 4] = ["vector", "matrix", "angle", "angles"];
 /// Names of other programs for what moves something. They are not read.
 const ELSEWHERE: [&str; 24] = [
     "tau",
@@ -107,10 +88,10 @@ pub(super) fn unread<'a>(
 ) -> Result<Vec<String>> {
     let mut remarks = Vec::new();
     for (name, content) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
-        let near = read.iter().chain(&MOVING).find(|known| are_near(name, known));
+        let near = read.iter().chain(&SCANNER_FIELDS).chain(&OF_VIEWS).find(|known| are_near(name, known));
         let elsewhere = ELSEWHERE.iter().any(|other| plain(other) == plain(name));
-        let misplaced = MOVING.contains(&name);
-        let moves = elsewhere || misplaced || near.is_some_and(|near| MOVING.contains(near));
+        let misplaced = is_moving(name);
+        let moves = elsewhere || misplaced || near.is_some_and(|near| is_moving(near));
         let hint = near.filter(|_| !misplaced).map_or_else(String::new, |near| format!("; did you mean {near}?"));
         if moves && content == Content::Something {
             let remedy = match near {
@@ -134,6 +115,11 @@ pub(super) fn unread<'a>(
         remarks.push(format!("the field {name} of {place} is not read{neutral}{hint}"));
     }
     Ok(remarks)
+}
+
+/// Whether a field moves source, detector, volume or rays, by the names that this reader knows.
+fn is_moving(name: &str) -> bool {
+    SCANNER_FIELDS.contains(&name) || OF_VIEWS.contains(&name)
 }
 
 /// A name without case and separators.

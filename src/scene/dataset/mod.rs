@@ -45,6 +45,7 @@ use super::noise::Noise;
 use super::npy;
 use crate::error::{Error, Result};
 use crate::output::{create_folder, stage_folder};
+use crate::words::counted;
 use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
@@ -175,9 +176,10 @@ impl Description {
             (n, _) if n == views => return Ok(self.listed.clone()),
             (0, Some((start, span))) => return Ok(Scanner::uniform_angles(views, start, span)),
             (0, None) => "neither proj_train nor totalAngle".into(),
-            (n, _) => format!("{n} views in proj_train"),
+            (n, _) => format!("{} in proj_train", counted(n, "view")),
         };
-        let expected = format!("an angle for each of {views} views, or totalAngle and startAngle in degrees");
+        let expected =
+            format!("an angle for each of {}, or totalAngle and startAngle in degrees", counted(views, "view"));
         Err(Error::invalid(
             "angles",
             got,
@@ -208,7 +210,7 @@ pub fn read_at_angles(path: &Path, angles: &[f64]) -> Result<(Scanner, Option<Ve
     if description.motion.is_of_single_views() {
         let expected = "the views of the scan: each has a pose of its own";
         let error =
-            Error::invalid("angles", format!("{} angles", angles.len()), expected, "choose a split instead of angles");
+            Error::invalid("angles", counted(angles.len(), "angle"), expected, "choose a split instead of angles");
         return Err(error.in_file(path));
     }
     let poses = description.motion.poses(0..angles.len(), angles);

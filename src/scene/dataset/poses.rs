@@ -3,6 +3,7 @@
 use super::meta::opposite;
 use crate::error::{Error, Result};
 use crate::scene::geometry::{Beam, Deviation, Pose, Scanner};
+use crate::words::counted;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -155,7 +156,12 @@ impl Motion {
     pub(super) fn fits(&self, train: usize, test: usize) -> Result<()> {
         match self.entries() {
             Some(entries) if entries != train + test => {
-                let expected = format!("{}: {train} training views, then {test} test views", train + test);
+                let expected = format!(
+                    "{}: {}, then {}",
+                    train + test,
+                    counted(train, "training view"),
+                    counted(test, "test view")
+                );
                 let remedy = "give one entry for each view of proj_train and then of proj_test, or one entry for all";
                 Err(Error::invalid("entries per view", entries, expected, remedy))
             }
@@ -205,7 +211,7 @@ pub(super) fn angles_differ(angles: &[f64], poses: &[Pose]) -> Option<String> {
 pub(super) fn of_vector(scanner: &Scanner, values: &[f64], scale: f64) -> Result<Pose> {
     let values: [f64; 12] = values.try_into().map_err(|_| {
         let expected = "12 numbers: source, centre of the detector, u and v, three each";
-        Error::invalid("vector of a view", format!("{} numbers", values.len()), expected, "give 12 numbers")
+        Error::invalid("vector of a view", counted(values.len(), "number"), expected, "give 12 numbers")
     })?;
     let [first, centre, u, v] = [0, 3, 6, 9].map(|i| DVec3::new(values[i], values[i + 1], values[i + 2]));
     let detector = &scanner.detector;

@@ -11,6 +11,7 @@
 use super::{Entry, Hdf5, list, shorter};
 use crate::error::{Error, Result};
 use crate::scene::stack::ScanFile;
+use crate::words::{counted, verb};
 use ndarray::{Array3, Axis};
 
 const DATA_EXCHANGE: &str = "/exchange/data";
@@ -54,15 +55,9 @@ impl Hdf5 {
         let all = self.slices(frames)?;
         let keys: Vec<f64> = self.numbers(key)?.into_f64().into_iter().collect();
         if keys.len() != all.dim().0 {
-            let expected = format!("one for each of {} frames", all.dim().0);
+            let expected = format!("one for each of {}", counted(all.dim().0, "frame"));
             let remedy = "write the image key again: 0 view, 1 flat field, 2 dark field, 3 no image";
-            return Err(Error::format(
-                &self.path,
-                shorter(&key.name),
-                format!("{} keys", keys.len()),
-                expected,
-                remedy,
-            ));
+            return Err(Error::format(&self.path, shorter(&key.name), counted(keys.len(), "key"), expected, remedy));
         }
         let with = |wanted: f64| -> Vec<usize> { (0..keys.len()).filter(|&i| keys[i] == wanted).collect() };
         let some = |frames: Vec<usize>| (!frames.is_empty()).then(|| all.select(Axis(0), &frames));
@@ -75,7 +70,8 @@ impl Hdf5 {
         };
         let others = keys.iter().filter(|key| ![VIEW, FLAT, DARK].contains(key)).count();
         if others > 0 {
-            scan.remarks.push(format!("{others} frames are left out: their image key is not 0, 1 or 2"));
+            let (frames, are) = (counted(others, "frame"), verb(others, "is", "are"));
+            scan.remarks.push(format!("{frames} {are} left out: the image key is not 0, 1 or 2"));
         }
         let angles = self.entries.iter().filter(|entry| entry.name.ends_with(NX_TOMO_ANGLES) && entry.shape.len() == 1);
         let angles = angles.min_by_key(|entry| entry.name.len());
@@ -116,14 +112,15 @@ impl Hdf5 {
     /// What was read, and what was not.
     fn remark(&self, layout: &str, read: &[&Entry], scan: &mut ScanFile) {
         let count = |frames: &Option<Array3<f32>>| frames.as_ref().map_or(0, |frames| frames.dim().0);
-        let angles = scan.angles.as_ref().map_or("no angles".to_owned(), |angles| format!("{} angles", angles.len()));
+        let angles = scan.angles.as_ref().map_or("no angles".to_owned(), |angles| counted(angles.len(), "angle"));
         let (views, flats, darks) = (scan.frames.dim().0, count(&scan.flat), count(&scan.dark));
-        scan.remarks
-            .push(format!("{layout}: {views} views, {flats} frames of flat field, {darks} of dark field, {angles}"));
+        let (views, flats) = (counted(views, "view"), counted(flats, "frame"));
+        scan.remarks.push(format!("{layout}: {views}, {flats} of flat field, {darks} of dark field, {angles}"));
         let others: Vec<&Entry> =
             self.distinct().into_iter().filter(|entry| !read.iter().any(|read| read.is_same(entry))).collect();
         if !others.is_empty() {
             scan.remarks.push(format!("arrays that are not read: {}", list(&others)));
         }
+        scan.remarks.extend(self.limit());
     }
 }

@@ -5,7 +5,11 @@
 //! a stack `[view, v, u]`; MATLAB writes `A(x, y, z)` in this order.
 //!
 //! Numbers are integers or floats of 32 or 64 bits, contiguous or in chunks, with the filters deflate, shuffle, LZ4,
-//! SZIP, n-bit and scale-offset. Attributes are not read, except for the unit of angles.
+//! SZIP, n-bit and scale-offset. Attributes are not read, except for the unit of angles. Of the file, only what is asked
+//! for is read.
+//!
+//! Groups are searched for arrays down to [`DEEPEST`] levels, [`MOST_GROUPS`] in all, for links may lead to one group under
+//! any number of names. A file with more is remarked on; an array beyond these limits is read by its name.
 
 pub(super) mod layouts;
 
@@ -14,18 +18,25 @@ use super::npy::{self, Numbers};
 use super::volume_file::{VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
 use hdf5_reader::group::Group;
+use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
 use ndarray::{ArrayD, Axis, Ix3};
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// How a MATLAB file begins that is not HDF5.
+const OLD_MATLAB: &[u8] = b"MATLAB 5.0";
 
 /// Deflate makes at most so many bytes of one.
 const EXPANSION: usize = 1032;
 /// Most bytes of an array in a small file: arrays of constant values take no space.
 const LEAST: usize = 1 << 20;
-/// Nested groups that are searched.
-const DEEPEST: usize = 16;
+/// Nested groups that are searched, with the root.
+pub const DEEPEST: usize = 16;
 /// Groups that are searched.
-const MOST_GROUPS: usize = 1000;
+pub const MOST_GROUPS: usize = 1000;
 /// Arrays that a message names.
 const LISTED: usize = 12;
 /// Characters of a name or of a cause that a message shows.
@@ -44,6 +55,15 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// The name itself for an array of other values.
+    fn new(name: String, dataset: Dataset) -> std::result::Result<Self, String> {
+        let shape = dataset.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();
+        match type_of(dataset.dtype()) {
+            Some(numbers) => Ok(Self { name, shape, numbers, dataset }),
+            None => Err(name),
+        }
+    }
+
     /// Whether two names are of one array.
     fn is_same(&self, other: &Self) -> bool {
         self.dataset.address() == other.dataset.address()
@@ -53,9 +73,12 @@ impl Entry {
 /// The arrays of a file.
 pub struct Hdf5 {
     path: PathBuf,
+    root: Group,
     entries: Vec<Entry>,
     /// Names of the arrays of other values.
     others: Vec<String>,
+    /// The limit that ended the search, and the first group that was not searched.
+    ended: Option<(String, String)>,
 }
 
 impl Hdf5 {
@@ -64,21 +87,32 @@ impl Hdf5 {
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a file that is not HDF5.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+        let failed = |source| Error::read(path, source);
+        let mut file = File::open(path).map_err(failed)?;
+        let mut head = Vec::new();
+        file.by_ref().take(OLD_MATLAB.len() as u64).read_to_end(&mut head).map_err(failed)?;
+        let storage = FileStorage::from_file(file).map_err(|error| cause(path, "file", &error))?;
+        Self::search_in(Arc::new(storage), &head, path)
     }
 
     pub(super) fn parse(content: &[u8], path: &Path) -> Result<Self> {
-        if content.starts_with(b"MATLAB 5.0") {
+        Self::search_in(Arc::new(BytesStorage::new(content.to_vec())), content, path)
+    }
+
+    /// The arrays of a file that begins with `head`.
+    fn search_in(storage: DynStorage, head: &[u8], path: &Path) -> Result<Self> {
+        if head.starts_with(OLD_MATLAB) {
             let remedy = "save it in MATLAB with the option -v7.3, or convert it: python -c \"import numpy, scipy.io; \
                           numpy.save('OUT.npy', scipy.io.loadmat('IN.mat')['NAME'])\"";
             return Err(Error::format(path, "file", "a MATLAB file before version 7.3", "version 7.3", remedy));
         }
-        let most = content.len().saturating_mul(EXPANSION).max(LEAST);
+        let most = usize::try_from(storage.len()).unwrap_or(usize::MAX).saturating_mul(EXPANSION).max(LEAST);
         let options = OpenOptions::default().with_max_read_bytes(most).with_max_chunk_bytes(most);
         let file =
-            Hdf5File::from_vec_with_options(content.to_vec(), options).map_err(|error| cause(path, "file", &error))?;
+            Hdf5File::from_storage_with_options(storage, options).map_err(|error| cause(path, "file", &error))?;
         let root = file.root_group().map_err(|error| cause(path, "root group", &error))?;
-        let mut found = Self { path: path.to_owned(), entries: Vec::new(), others: Vec::new() };
+        let mut found =
+            Self { path: path.to_owned(), root: root.clone(), entries: Vec::new(), others: Vec::new(), ended: None };
         let mut left = MOST_GROUPS;
         found.search(&root, "", &mut Vec::new(), &mut left)?;
         Ok(found)
@@ -87,7 +121,13 @@ impl Hdf5 {
     /// Adds the arrays of a group and of those below it; `above` are the groups that contain it.
     fn search(&mut self, group: &Group, name: &str, above: &mut Vec<u64>, left: &mut usize) -> Result<()> {
         // Links may form cycles, and several may lead to one group.
-        if *left == 0 || above.len() == DEEPEST || above.contains(&group.address()) {
+        if above.contains(&group.address()) {
+            return Ok(());
+        }
+        if *left == 0 || above.len() == DEEPEST {
+            let limit =
+                if *left == 0 { format!("after {MOST_GROUPS} groups") } else { format!("{DEEPEST} levels deep") };
+            self.ended.get_or_insert_with(|| (limit, shorter(name)));
             return Ok(());
         }
         *left -= 1;
@@ -96,10 +136,9 @@ impl Hdf5 {
         let (groups, datasets) = group.members().map_err(|error| cause(&self.path, &shorter(what), &error))?;
         for dataset in datasets {
             let name = format!("{name}/{}", dataset.name());
-            let shape = dataset.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();
-            match type_of(dataset.dtype()) {
-                Some(numbers) => self.entries.push(Entry { name, shape, numbers, dataset }),
-                None => self.others.push(name),
+            match Entry::new(name, dataset) {
+                Ok(entry) => self.entries.push(entry),
+                Err(name) => self.others.push(name),
             }
         }
         for child in groups {
@@ -108,6 +147,16 @@ impl Hdf5 {
         }
         above.pop();
         Ok(())
+    }
+
+    /// A remark on a search that did not reach all groups.
+    pub fn limit(&self) -> Option<String> {
+        let (limit, group) = self.ended.as_ref()?;
+        let path = self.path.display();
+        Some(format!(
+            "the search for arrays ended {limit}, before {group}: others may follow; name the array to read, as in \
+             {path}:/path/of/array"
+        ))
     }
 
     /// All arrays of numbers, group by group.
@@ -119,22 +168,43 @@ impl Hdf5 {
     ///
     /// # Errors
     /// [`Error::Format`] that names the arrays of the file.
-    pub fn entry(&self, name: &str) -> Result<&Entry> {
+    pub fn entry(&self, name: &str) -> Result<Entry> {
         let full = format!("/{}", name.trim_start_matches('/'));
-        self.entries.iter().find(|entry| entry.name == full).ok_or_else(|| {
-            if self.others.contains(&full) {
-                let remedy = "write it as float32 with h5py";
-                return unsupported(
-                    &self.path,
-                    &shorter(&full),
-                    "its type",
-                    "integers, or floats of 32 or 64 bits",
-                    remedy,
-                );
-            }
-            let remedy = format!("name one of its arrays: {}", list(&self.distinct()));
-            Error::format(&self.path, "array", shorter(&full), "an array of numbers of this file", remedy)
-        })
+        if let Some(entry) = self.entries.iter().find(|entry| entry.name == full) {
+            return Ok(entry.clone());
+        }
+        let beyond = self.ended.as_ref().and_then(|_| self.beyond(&full));
+        let is_other = match beyond {
+            Some(Ok(entry)) => return Ok(entry),
+            Some(Err(_)) => true,
+            None => self.others.contains(&full),
+        };
+        if is_other {
+            let remedy = "write it as float32 with h5py";
+            let expected = "integers, or floats of 32 or 64 bits";
+            return Err(unsupported(&self.path, &shorter(&full), "its type", expected, remedy));
+        }
+        let remedy = format!("name one of its arrays: {}", self.list_all());
+        Err(Error::format(&self.path, "array", shorter(&full), "an array of numbers of this file", remedy))
+    }
+
+    /// An array that the search may not have reached; its name for one of other values.
+    fn beyond(&self, full: &str) -> Option<std::result::Result<Entry, String>> {
+        let (groups, name) = full.rsplit_once('/')?;
+        let mut group = self.root.clone();
+        for part in groups.split('/').filter(|part| !part.is_empty()) {
+            group = group.group(part).ok()?;
+        }
+        Some(Entry::new(full.to_owned(), group.dataset(name).ok()?))
+    }
+
+    /// The names of the arrays for a message, and that there may be others.
+    fn list_all(&self) -> String {
+        let others = self
+            .ended
+            .as_ref()
+            .map_or_else(String::new, |(limit, group)| format!(" (the search ended {limit}, before {group})"));
+        format!("{}{others}", list(&self.distinct()))
     }
 
     /// The only array with three axes longer than 1, or with three axes.
@@ -148,7 +218,7 @@ impl Hdf5 {
                 let expected = "one array with three axes, or a name";
                 let name = with_axes.first().map_or("/group/name", |entry| &entry.name);
                 let remedy = format!("name the array: {}:{}", self.path.display(), shorter(name));
-                Err(Error::format(&self.path, "arrays", list(&distinct), expected, remedy))
+                Err(Error::format(&self.path, "arrays", self.list_all(), expected, remedy))
             }
         }
     }
@@ -211,11 +281,21 @@ impl Hdf5 {
 }
 
 /// Reads a volume; `path` may name an array.
+pub(super) fn read(path: &Path) -> Result<VolumeFile> {
+    let (file, name) = array_path::parts(path);
+    volume(&Hdf5::read(&file)?, name.as_deref())
+}
+
+/// [`read`] from the content of the file.
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let (file, name) = array_path::parts(path);
-    let hdf5 = Hdf5::parse(content, &file)?;
-    let entry = match &name {
-        Some(name) => hdf5.entry(name)?,
+    volume(&Hdf5::parse(content, &file)?, name.as_deref())
+}
+
+/// The array of a name, or the only volume.
+fn volume(hdf5: &Hdf5, name: Option<&str>) -> Result<VolumeFile> {
+    let entry = match name {
+        Some(name) => &hdf5.entry(name)?,
         None => hdf5.only_volume()?,
     };
     let values = hdf5.slices(entry)?.reversed_axes();
@@ -225,6 +305,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         if !others.is_empty() {
             oddities.push(format!("{} is read, and not {}", shorter(&entry.name), list(&others)));
         }
+        oddities.extend(hdf5.limit());
     }
     Ok(VolumeFile { values, oddities, ..VolumeFile::default() })
 }

@@ -47,7 +47,7 @@ fn a_scan_of_nx_tomo_is_divided_by_its_image_key() {
     assert_eq!(
         found.remarks,
         [
-            "1 frames are left out: their image key is not 0, 1 or 2",
+            "1 frame is left out: the image key is not 0, 1 or 2",
             "NXtomo: 4 views, 2 frames of flat field, 1 of dark field, 4 angles",
         ]
     );
@@ -91,6 +91,33 @@ fn what_cannot_be_read_is_named_with_what_can() {
     assert!(parse(b"no HDF5").contains("a.mat"));
     assert_eq!(stack::read_scan_file(Path::new("frames.npy")).unwrap(), None);
     assert_eq!(stack::read_scan_file(&path("arrays.h5")).unwrap(), None);
+}
+
+#[test]
+fn the_end_of_a_search_is_told_and_names_reach_beyond_it() {
+    let deep: String = (0..18).map(|i| format!("/g{i}")).collect();
+    let found = Hdf5::read(&path("deep.h5")).unwrap();
+    let limit = found.limit().unwrap();
+    assert!(limit.contains("ended 16 levels deep, before /g0/g1/"), "{limit}");
+    assert!(limit.contains("deep.h5:/path/of/array"), "{limit}");
+    let names: Vec<&str> = found.entries().iter().map(|entry| entry.name.as_str()).collect();
+    assert_eq!(names, ["/top"]);
+    // The array that was found is read with a remark; others by their name.
+    let only = volume_file::read(&path("deep.h5")).unwrap();
+    assert_eq!((only.values.dim().2, &only.oddities), (2, &vec![limit]));
+    let named = volume_file::read(&path(&format!("deep.h5:{deep}/deep"))).unwrap();
+    assert_eq!((named.values, named.oddities), (values().reversed_axes(), vec![]));
+    for missing in [format!("{deep}/none"), format!("{deep}/g18/none"), "/none".into()] {
+        let message = volume_file::read(&path(&format!("deep.h5:{missing}"))).unwrap_err().to_string();
+        assert!(message.contains("/top [2, 3, 5] (the search ended 16 levels deep"), "{message}");
+    }
+    // Ten groups, each linked twice.
+    let found = Hdf5::read(&path("many_paths.h5")).unwrap();
+    assert!(found.limit().unwrap().contains("after 1000 groups, before /"), "{:?}", found.limit());
+    assert_eq!(found.entry("z/data").unwrap().shape, [2, 3, 5]);
+    for whole in ["exchange.h5", "nxtomo.nxs", "matlab.mat", "arrays.h5"] {
+        assert_eq!(Hdf5::read(&path(whole)).unwrap().limit(), None, "{whole}");
+    }
 }
 
 #[test]

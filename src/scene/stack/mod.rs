@@ -27,6 +27,7 @@ use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::error::{Error, Result};
+use crate::words::counted;
 use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
 
@@ -121,8 +122,8 @@ pub fn scan(
         return Err(Error::invalid(
             "angles",
             angles.len(),
-            format!("one for each of {views} frames"),
-            format!("give {views} angles, one for each frame, or take out the frames that are no views"),
+            format!("one for each of {}", counted(views, "frame")),
+            format!("give {}, one for each frame, or take out the frames that are no views", counted(views, "angle")),
         ));
     }
     // Rounding once, from f64, keeps a scale of 1 exact.

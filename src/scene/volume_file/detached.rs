@@ -4,6 +4,7 @@ use super::damaged;
 use super::elements::{Layout, Voxels};
 use super::header::shown;
 use crate::error::{Error, Result};
+use crate::words::counted;
 use ndarray::{Axis, concatenate};
 use std::path::{Component, Path, PathBuf};
 
@@ -27,7 +28,7 @@ impl Source {
                 Ok(Self::Files(names))
             } else {
                 let remedy = "list one name in each line after the header";
-                let expected = format!("1 to {slices} names of files, for {slices} slices");
+                let expected = format!("1 to {slices} names of files, for {}", counted(slices, "slice"));
                 Err(Error::format(header, key, format!("a list of {}", names.len()), expected, remedy))
             };
         }
@@ -65,7 +66,7 @@ impl Source {
         if z % names.len() != 0 {
             let expected = format!("a number of files that divides {z}, the number of slices");
             let remedy = "list one file for each slice";
-            return Err(Error::format(header, key, format!("{} files", names.len()), expected, remedy));
+            return Err(Error::format(header, key, counted(names.len(), "file"), expected, remedy));
         }
         let layout = Layout { shape: [x, y, z / names.len()], ..layout };
         let (mut parts, mut has_more) = (Vec::new(), false);

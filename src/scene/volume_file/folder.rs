@@ -3,6 +3,7 @@
 use super::pages::Pages;
 use super::{FOREIGN, VolumeFile, images, raw, tiff};
 use crate::error::{Error, Result};
+use crate::words::counted;
 use std::path::{Path, PathBuf};
 
 /// Extensions of the files of slices, in order of preference: a folder is read as the first kind that it holds.
@@ -63,7 +64,7 @@ fn nothing(folder: &Path, files: &[PathBuf]) -> Error {
     let foreign = files.iter().find_map(|path| FOREIGN.iter().find(|(ending, _)| name(path).ends_with(ending)));
     let (got, remedy) = match foreign {
         Some((ending, how)) => (format!("files {ending}, which are not supported"), format!("convert them: {how}")),
-        None => (format!("{} files", files.len()), "name another folder, or convert its files to TIFF".into()),
+        None => (counted(files.len(), "file"), "name another folder, or convert its files to TIFF".into()),
     };
     Error::format(folder, "folder", got, expected, remedy)
 }

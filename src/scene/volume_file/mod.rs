@@ -201,8 +201,11 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
     if path.is_dir() {
         return folder::read(path);
     }
-    if let Format::Npy = Format::of(path)? {
-        return npy::read_f32::<Ix3>(path, "[x, y, z]").map(VolumeFile::bare);
+    match Format::of(path)? {
+        Format::Npy => return npy::read_f32::<Ix3>(path, "[x, y, z]").map(VolumeFile::bare),
+        #[cfg(any(feature = "hdf5", test))]
+        Format::Hdf5 => return super::hdf5::read(path),
+        _ => {}
     }
     let file = array_path::parts(path).0;
     let content = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;

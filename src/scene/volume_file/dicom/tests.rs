@@ -125,7 +125,9 @@ fn slices_that_say_too_little_or_something_else_are_refused() {
         assert!(message.contains(part), "{message}");
     }
     let message = refused([changed(1.0, |object| text(object, FRAMES, VR::IS, "3"))]);
-    assert!(message.contains("number of frames") && message.contains("not supported"), "{message}");
+    assert!(message.contains("got 12 bytes, expected 18 numbers of 16 bits"), "{message}");
+    let message = refused([changed(1.0, |object| text(object, FRAMES, VR::IS, "0"))]);
+    assert!(message.contains("number of frames: got 0, expected a whole number"), "{message}");
     let message = refused([changed(1.0, |object| {
         object.put(DataElement::new(ROWS, VR::US, PrimitiveValue::from(3_u16)));
     })]);
@@ -142,6 +144,126 @@ fn slices_that_say_too_little_or_something_else_are_refused() {
     assert!(message.contains("not supported") && !message.contains("again"), "{message}");
 }
 
+/// Elements as the first item of a sequence.
+fn sequence(object: &mut InMemDicomObject, tag: Tag, items: Vec<InMemDicomObject>) {
+    object.put(DataElement::new(tag, VR::SQ, dicom_core::value::DataSetSequence::from(items)));
+}
+
+/// A group of functions: a sequence of one item with texts.
+fn group(object: &mut InMemDicomObject, at: usize, texts: &[(Tag, &str)]) {
+    let mut item = InMemDicomObject::new_empty();
+    texts.iter().for_each(|(tag, value)| text(&mut item, *tag, VR::DS, value));
+    sequence(object, GROUPS[at], vec![item]);
+}
+
+/// Frames of [`slice`] at heights, as Enhanced CT: slope and intercept are those of the frame if `rescales`.
+fn enhanced(heights: &[f64], rescales: bool) -> InMemDicomObject {
+    let mut object = slice(0.0);
+    for tag in [POSITION, ORIENTATION, PIXEL_SPACING, SLOPE, INTERCEPT] {
+        object.remove_element(tag);
+    }
+    text(&mut object, FRAMES, VR::IS, &heights.len().to_string());
+    let mut shared = InMemDicomObject::new_empty();
+    group(&mut shared, 1, &[(ORIENTATION, "1\\0\\0\\0\\1\\0")]);
+    group(&mut shared, 2, &[(PIXEL_SPACING, "0.5\\0.25"), (SLICE_THICKNESS, "1.5")]);
+    group(&mut shared, 3, &[(SLOPE, "2"), (INTERCEPT, "-1000")]);
+    sequence(&mut object, SHARED_GROUPS, vec![shared]);
+    let frame = |(i, height): (usize, &f64)| {
+        let mut frame = InMemDicomObject::new_empty();
+        group(&mut frame, 0, &[(POSITION, &format!("-10\\20.5\\{height}"))]);
+        if rescales {
+            group(&mut frame, 3, &[(SLOPE, &format!("{}", i + 1)), (INTERCEPT, "-7")]);
+        }
+        frame
+    };
+    let frames = heights.iter().enumerate().map(frame).collect();
+    sequence(&mut object, GROUPS_OF_FRAMES, frames);
+    let stored = |height: &f64| {
+        let first = (10.0 * height) as i16 - 100;
+        (0..6).map(move |i| (first + i).cast_unsigned() & 0x0fff | 0x5000)
+    };
+    let stored = heights.iter().flat_map(stored).collect();
+    object.put(DataElement::new(PIXELS, VR::OW, PrimitiveValue::U16(stored)));
+    object
+}
+
+#[test]
+fn frames_with_positions_are_the_slices_of_a_series() {
+    let heights = [6.0, 1.0, 3.5];
+    let series_of_files = super::super::read(series(heights.map(slice)).path()).unwrap();
+    for syntax in [IMPLICIT, EXPLICIT] {
+        let content = bytes(enhanced(&heights, false), syntax);
+        assert_eq!(super::super::parse(&content, Path::new("a.dcm")).unwrap(), series_of_files);
+    }
+    // Several files of one series.
+    let parts = [enhanced(&heights[..2], false), slice(3.5)];
+    assert_eq!(super::super::read(series(parts).path()).unwrap(), series_of_files);
+    // A frame's own slope and intercept.
+    let content = bytes(enhanced(&heights, true), EXPLICIT);
+    let found = super::super::parse(&content, Path::new("a.dcm")).unwrap();
+    let value = |(x, y, z): (usize, usize, usize)| {
+        let (stored, slope) = ((3 * y + x) as f32 - 100.0 + [10.0, 35.0, 60.0][z], [2.0, 3.0, 1.0][z]);
+        slope * stored - 7.0
+    };
+    assert_eq!(found.values, Array3::from_shape_fn((3, 2, 3), value));
+}
+
+#[test]
+fn frames_without_positions_stay_in_the_order_of_the_file() {
+    let stack = |change: &dyn Fn(&mut InMemDicomObject)| {
+        let mut object = enhanced(&[6.0, 1.0, 3.5], false);
+        object.remove_element(GROUPS_OF_FRAMES);
+        object.remove_element(SHARED_GROUPS);
+        text(&mut object, MODALITY, VR::CS, "XA");
+        change(&mut object);
+        object
+    };
+    let parse = |object| super::super::parse(&bytes(object, EXPLICIT), Path::new("a.dcm"));
+    let found = parse(stack(&|_| {})).unwrap();
+    let value = |(x, y, z): (usize, usize, usize)| (3 * y + x) as f32 - 100.0 + [60.0, 10.0, 35.0][z];
+    assert_eq!(found.values, Array3::from_shape_fn((3, 2, 3), value));
+    assert_eq!((found.spacing, found.origin), (None, None));
+    let order = "its 3 frames have no positions of their own: they are read in the order of the file";
+    assert_eq!(found.oddities, [order]);
+    let detector = stack(&|object| text(object, IMAGER_PIXEL_SPACING, VR::DS, "0.5\\0.25"));
+    let found = parse(detector).unwrap();
+    assert_eq!(found.spacing, Some(DVec3::new(0.25, 0.5, 1.0)));
+    assert_eq!(found.oddities, [format!("{order}, 1 mm apart")]);
+    // One position for all frames is that of none.
+    let placed = stack(&|object| {
+        text(object, POSITION, VR::DS, "1\\2\\3");
+        text(object, PIXEL_SPACING, VR::DS, "0.5\\0.25");
+        text(object, SLICE_DISTANCE, VR::DS, "-4");
+    });
+    let found = parse(placed).unwrap();
+    assert_eq!((found.spacing, found.origin), (Some(DVec3::new(0.25, 0.5, 4.0)), None));
+    assert_eq!(found.oddities, [order]);
+    let offsets = stack(&|object| text(object, FRAME_OFFSETS, VR::DS, "0\\1\\2"));
+    let message = parse(offsets).unwrap_err().to_string();
+    assert!(message.contains("grid frame offset vector, which is not supported"), "{message}");
+    // Beside other files they have no place.
+    let message = refused([slice(1.0), stack(&|_| {})]);
+    assert!(message.contains("IM1: file of a series: got several frames without positions"), "{message}");
+}
+
+#[test]
+fn frames_that_contradict_each_other_are_refused_by_number() {
+    let parse = |object| super::super::parse(&bytes(object, EXPLICIT), Path::new("a.dcm")).unwrap_err().to_string();
+    let message = parse(enhanced(&[1.0, 2.0, 3.0, 5.0, 6.0], false));
+    let gap = "a.dcm: frame 4: distance of slices: got 2 behind frame 3 of a.dcm, expected 1 as elsewhere";
+    assert!(message.contains(gap), "{message}");
+    let mut fewer = enhanced(&[1.0, 2.0], false);
+    text(&mut fewer, FRAMES, VR::IS, "1");
+    let message = parse(fewer);
+    assert!(message.contains("functional groups of frames: got 2, expected 1, the number of frames"), "{message}");
+    let mut unplaced = enhanced(&[1.0, 2.0], false);
+    let mut frame = InMemDicomObject::new_empty();
+    group(&mut frame, 0, &[(POSITION, "0\\0\\0")]);
+    sequence(&mut unplaced, GROUPS_OF_FRAMES, vec![frame, InMemDicomObject::new_empty()]);
+    let message = parse(unplaced);
+    assert!(message.contains("a.dcm: frame 2: image position (patient): got nothing"), "{message}");
+}
+
 /// A slice with a sequence, in one of the two transfer syntaxes.
 fn small(syntax: &str) -> Vec<u8> {
     let mut object = slice(1.0);
@@ -156,25 +278,26 @@ fn damaged_slices_are_clear_errors() {
     for syntax in [IMPLICIT, EXPLICIT] {
         assert_reader_survives("a.dcm", MANY / 2, &small(syntax), super::super::parse);
     }
+    assert_reader_survives("a.dcm", MANY / 2, &bytes(enhanced(&[1.0, 2.0], true), EXPLICIT), super::super::parse);
 }
 
 #[test]
 fn lengths_are_compared_with_what_is_there() {
     let path = Path::new("a.dcm");
     for content in [IMPLICIT, EXPLICIT].map(small) {
-        Slice::parse(&content, path).unwrap();
+        File::parse(&content, path).unwrap();
         for end in 0..content.len() {
-            assert!(Slice::parse(&content[..end], path).is_err(), "cut at {end}");
+            assert!(File::parse(&content[..end], path).is_err(), "cut at {end}");
         }
         let cut: Vec<u8> = content.iter().copied().chain([0, 0, 0, 0, 2, 0, 0, 0, 1, 1]).collect();
-        let message = Slice::parse(&cut, path).map(|_| ()).unwrap_err().to_string();
+        let message = File::parse(&cut, path).map(|_| ()).unwrap_err().to_string();
         assert!(message.contains("a.dcm: volume"), "{message}");
         for at in 0..content.len() - 4 {
             for claim in [u32::MAX - 1, 0x7f7f_7f7f, 1 << 28] {
                 let mut lying = content.clone();
                 lying[at..at + 4].copy_from_slice(&claim.to_le_bytes());
                 let memory = allocation_counter::measure(|| {
-                    assert_clear(Slice::parse(&lying, path).map(|_| ()), "a.dcm");
+                    assert_clear(File::parse(&lying, path).map(|_| ()), "a.dcm");
                 });
                 assert!(memory.bytes_max <= MOST_MEMORY, "{} bytes at {at}", memory.bytes_max);
             }
