@@ -29,14 +29,16 @@ use trgs::{Error, Result};
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
 
 Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif and .raw; read only are .npz with one array of three
-axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, a folder with a DICOM series, and a DICOM file
-with several frames (in builds with --features dicom). Builds with --features hdf5 also read HDF5, NeXus and MATLAB 7.3; FILE.h5:/group/name names an
-array, [z, y, x] or [view, v, u], and a scan in the layout of Data Exchange or NXtomo brings its fields and angles. A .raw states size and type in its name (name_256x256x256_uint8.raw, name_256x256_uint16be.raw
-for a slice), in that of its folder, or in a side file name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, 0.5,
-1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32 with
-axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu), R²-Gaussian's
-point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a folder, written as a
-folder in scene units.
+axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, a folder with a DICOM series, and a
+DICOM file with several frames (in builds with --features dicom). Builds with --features hdf5 also read HDF5, NeXus
+and MATLAB 7.3; FILE.h5:/group/name names an array, [z, y, x] or [view, v, u], and a scan in the layout of Data
+Exchange or NXtomo brings its fields and angles. A .raw states size and type in its name
+(name_256x256x256_uint8.raw, name_256x256_uint16be.raw for a slice), in that of its folder, or in a side file
+name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5,
+0.5, 1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32
+with axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu),
+R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a
+folder, written as a folder in scene units.
 
 A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v,
 x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
