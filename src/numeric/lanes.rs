@@ -4,6 +4,7 @@
 //! registers emulates it lane by lane, so sums have the same tree everywhere. `a * b + c` is rounded twice on every
 //! build and [`Lanes::fma`] once on every build, also where the processor has no such instruction.
 
+use super::fused::Fused;
 use super::polynomials::{
     exp2_f32, exp2_f64, log2_1p_f32, log2_1p_f64, log2_1p_near_f32, log2_1p_near_f64, nearer_to_root, root_quarter_f32,
     root_quarter_f64, root_sixteenth_f32,
@@ -103,7 +104,7 @@ pub trait Lanes:
     fn lookup(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
     /// [`Self::lookup`] in tables of `WIDTH` values.
     fn lookup_wide(tables: [&[Self::Scalar]; 2], index: Self::Index) -> Self;
-    /// `self · factor + summand`, rounded once: one instruction where the build has it, a function call per lane elsewhere.
+    /// `self · factor + summand`, rounded once: one instruction where the build has it, more elsewhere.
     fn fma(self, factor: Self, summand: Self) -> Self;
     /// Square root, correctly rounded.
     fn sqrt(self) -> Self;
@@ -283,14 +284,13 @@ macro_rules! precision {
                 $lanes::sqrt(self)
             }
             #[inline(always)]
-            #[expect(clippy::disallowed_methods, reason = "rounded once by IEEE 754 wherever it is compiled")]
             fn fma(self, factor: Self, summand: Self) -> Self {
-                // Elsewhere `wide` rounds twice, `mul_add` of the scalars never.
+                // Elsewhere `wide` rounds twice.
                 if cfg!(all(target_feature = "avx", target_feature = "fma")) {
                     self.mul_add(factor, summand)
                 } else {
                     let (a, b, c) = (self.to_array(), factor.to_array(), summand.to_array());
-                    Self::from_fn(|i| a[i].mul_add(b[i], c[i]))
+                    Self::from_fn(|i| a[i].fused(b[i], c[i]))
                 }
             }
             // Half of the exponent with a linear mantissa is within 3.5 %.

@@ -2,6 +2,7 @@
 
 pub mod elementary;
 pub mod exponentials;
+mod fused;
 pub mod lanes;
 mod polynomials;
 mod real;
