@@ -85,10 +85,10 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     let workspace = (tv::Workspace::default(), wavelet::Workspace::default());
     let block = grid.block([grid.shape[0] / 4; 3], [32; 3]);
     let gradient = RefCell::new(field.zero_gradient());
-    let coverage = Coverage::new(config.confidence.settings());
+    let settings = config.confidence.settings(scanner.grid.spacing.min_element());
+    let coverage = Coverage::new(settings);
     let confidence = coverage.confidence(&physical, &scanner, &angles);
-    let targets: Vec<f64> =
-        confidence.iter().map(|&c| nu_target(c, &config.confidence.settings(), activation.nu)).collect();
+    let targets: Vec<f64> = confidence.iter().map(|&c| nu_target(c, &settings, activation.nu)).collect();
     let flat = field.parameter_gradient(&gradient.borrow());
     let adam = RefCell::new(Group::ALL.map(|group| Adam::new(m * group.width(), [0.9, 0.999], 1e-15)));
     let (sghmc, moved) = (RefCell::new(Sghmc::new(m)), RefCell::new(raw.clone()));

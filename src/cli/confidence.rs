@@ -7,7 +7,7 @@ use clap::{Args, value_parser};
 use ndarray::{ArrayView, aview0, aview1};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use trgs::confidence::{Coverage, Settings, Spread, nu_target, spearman};
+use trgs::confidence::{Alpha, Coverage, Histogram, Settings, Spread, nu_target, spearman};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::model;
 use trgs::scene::npz::{self, Entry};
@@ -30,16 +30,21 @@ pub(super) struct Confidence {
     model: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// File to write: arrays c and nu_target (one number per primitive), the settings and the angles
+    /// File to write: arrays c and nu_target (one number per primitive), the settings (alpha where it is one length for all) and
+    /// the angles
     #[arg(long, value_name = "FILE.npz")]
     out: PathBuf,
     /// Number of points on each primitive's unit sphere
     #[arg(long, value_name = "N", default_value_t = Settings::default().sphere_points as u32, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
     sphere_points: u32,
+    /// Length that a primitive's scale along a ray is compared with: own (its mean scale), median (of the mean scales of all
+    /// primitives), or a number of scene units
+    #[arg(long, value_name = "own|median|LENGTH", default_value = "own", value_parser = alpha)]
+    alpha: Alpha,
     /// Largest distance between a point and a ray that covers it
     #[arg(long, value_name = "RADIUS", default_value_t = Settings::default().r_max, value_parser = finite)]
     r_max: f64,
-    /// Ratio of mean scale to scale along a ray from which on the ray covers up to the largest distance
+    /// Ratio of alpha to the scale along a ray from which on the ray covers up to the largest distance
     #[arg(long, value_name = "RATIO", default_value_t = Settings::default().kappa, value_parser = finite)]
     kappa: f64,
     /// Temperature: the smaller it is, the more sharply nu changes from minimum to maximum
@@ -61,6 +66,8 @@ struct Found<'a> {
     views: usize,
     /// Null without primitives.
     c: Option<Spread>,
+    /// Primitives with c from 0 to 0.05, from 0.05 to 0.1, and so on.
+    c_histogram: Histogram,
     nu_target: Option<Spread>,
     /// Rank correlation of c and the model's ν; null if either is constant, as ν of Gaussians is.
     spearman: Option<f64>,
@@ -73,20 +80,22 @@ impl Confidence {
         let views = self.views.read()?;
         let c = Coverage::new(settings).confidence(&primitives, &views.scanner, views.trajectory());
         let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
-        interrupt::shielded(|| self.write(&c, &targets, &views.angles))?;
+        let alpha = settings.alpha.constant(&primitives);
+        interrupt::shielded(|| self.write(&c, &targets, &views.angles, alpha))?;
         Ok(Output::list(&Found {
             out: &self.out,
             primitives: primitives.len(),
             views: views.angles.len(),
             c: Spread::of(&c),
+            c_histogram: Histogram::of(&c),
             nu_target: Spread::of(&targets),
             spearman: spearman(&c, &primitives.parameters.nu),
         }))
     }
 
     fn settings(&self) -> Result<Settings> {
-        let Self { sphere_points, r_max, kappa, temperature, .. } = *self;
-        let settings = Settings { sphere_points: sphere_points as usize, r_max, kappa, temperature };
+        let Self { sphere_points, alpha, r_max, kappa, temperature, .. } = *self;
+        let settings = Settings { sphere_points: sphere_points as usize, alpha, r_max, kappa, temperature };
         settings.validate().map(|()| settings)
     }
 
@@ -104,12 +113,12 @@ impl Confidence {
         ))
     }
 
-    fn write(&self, c: &[f64], targets: &[f64], angles: &[f64]) -> Result<()> {
+    fn write(&self, c: &[f64], targets: &[f64], angles: &[f64], alpha: Option<f64>) -> Result<()> {
         fn entry<'a, D: ndarray::Dimension>(array: ArrayView<'a, f64, D>) -> Entry<'a> {
             Entry::F64(array.into_dyn())
         }
         let (points, range) = (f64::from(self.sphere_points), [self.nu_min, self.nu_max]);
-        let arrays = [
+        let mut arrays = vec![
             ("c", entry(aview1(c))),
             ("nu_target", entry(aview1(targets))),
             ("sphere_points", entry(aview0(&points))),
@@ -119,6 +128,19 @@ impl Confidence {
             ("nu_range", entry(aview1(&range))),
             ("angles", entry(aview1(angles))),
         ];
+        if let Some(alpha) = &alpha {
+            arrays.push(("alpha", entry(aview0(alpha))));
+        }
         npz::write(&self.out, &arrays)
+    }
+}
+
+fn alpha(text: &str) -> std::result::Result<Alpha, String> {
+    match text {
+        "own" => Ok(Alpha::Own),
+        "median" => Ok(Alpha::Median),
+        length => {
+            finite(length).map(Alpha::Length).map_err(|_| "expected own, median or a number of scene units".into())
+        }
     }
 }

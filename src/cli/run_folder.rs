@@ -5,6 +5,7 @@ use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use trgs::classical::algebraic::{Choice, Pass};
+use trgs::confidence::{Coverage, Histogram};
 use trgs::config::{Config, Method, Start};
 use trgs::evaluation::Metrics;
 use trgs::numeric::threads;
@@ -250,9 +251,20 @@ fn page(
         truth: dataset.truth.as_ref(),
         curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
         choice: outcome.choice.as_ref(),
+        confidence: confidence(dataset, config, outcome),
         facts,
         provenance: Some(provenance),
     })
+}
+
+/// The confidence of the primitives, where the method uses it.
+fn confidence(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Option<Histogram> {
+    let primitives = outcome.primitives.as_ref()?;
+    if config.method != Method::TrGs || !config.confidence.enabled && !config.wavelet.enabled {
+        return None;
+    }
+    let settings = config.confidence.settings(dataset.scanner.grid.spacing.min_element());
+    Some(Histogram::of(&Coverage::new(settings).confidence(primitives, &dataset.scanner, &dataset.train)))
 }
 
 /// The file with the state of a run.

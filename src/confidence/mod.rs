@@ -6,15 +6,17 @@
 //!
 //! | tag | | |
 //! |---|---|---|
-//! | `[Eq. 6]` | `e = α/√Σ(sₖuₖ)²`, `α = (s₁s₂s₃)^⅓` | effective ratio: above 1 along the short axes |
+//! | `[Eq. 6]` | `e = α/√Σ(sₖuₖ)²` | effective ratio: above 1 along the short axes |
 //! | `[Eq. 7]` | `r = r_max·min(e/κ, 1)` | radius of the tube |
 //! | `[Eq. 8]` | `c = #{p : 1 - (p·u)² ≤ r² in some view}/N` | fraction of N points of the sphere within a tube |
 //! | `[Eq. 9]` | `ν_target = ν_min + (ν_max - ν_min)·σ(logit(c)/T)` | [`nu_target`] |
 //! | `[Eq. 10]` | `L = (1/M) Σ λ(1-c)(ln ν - ln ν_target)²` | [`nu_loss`] |
 //!
 //! `1 - (p·u)²` is the squared distance of a point of the unit sphere from the chord: the foot of the perpendicular
-//! never lies beyond its ends. α makes e = 1 for a sphere of any size. Not in the paper: α itself, the N points (a
-//! Fibonacci lattice), the weight `1-c`, and that a view counts only if the projected mean is on the detector.
+//! never lies beyond its ends. The scaling factor α is a length, for which there are two readings ([`Alpha`]): the primitive's
+//! own mean scale `(s₁s₂s₃)^⅓`, with which e = 1 for a sphere of any size, or one constant for all primitives, with which the
+//! small are covered more than the large. Not in the paper: α itself, the N points (a Fibonacci lattice), the weight `1-c`, and
+//! that a view counts only if the projected mean is on the detector.
 //!
 //! [`naive`] has the equations as plainly as they can be written; the SIMD path makes the same comparisons in the same
 //! arithmetic, so both count the same points, on every build and with any number of threads.
@@ -28,7 +30,7 @@ mod tests;
 
 pub(crate) use nu::nu_loss_into;
 pub use nu::{nu_loss, nu_target};
-pub use rank::{Spread, spearman};
+pub use rank::{Histogram, Spread, spearman};
 
 use crate::error::{Error, Result};
 use crate::numeric::elementary::{length, power_of_two_below};
@@ -41,11 +43,53 @@ use sphere::{Sphere, Tube};
 /// Primitives of one task.
 const CHUNK: usize = 128;
 
+/// The scaling factor α of `[Eq. 6]`, a length.
+///
+/// The paper does not specify it. Only α/κ matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Alpha {
+    /// The geometric mean `(s₁s₂s₃)^⅓` of the primitive's own scales.
+    #[default]
+    Own,
+    /// The median of these means over all primitives of the model; the lower one of two in the middle.
+    Median,
+    /// This length in scene units, positive.
+    Length(f64),
+}
+
+impl Alpha {
+    /// The constant of all primitives; none where each has its own.
+    ///
+    /// Tests: `a_constant_alpha_is_the_median_or_a_length`.
+    pub fn constant(self, primitives: &Primitives) -> Option<f64> {
+        match self {
+            Self::Own => None,
+            Self::Length(length) => Some(length),
+            Self::Median => {
+                let of = |scale: &[f64; 3]| {
+                    let unit = unit_of(DVec3::from_array(*scale));
+                    unit * mean_scale(DVec3::from_array(*scale) / unit)
+                };
+                let mut means: Vec<f64> = primitives.parameters.scale.iter().map(of).collect();
+                let middle = means.len().checked_sub(1)? / 2;
+                Some(*means.select_nth_unstable_by(middle, f64::total_cmp).1)
+            }
+        }
+    }
+}
+
+/// The geometric mean of three scales.
+fn mean_scale(scale: DVec3) -> f64 {
+    libm::cbrt(scale.x * scale.y * scale.z)
+}
+
 /// Parameters of `[Eq. 6]` to `[Eq. 9]` that the paper does not specify.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// N, points on the sphere, at least 1.
     pub sphere_points: usize,
+    /// α: the length that the primitive's extent along a ray is compared with.
+    pub alpha: Alpha,
     /// Largest radius of a tube, in units of the primitive. A tube of radius 1 or more holds the whole sphere.
     pub r_max: f64,
     /// Effective ratio from which the tube has its largest radius.
@@ -56,7 +100,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { sphere_points: 512, r_max: 0.5, kappa: 1.0, temperature: 0.25 }
+        Self { sphere_points: 512, alpha: Alpha::Own, r_max: 0.5, kappa: 1.0, temperature: 0.25 }
     }
 }
 
@@ -69,9 +113,14 @@ impl Settings {
         if self.sphere_points == 0 {
             return Err(Error::invalid("sphere points", 0, "at least 1", "the default is 512"));
         }
-        for (what, value, usual) in
-            [("r_max", self.r_max, 0.5), ("kappa", self.kappa, 1.0), ("temperature", self.temperature, 0.25)]
-        {
+        let usual = Self::default();
+        let length = if let Alpha::Length(length) = self.alpha { length } else { 1.0 };
+        for (what, value, usual) in [
+            ("alpha", length, "own".into()),
+            ("r_max", self.r_max, usual.r_max.to_string()),
+            ("kappa", self.kappa, usual.kappa.to_string()),
+            ("temperature", self.temperature, usual.temperature.to_string()),
+        ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::invalid(what, value, "a positive number", format!("the default is {usual}")));
             }
@@ -94,6 +143,11 @@ impl Coverage {
     pub fn new(settings: Settings) -> Self {
         assert!(settings.validate().is_ok(), "unusable {settings:?}");
         Self { settings, sphere: Sphere::new(settings.sphere_points) }
+    }
+
+    /// What the confidence is computed with.
+    pub fn settings(&self) -> Settings {
+        self.settings
     }
 
     /// The confidence c of every primitive in [0, 1], `[M]` `[Eq. 8]`.
@@ -125,25 +179,35 @@ impl Coverage {
         views: impl Into<Trajectory<'a>>,
     ) -> Vec<f64> {
         let views = views.into().views(scanner);
+        let alpha = self.settings.alpha.constant(primitives);
         let mut confidence = vec![0.0; rows.len()];
         threads::for_each_chunk(&mut confidence, CHUNK, |chunk, confidence| {
             let mut tubes = Vec::with_capacity(views.len());
             for (&row, c) in rows[chunk * CHUNK..].iter().zip(confidence) {
-                self.collect_tubes(primitives, row, &views, &mut tubes);
+                self.collect_tubes(primitives, row, alpha, &views, &mut tubes);
                 *c = self.sphere.covered(&tubes) / self.settings.sphere_points as f64;
             }
         });
         confidence
     }
 
-    /// The tubes of the views that see primitive `i`.
-    fn collect_tubes(&self, primitives: &Primitives, i: usize, views: &[View], into: &mut Vec<Tube>) {
+    /// The tubes of the views that see primitive `i`, with a constant `alpha` or its own.
+    fn collect_tubes(
+        &self,
+        primitives: &Primitives,
+        i: usize,
+        alpha: Option<f64>,
+        views: &[View],
+        into: &mut Vec<Tube>,
+    ) {
         let parameters = &primitives.parameters;
         let mean = DVec3::from_array(parameters.mean[i]);
         let (quaternion, _) = rotation::unit(parameters.quaternion[i]);
         let to_local = DMat3::from_quat(quaternion).transpose();
-        let scale = in_own_unit(DVec3::from_array(parameters.scale[i]));
-        let alpha = libm::cbrt(scale.x * scale.y * scale.z);
+        let scale = DVec3::from_array(parameters.scale[i]);
+        let unit = unit_of(scale);
+        let scale = scale / unit;
+        let alpha = alpha.map_or_else(|| mean_scale(scale), |alpha| alpha / unit);
         into.clear();
         for view in views.iter().filter(|view| sees(view, mean)) {
             let direction = to_local * towards_source(view, mean);
@@ -154,12 +218,12 @@ impl Coverage {
     }
 }
 
-/// Scales in units of the power of two below the largest.
+/// The unit that a primitive's lengths are measured in: the power of two below its largest scale.
 ///
 /// Squares and products stay in range. The unit cancels in e, whose bits are unchanged.
-fn in_own_unit(scale: DVec3) -> DVec3 {
+fn unit_of(scale: DVec3) -> f64 {
     let power = power_of_two_below(scale.max_element());
-    scale / if power > 0.0 { power } else { f64::MIN_POSITIVE }
+    if power > 0.0 { power } else { f64::MIN_POSITIVE }
 }
 
 /// Whether the projection of a point is on the detector, up to the edges of its pixels.

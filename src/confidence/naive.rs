@@ -4,7 +4,7 @@
 //!
 //! Squares and products of scales are taken as they are, so scales must lie well between 1e-100 and 1e100.
 
-use super::{Settings, sees, towards_source};
+use super::{Alpha, Settings, sees, towards_source};
 use crate::numeric::elementary::{cos, sin};
 use crate::primitives::{Primitives, rotation};
 use crate::scene::{Scanner, Trajectory, View};
@@ -24,12 +24,18 @@ pub fn sphere_point(k: usize, n: usize) -> DVec3 {
     DVec3::new(radius * cos(azimuth), radius * sin(azimuth), z)
 }
 
-/// Effective ratio `e = α/√Σ(sₖuₖ)²`, `α = (s₁s₂s₃)^⅓` `[Eq. 6]` of a primitive with scales `s` along the unit vector `u`
-/// of its local frame. It is 1 for equal scales and does not depend on their unit.
+/// Effective ratio `e = α/√Σ(sₖuₖ)²` `[Eq. 6]` of a primitive with scales `s` along the unit vector `u` of its local frame.
+///
+/// With `α = (s₁s₂s₃)^⅓`, the primitive's own, it is 1 for equal scales and does not depend on their unit.
 ///
 /// Tests: `the_ratio_is_one_for_spheres_and_follows_the_axes`.
-pub fn effective_ratio(scale: DVec3, u: DVec3) -> f64 {
-    libm::cbrt(scale.x * scale.y * scale.z) / (scale * u).length()
+pub fn effective_ratio(alpha: f64, scale: DVec3, u: DVec3) -> f64 {
+    alpha / (scale * u).length()
+}
+
+/// The primitive's own α: `(s₁s₂s₃)^⅓`.
+pub fn own_alpha(scale: DVec3) -> f64 {
+    libm::cbrt(scale.x * scale.y * scale.z)
 }
 
 /// Radius of the tube `r = r_max·min(e/κ, 1)` `[Eq. 7]`, in units of the primitive.
@@ -51,13 +57,20 @@ pub fn confidence<'a>(
 ) -> Vec<f64> {
     let views = views.into().views(scanner);
     let n = settings.sphere_points;
+    let mut own: Vec<f64> = primitives.parameters.scale.iter().map(|&s| own_alpha(DVec3::from_array(s))).collect();
+    own.sort_by(f64::total_cmp);
     let one = |i: usize| {
         let (scale, mean) = (primitives.parameters.scale[i], primitives.parameters.mean[i]);
         let (scale, mean) = (DVec3::from_array(scale), DVec3::from_array(mean));
         let rotation = DMat3::from_quat(rotation::unit(primitives.parameters.quaternion[i]).0);
+        let alpha = match settings.alpha {
+            Alpha::Own => own_alpha(scale),
+            Alpha::Median => own[(own.len() - 1) / 2],
+            Alpha::Length(length) => length,
+        };
         let within = |p: DVec3, view: &View| {
             let u = rotation.transpose() * towards_source(view, mean);
-            let r = support_radius(effective_ratio(scale, u), settings);
+            let r = support_radius(effective_ratio(alpha, scale, u), settings);
             sees(view, mean) && p.dot(u) * p.dot(u) >= 1.0 - r * r
         };
         let covered = (0..n).filter(|&k| views.iter().any(|view| within(sphere_point(k, n), view))).count();

@@ -30,6 +30,35 @@ impl Spread {
     }
 }
 
+/// How many of the values from 0 to 1 lie in each of twenty intervals of equal width.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(transparent)]
+pub struct Histogram {
+    /// Value v is counted at `⌊20 v⌋`, 1 in the last interval.
+    pub counts: [usize; Self::INTERVALS],
+}
+
+impl Histogram {
+    /// Number of intervals.
+    pub const INTERVALS: usize = 20;
+
+    /// The histogram of values from 0 to 1.
+    ///
+    /// Tests: `values_on_a_border_are_counted_above_it`.
+    pub fn of(values: &[f64]) -> Self {
+        let mut counts = [0; Self::INTERVALS];
+        for value in values {
+            counts[((value * Self::INTERVALS as f64) as usize).min(Self::INTERVALS - 1)] += 1;
+        }
+        Self { counts }
+    }
+
+    /// Where an interval begins.
+    pub fn start(interval: usize) -> f64 {
+        interval as f64 / Self::INTERVALS as f64
+    }
+}
+
 /// Spearman's rank correlation in [-1, 1]: Pearson's of the ranks, equal values sharing the mean of theirs.
 ///
 /// `None` if undefined: fewer than two values, all of one array equal, or a NaN. Infinities have ranks.
@@ -69,6 +98,16 @@ fn centred_ranks(values: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn values_on_a_border_are_counted_above_it() {
+        let mut expected = [0; Histogram::INTERVALS];
+        (expected[0], expected[5], expected[10], expected[19]) = (2, 1, 3, 2);
+        let values = [0.0, 0.049, 0.25, 0.5, 0.51, 0.549, 0.95, 1.0];
+        assert_eq!(Histogram::of(&values).counts, expected);
+        assert_eq!(Histogram::of(&[]).counts, [0; Histogram::INTERVALS]);
+        assert_eq!([0, 5, 19].map(Histogram::start), [0.0, 0.25, 0.95]);
+    }
     use crate::tolerances::relative;
 
     #[test]

@@ -1,6 +1,6 @@
 //! Confidence: the fast path against its naive twin, and both against what is known without them.
 
-use super::naive::{effective_ratio, sphere_point, support_radius};
+use super::naive::{effective_ratio, own_alpha, sphere_point, support_radius};
 use super::*;
 use crate::numeric::rng::{Purpose, stream};
 use crate::primitives::Parameters;
@@ -67,8 +67,10 @@ fn fast_and_naive_count_the_same_points() {
             Settings::default(),
             points(1),
             points(17),
-            Settings { sphere_points: 100, r_max: 0.83, kappa: 0.4, temperature: 1.0 },
-            Settings { sphere_points: 48, r_max: 1.6, kappa: 2.5, temperature: 1.0 },
+            Settings { sphere_points: 100, r_max: 0.83, kappa: 0.4, ..Settings::default() },
+            Settings { sphere_points: 48, r_max: 1.6, kappa: 2.5, ..Settings::default() },
+            Settings { alpha: Alpha::Median, ..Settings::default() },
+            Settings { alpha: Alpha::Length(0.07), kappa: 0.4, ..Settings::default() },
         ] {
             let expected = naive::confidence(&primitives, &scanner, &angles, &settings);
             assert_eq!(fast(&primitives, &scanner, &angles, settings), expected, "{settings:?}");
@@ -83,10 +85,42 @@ fn fast_and_naive_count_the_same_points() {
 #[test]
 fn the_confidence_of_some_is_that_of_all() {
     let (primitives, angles) = (primitives(150, 1), Scanner::uniform_angles(7, 0.2, TAU));
-    let all = fast(&primitives, &cone(), &angles, Settings::default());
-    let rows: Vec<usize> = (0..150).rev().step_by(2).chain([3, 3]).collect();
-    let some = Coverage::new(Settings::default()).confidence_of(&rows, &primitives, &cone(), &angles);
-    assert_eq!(some, rows.iter().map(|&row| all[row]).collect::<Vec<_>>());
+    for alpha in [Alpha::Own, Alpha::Median] {
+        let settings = Settings { alpha, ..Settings::default() };
+        let all = fast(&primitives, &cone(), &angles, settings);
+        let rows: Vec<usize> = (0..150).rev().step_by(2).chain([3, 3]).collect();
+        let some = Coverage::new(settings).confidence_of(&rows, &primitives, &cone(), &angles);
+        assert_eq!(some, rows.iter().map(|&row| all[row]).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_constant_alpha_is_the_median_or_a_length() {
+    let quaternion = [1.0, 0.0, 0.0, 0.0];
+    // Mean scales 1, 1/8, 1/2 and 1/4.
+    let scales = [[1.0; 3], [0.125; 3], [0.25, 1.0, 0.5], [0.125, 0.25, 0.5]];
+    let of = |count: usize, alpha: Alpha| {
+        let mut all = one([0.0; 3], [1.0; 3], quaternion);
+        all.parameters.scale = scales[..count].to_vec();
+        alpha.constant(&all)
+    };
+    // The middle one of three, and the lower one of two in the middle.
+    assert_eq!([of(3, Alpha::Median), of(4, Alpha::Median)], [Some(0.5), Some(0.25)]);
+    assert_eq!([of(0, Alpha::Median), of(3, Alpha::Own), of(3, Alpha::Length(0.7))], [None, None, Some(0.7)]);
+}
+
+#[test]
+fn with_a_constant_alpha_the_small_are_covered_more_and_the_unit_does_not_matter() {
+    let angles = Scanner::uniform_angles(6, 0.2, TAU);
+    let c = |scale: f64, alpha: Alpha| {
+        let sphere = one([0.1, 0.0, 0.1], [scale; 3], [1.0, 0.0, 0.0, 0.0]);
+        fast(&sphere, &wide(), &angles, Settings { alpha, r_max: 0.3, ..points(4000) })[0]
+    };
+    let constant = [0.02, 0.05, 0.1, 0.2].map(|scale| c(scale, Alpha::Length(0.05)));
+    // Tubes have their largest radius up to a scale of α/κ.
+    assert!(constant[0] == constant[1] && constant[1] > constant[2] && constant[2] > constant[3], "{constant:?}");
+    assert_eq!([0.02, 0.2].map(|scale| c(scale, Alpha::Own)), [constant[1]; 2]);
+    assert_eq!(c(0.4, Alpha::Length(0.2)), c(0.1, Alpha::Length(0.05)));
 }
 
 #[test]
@@ -110,14 +144,14 @@ fn points_lie_on_the_sphere_and_spread_evenly() {
 #[test]
 fn the_ratio_is_one_for_spheres_and_follows_the_axes() {
     let u = DVec3::new(0.48, -0.6, 0.64);
-    within!(relative(effective_ratio(DVec3::splat(0.03), u), 1.0));
+    within!(relative(effective_ratio(own_alpha(DVec3::splat(0.03)), DVec3::splat(0.03), u), 1.0));
     // α = (0.1·0.2·0.4)^⅓ = 0.2.
     let scale = DVec3::new(0.1, 0.2, 0.4);
     for (axis, expected) in [(DVec3::X, 2.0), (DVec3::Y, 1.0), (DVec3::NEG_Z, 0.5)] {
-        within!(relative(effective_ratio(scale, axis), expected));
+        within!(relative(effective_ratio(own_alpha(scale), scale, axis), expected));
     }
     let long = (0.048_f64 * 0.048 + 0.12 * 0.12 + 0.256 * 0.256).sqrt();
-    within!(relative(effective_ratio(scale, u), 0.2 / long));
+    within!(relative(effective_ratio(own_alpha(scale), scale, u), 0.2 / long));
 }
 
 #[test]

@@ -14,7 +14,7 @@ pub use auto::Auto;
 
 use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettings};
 use crate::classical::{RayModel, Turn, Window};
-use crate::confidence;
+use crate::confidence::{self, Alpha};
 use crate::density::Relocation;
 use crate::primitives::KernelKind;
 use crate::projector::Projection;
@@ -274,15 +274,39 @@ pub struct ConfidenceConfig {
     /// Points on the unit sphere.
     #[default(confidence::Settings::default().sphere_points)]
     pub sphere_points: usize,
+    /// α: the length that a primitive's extent along a ray is compared with. `own`: the geometric mean of its scales, `median`:
+    /// the median of these means over all primitives, a number: so many sides of a voxel.
+    #[default(AlphaConfig::Reading(AlphaReading::Own))]
+    pub alpha: AlphaConfig,
     /// Radius that a ray covers at most, in units of the sphere's.
     #[default(confidence::Settings::default().r_max)]
     pub r_max: f64,
-    /// Ratio of size to extent along the ray at which that radius is reached.
+    /// Ratio of α to the extent along the ray at which that radius is reached.
     #[default(confidence::Settings::default().kappa)]
     pub kappa: f64,
     /// Iterations between two computations of c; what density control adds has its own at once. 0: a twelfth of the run.
     #[default = 0]
     pub every: usize,
+}
+
+/// The scaling factor α of the confidence: a word or a number.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "\"own\", \"median\" or a number")]
+pub enum AlphaConfig {
+    /// A length in sides of a voxel.
+    Voxels(f64),
+    /// A length that follows from the primitives.
+    Reading(AlphaReading),
+}
+
+/// An α that follows from the primitives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AlphaReading {
+    /// The geometric mean of a primitive's own scales.
+    Own,
+    /// The median of these means over all primitives.
+    Median,
 }
 
 /// Which details of the volume are sharpened (near confident primitives) and which are smoothed.
@@ -498,10 +522,15 @@ pub struct TvConfig {
 }
 
 impl ConfidenceConfig {
-    /// What the confidence is computed with.
-    pub fn settings(&self) -> confidence::Settings {
+    /// What the confidence is computed with; the side of a voxel in scene units.
+    pub fn settings(&self, voxel: f64) -> confidence::Settings {
         let Self { sphere_points, r_max, kappa, temperature, .. } = *self;
-        confidence::Settings { sphere_points, r_max, kappa, temperature }
+        let alpha = match self.alpha {
+            AlphaConfig::Reading(AlphaReading::Own) => Alpha::Own,
+            AlphaConfig::Reading(AlphaReading::Median) => Alpha::Median,
+            AlphaConfig::Voxels(voxels) => Alpha::Length(voxels * voxel),
+        };
+        confidence::Settings { sphere_points, alpha, r_max, kappa, temperature }
     }
 }
 

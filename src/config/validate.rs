@@ -1,6 +1,6 @@
 //! Which values make sense.
 
-use super::{Config, Method, PositionOptimiser, Start};
+use super::{AlphaConfig, Config, Method, PositionOptimiser, Start};
 use crate::error::{Error, Result};
 use crate::primitives::KernelKind;
 use std::fmt::Debug;
@@ -125,6 +125,10 @@ impl Config {
             ("sghmc.temperature", sghmc.temperature),
         ] {
             require(key, value, value > 0.0 && value.is_finite(), "a positive number")?;
+        }
+        if let AlphaConfig::Voxels(voxels) = confidence.alpha {
+            let positive = voxels > 0.0 && voxels.is_finite();
+            require("confidence.alpha", voxels, positive, "own, median or a positive number of voxels")?;
         }
         let points = confidence.sphere_points;
         require("confidence.sphere_points", points, (8..=1 << 20).contains(&points), "8 to 2^20")?;

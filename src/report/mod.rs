@@ -4,12 +4,14 @@
 
 mod chart;
 mod gallery;
+mod histogram;
 pub mod slice;
 
 use chart::Axes;
 pub use chart::Curve;
 
 use crate::classical::algebraic::Choice;
+use crate::confidence::Histogram;
 use crate::error::Result;
 use crate::evaluation::Metrics;
 use crate::provenance::Provenance;
@@ -33,6 +35,8 @@ pub struct Report<'a> {
     pub curves: Vec<Curve<'a>>,
     /// The setting that was chosen by held-out views.
     pub choice: Option<&'a Choice>,
+    /// The confidence of the primitives, where it is used.
+    pub confidence: Option<Histogram>,
     /// Other facts: (label, value).
     pub facts: Vec<(String, String)>,
     /// Origin of the run.
@@ -77,6 +81,7 @@ pub fn render(report: &Report) -> Result<String> {
         gallery.map_or(String::new(), |gallery| gallery.html()),
         losses(&report.curves),
         report.choice.map_or(String::new(), choice),
+        report.confidence.as_ref().map_or(String::new(), confidence),
         metrics_table(&report.methods),
         facts(&report.facts),
         report.provenance.map_or(String::new(), provenance),
@@ -129,6 +134,15 @@ fn losses(curves: &[Curve]) -> String {
         )
     });
     section("Loss", &format!("{summary}{chart}\n"))
+}
+
+/// The chart of how many primitives have which confidence.
+fn confidence(histogram: &Histogram) -> String {
+    let label = "Primitives by confidence";
+    let Some(chart) = histogram::bars(histogram, label, "confidence c") else { return String::new() };
+    let meaning = "<p>The part of a primitive's directions that the rays of all training views cover, 0 to 1. The height of a \
+                   bar is the number of primitives.</p>\n";
+    section(label, &format!("{meaning}{chart}\n"))
 }
 
 /// The chart of held-out error over the values of a setting.

@@ -162,7 +162,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             unit,
             config,
             activation,
-            coverage: Coverage::new(config.confidence.settings()),
+            coverage: Coverage::new(config.confidence.settings(dataset.scanner.grid.spacing.min_element())),
             targets: Vec::new(),
             order: ViewOrder::new(dataset.train.len(), config.seed),
             ssim,
@@ -337,7 +337,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
 
     /// ν_target of every primitive `[Eq. 9]`.
     fn find_targets(&mut self) {
-        let settings = self.config.confidence.settings();
+        let settings = self.coverage.settings();
         let target = |&c: &f64| nu_target(c, &settings, self.activation.nu);
         self.targets = self.state.confidence.iter().map(target).collect();
     }

@@ -2,7 +2,7 @@
 
 use crate::program::{Sandbox, stderr};
 use ndarray::{ArrayD, Ix0, Ix1, array};
-use trgs::confidence::{Coverage, Settings, nu_target};
+use trgs::confidence::{Alpha, Coverage, Histogram, Settings, nu_target};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::model;
 use trgs::scene::Dataset;
@@ -32,7 +32,7 @@ fn the_file_has_what_the_library_computes_and_the_settings_it_was_computed_with(
     let flags = "--sphere-points 200 --r-max 0.6 --kappa 0.8 --temperature 0.5 --nu-min 3 --nu-max 50";
     let found = sandbox.done(&format!("confidence m.npz --scanner scan --out c.npz {flags}"));
 
-    let settings = Settings { sphere_points: 200, r_max: 0.6, kappa: 0.8, temperature: 0.5 };
+    let settings = Settings { sphere_points: 200, alpha: Alpha::Own, r_max: 0.6, kappa: 0.8, temperature: 0.5 };
     let dataset = Dataset::read(sandbox.path("scan")).unwrap();
     let primitives = model::read(&sandbox.path("m.npz")).unwrap();
     let c = Coverage::new(settings).confidence(&primitives, &dataset.scanner, &dataset.train.angles);
@@ -52,8 +52,28 @@ fn the_file_has_what_the_library_computes_and_the_settings_it_was_computed_with(
     assert_eq!(found["c"]["min"], 0.0);
     assert_eq!(found["c"]["median"], c[0]);
     assert_eq!(found["c"]["max"], c[1]);
+    assert_eq!(found["c_histogram"], serde_json::json!(Histogram::of(&c).counts));
     // Ranks 2, 3, 1 against 3, 2, 1.
     assert_eq!(found["spearman"], 0.5);
+}
+
+#[test]
+fn alpha_is_own_the_median_or_a_length() {
+    let sandbox = Sandbox::with_scan();
+    write_model(&sandbox, [7.0, 5.0, 3.0]);
+    let dataset = Dataset::read(sandbox.path("scan")).unwrap();
+    let primitives = model::read(&sandbox.path("m.npz")).unwrap();
+    for (word, alpha) in [("own", Alpha::Own), ("median", Alpha::Median), ("0.05", Alpha::Length(0.05))] {
+        sandbox.done(&format!("confidence m.npz --scanner scan --out c.npz --alpha {word}"));
+        let settings = Settings { alpha, ..Settings::default() };
+        let c = Coverage::new(settings).confidence(&primitives, &dataset.scanner, &dataset.train.angles);
+        assert_eq!(numbers(&sandbox, "c"), c, "{word}");
+        // A length that all primitives share is in the file.
+        let npz = Npz::read(&sandbox.path("c.npz")).unwrap();
+        let written =
+            npz.keys().any(|key| key == "alpha").then(|| npz.get::<Ix0>("alpha", "[]").unwrap().into_scalar());
+        assert_eq!(written, alpha.constant(&primitives), "{word}");
+    }
 }
 
 #[test]

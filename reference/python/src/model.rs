@@ -6,7 +6,7 @@ use crate::work::{raise, run, try_run};
 use ndarray::{Array1, Array3};
 use pyo3::prelude::*;
 use std::path::PathBuf;
-use trgs::confidence::{self, Coverage};
+use trgs::confidence::{self, Alpha, Coverage};
 use trgs::config::Precision;
 use trgs::primitives::activation::{self, Interval};
 use trgs::primitives::{KernelKind, Primitives, model, student_t};
@@ -348,10 +348,36 @@ pub(crate) fn integral_factor<'py>(
     Ok((give(py, Array1::from(factor)), give(py, Array1::from(slope))))
 }
 
-fn settings(sphere_points: usize, r_max: f64, kappa: f64, temperature: f64) -> PyResult<confidence::Settings> {
-    let settings = confidence::Settings { sphere_points, r_max, kappa, temperature };
+fn settings(
+    sphere_points: usize,
+    alpha: Alpha,
+    r_max: f64,
+    kappa: f64,
+    temperature: f64,
+) -> PyResult<confidence::Settings> {
+    let settings = confidence::Settings { sphere_points, alpha, r_max, kappa, temperature };
     settings.validate().map_err(raise)?;
     Ok(settings)
+}
+
+/// α of the confidence as an argument: a length or a word.
+#[derive(FromPyObject)]
+pub(crate) enum AlphaArgument {
+    Length(f64),
+    Word(String),
+}
+
+impl AlphaArgument {
+    fn value(&self) -> PyResult<Alpha> {
+        match self {
+            Self::Length(length) => Ok(Alpha::Length(*length)),
+            Self::Word(word) => match word.as_str() {
+                "own" => Ok(Alpha::Own),
+                "median" => Ok(Alpha::Median),
+                other => Err(wrong_value("alpha", &format!("{other:?}"), "'own', 'median' or a length in scene units")),
+            },
+        }
+    }
 }
 
 /// The ray confidence c of every primitive: how well the rays through it cover its directions.
@@ -367,7 +393,10 @@ fn settings(sphere_points: usize, r_max: f64, kappa: f64, temperature: f64) -> P
 /// r_max : float
 ///     Largest radius that a ray covers, in units of the sphere's.
 /// kappa : float
-///     Ratio of size to extent along the ray from which the radius is the largest.
+///     Ratio of alpha to the extent along the ray from which the radius is the largest.
+/// alpha : 'own', 'median' or float
+///     The length that a primitive's extent along a ray is compared with: the geometric mean of its own scales, the median of
+///     these means over all primitives, or a number of scene units.
 ///
 /// Returns
 /// -------
@@ -379,7 +408,8 @@ fn settings(sphere_points: usize, r_max: f64, kappa: f64, temperature: f64) -> P
 /// ValueError
 ///     For a setting that is not positive.
 #[pyfunction]
-#[pyo3(name = "confidence", signature = (model, scanner, angles, *, sphere_points = 512, r_max = 0.5, kappa = 1.0))]
+#[pyo3(name = "confidence", signature = (model, scanner, angles, *, sphere_points = 512, r_max = 0.5, kappa = 1.0, alpha = AlphaArgument::Word("own".into())))]
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn ray_confidence<'py>(
     py: Python<'py>,
     model: &Model,
@@ -388,8 +418,9 @@ pub(crate) fn ray_confidence<'py>(
     sphere_points: usize,
     r_max: f64,
     kappa: f64,
+    alpha: AlphaArgument,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = settings(sphere_points, r_max, kappa, 1.0)?;
+    let settings = settings(sphere_points, alpha.value()?, r_max, kappa, 1.0)?;
     let angles = arrays::angles(angles)?;
     let found = run(py, || Coverage::new(settings).confidence(&model.0, &scanner.0, &angles))?;
     Ok(give(py, Array1::from(found)))
@@ -425,7 +456,7 @@ pub(crate) fn nu_target<'py>(
     sphere_points: usize,
     temperature: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (settings, nu) = (settings(sphere_points, 1.0, 1.0, temperature)?, interval("nu_range", nu_range)?);
+    let (settings, nu) = (settings(sphere_points, Alpha::Own, 1.0, 1.0, temperature)?, interval("nu_range", nu_range)?);
     let confidence = numbers(confidence, "confidence")?;
     let target = confidence.iter().map(|&c| confidence::nu_target(c, &settings, nu));
     Ok(give(py, target.collect::<Array1<f64>>()))

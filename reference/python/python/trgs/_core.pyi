@@ -30,6 +30,7 @@ __all__ = [
     "conformance_export",
     "conformance_input",
     "conformance_truth",
+    "cpu_level",
     "fdk",
     "fdk_backproject",
     "fdk_filter",
@@ -38,7 +39,6 @@ __all__ = [
     "gate",
     "haar",
     "haar_inverse",
-    "has_x86_64_v3",
     "image_loss",
     "integral_factor",
     "is_fast",
@@ -258,7 +258,7 @@ class Sghmc:
 def set_threads(n: int) -> None: ...
 def threads() -> int: ...
 def build() -> list[tuple[str, str]]: ...
-def has_x86_64_v3() -> bool: ...
+def cpu_level() -> Literal["baseline", "v3", "v4"]: ...
 def is_fast() -> bool: ...
 def kernel(delta: _Numbers, nu: _Numbers, *, dtype: DTypeLike | None = None) -> _Array: ...
 def integral_factor(nu: _Numbers) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
@@ -270,6 +270,7 @@ def confidence(
     sphere_points: int = 512,
     r_max: float = 0.5,
     kappa: float = 1.0,
+    alpha: Literal["own", "median"] | float = "own",
 ) -> NDArray[np.float64]: ...
 def nu_target(
     confidence: _Numbers,
