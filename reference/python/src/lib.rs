@@ -47,5 +47,5 @@ mod _core {
         Reconstruction, Scan, load_scan, load_volume, phantoms, reconstruct, save_volume, simulate_scan,
     };
     #[pymodule_export]
-    use crate::work::{build, has_x86_64_v3, is_fast, set_threads, threads};
+    use crate::work::{build, cpu_level, is_fast, set_threads, threads};
 }

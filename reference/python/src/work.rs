@@ -98,23 +98,29 @@ pub(crate) fn build() -> Vec<(String, String)> {
     ]
 }
 
-/// Whether this CPU has all that x86-64-v3 asks for: AVX2, FMA, BMI, F16C, LZCNT, MOVBE.
+/// The highest level of x86-64 that this CPU has all instructions of: `v4`, `v3`, or `baseline`, also on other architectures.
 #[pyfunction]
-pub(crate) fn has_x86_64_v3() -> bool {
+pub(crate) fn cpu_level() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
         use std::is_x86_feature_detected as has;
-        has!("avx2")
+        let v3 = has!("avx2")
             && has!("fma")
             && has!("bmi1")
             && has!("bmi2")
             && has!("f16c")
             && has!("lzcnt")
             && has!("movbe")
-            && has!("xsave")
+            && has!("xsave");
+        let v4 = has!("avx512f") && has!("avx512bw") && has!("avx512cd") && has!("avx512dq") && has!("avx512vl");
+        match (v3, v4) {
+            (true, true) => "v4",
+            (true, false) => "v3",
+            _ => "baseline",
+        }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    false
+    "baseline"
 }
 
 /// Whether this module was compiled for a CPU with fused multiply-add.

@@ -162,28 +162,48 @@ except KeyboardInterrupt:
     assert fresh(code).strip() == "ended"
 
 
+LEVELS = ["baseline", "v3", "v4"]
+FEATURE = {"v3": "avx2", "v4": "avx512f"}
+
+
 def modules():
     """The modules that this installation has and this CPU can run."""
-    has_v3 = importlib.util.find_spec("trgs._v3") is not None and trgs._core.has_x86_64_v3()
-    return ["baseline", "v3"] if has_v3 else ["baseline"]
+    can = LEVELS[: LEVELS.index(trgs._core.cpu_level()) + 1]
+    return [level for level in can if level == "baseline" or importlib.util.find_spec(f"trgs._{level}")]
 
 
 def test_all_modules_give_the_same_bits():
-    if len(modules()) == 1:
-        assert "TRGS_TWO_MODULES" not in os.environ, "the wheel should have two modules"
-        pytest.skip("this installation has one module that this CPU can run; that of .ci/wheel has two")
+    if "TRGS_ALL_MODULES" in os.environ:
+        there = [level for level in LEVELS[1:] if importlib.util.find_spec(f"trgs._{level}")]
+        assert there == LEVELS[1:], "the wheel should have a module for each level"
+    elif len(modules()) == 1:
+        pytest.skip("this installation has one module that this CPU can run; that of .ci/wheel has three")
     outputs = {name: fresh(DIGEST, TRGS_MODULE=name).split() for name in modules()}
-    assert "avx2" not in outputs["baseline"] and "avx2" in outputs["v3"]
-    assert outputs["baseline"][-1] == outputs["v3"][-1], outputs
+    for name, output in outputs.items():
+        for level, feature in FEATURE.items():
+            assert (feature in output) == (LEVELS.index(name) >= LEVELS.index(level)), (name, output)
+        assert output[-1] == outputs["baseline"][-1], outputs
 
 
-def test_the_fastest_module_is_chosen_and_a_wrong_wish_is_an_error():
+def test_the_fastest_module_is_chosen():
+    chosen = fresh("import warnings; warnings.simplefilter('ignore'); import trgs._core; print(trgs._core.__name__)")
+    level = modules()[-1]
+    assert chosen.strip() == ("trgs._core" if level == "baseline" else f"trgs._{level}._core")
     fast = fresh("import warnings; warnings.simplefilter('ignore'); import trgs._core; print(trgs._core.is_fast())")
-    assert fast.strip() == "True" or not trgs._core.has_x86_64_v3()
+    assert fast.strip() == "True" or trgs._core.cpu_level() == "baseline"
+
+
+@pytest.mark.parametrize("wish", ["v5", "v3", "v4"])
+def test_a_module_that_cannot_run_is_an_error(wish):
+    if wish in modules():
+        pytest.skip(f"this installation has {wish}, and this CPU can run it")
     run = subprocess.run(
-        [sys.executable, "-c", "import trgs"], capture_output=True, text=True, env=os.environ | {"TRGS_MODULE": "v5"}
+        [sys.executable, "-c", "import trgs"], capture_output=True, text=True, env=os.environ | {"TRGS_MODULE": wish}
     )
-    assert "TRGS_MODULE: got 'v5', expected one of auto, baseline, v3; unset TRGS_MODULE" in run.stderr
+    expected = {
+        "v5": "got 'v5', expected one of auto, baseline, v3, v4; unset TRGS_MODULE",
+    }.get(wish, "expected a module that can run; unset TRGS_MODULE")
+    assert run.returncode != 0 and expected in run.stderr, run.stderr
 
 
 def public():

@@ -1,7 +1,7 @@
-"""The choice of the extension module: a wheel can carry one for x86-64-v3 besides the one for every CPU.
+"""The choice of the extension module: a wheel can carry some for newer CPUs besides the one for every CPU.
 
-Both are compiled from the same source and give the same bits. `TRGS_MODULE=baseline` or `TRGS_MODULE=v3` in the environment
-overrides the choice.
+All are compiled from the same source and give the same bits: `baseline` for every CPU, `v3` for x86-64-v3 (AVX2 and FMA),
+`v4` for x86-64-v4 (AVX-512). One of these names as `TRGS_MODULE` in the environment overrides the choice.
 """
 
 import importlib
@@ -10,7 +10,8 @@ import os
 import sys
 import warnings
 
-_CHOICES = ("auto", "baseline", "v3")
+_LEVELS = ("baseline", "v3", "v4")
+_CHOICES = ("auto", *_LEVELS)
 
 
 def select() -> None:
@@ -19,17 +20,20 @@ def select() -> None:
     if wanted not in _CHOICES:
         raise ImportError(f"TRGS_MODULE: got {wanted!r}, expected one of {', '.join(_CHOICES)}; unset TRGS_MODULE")
     core = importlib.import_module("trgs._core")
-    can = core.has_x86_64_v3()
-    there = importlib.util.find_spec("trgs._v3") is not None
-    if wanted == "v3" and not (can and there):
-        missing = "this CPU lacks its instructions" if there else "this build has no such module"
-        raise ImportError(f"TRGS_MODULE: got 'v3' ({missing}), expected a module that can run; unset TRGS_MODULE")
-    if there and can and wanted != "baseline":
-        core = importlib.import_module("trgs._v3._core")
+    can = _LEVELS[: _LEVELS.index(core.cpu_level()) + 1]
+    there = [level for level in _LEVELS if level == "baseline" or importlib.util.find_spec(f"trgs._{level}")]
+    if wanted != "auto" and not (wanted in can and wanted in there):
+        missing = "this CPU lacks its instructions" if wanted in there else "this build has no such module"
+        raise ImportError(
+            f"TRGS_MODULE: got {wanted!r} ({missing}), expected a module that can run; unset TRGS_MODULE"
+        )
+    level = wanted if wanted != "auto" else [level for level in there if level in can][-1]
+    if level != "baseline":
+        core = importlib.import_module(f"trgs._{level}._core")
         sys.modules["trgs._core"] = core
         setattr(sys.modules["trgs"], "_core", core)
     if not core.is_fast() and wanted == "auto":
-        warnings.warn(_slow(can), RuntimeWarning, stacklevel=4)
+        warnings.warn(_slow("v3" in can), RuntimeWarning, stacklevel=4)
 
 
 def _slow(can: bool) -> str:
