@@ -26,6 +26,8 @@ macro_rules! settings {
 settings! {
     /// The file of the angles of a stack.
     Angles = "angles",
+    /// Voxels along each side of the middle of a larger volume, which an experiment is about.
+    Crop = "crop",
     /// The dark field of a stack: frames without X-rays.
     Dark = "dark",
     /// The folder whose scans and volumes are the cases of an experiment.

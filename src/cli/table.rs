@@ -11,7 +11,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
 use std::time::Instant;
-use trgs::experiments::{self, Case, Cell, Done, NAMES, Scale, Store, Summary};
+use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, Summary};
 use trgs::numeric::threads;
 use trgs::output::write_atomically;
 use trgs::{Error, Result};
@@ -26,6 +26,8 @@ const REQUESTS: &str = "tables.json";
   trgs table ablation --out out/tables --size 32
   trgs table all --out out/tables --seeds 3
   trgs table volume --out out/tables --data data/r2_gaussian
+  trgs table volume --out out/ray --matched ray
+  trgs table volume --out out/middle --data data/volumes --crop 64
   trgs table volume --out out/measured --data data/r2_gaussian/real --measured
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
@@ -54,6 +56,15 @@ pub(super) struct What {
     /// Voxels along the longest side; detector, primitives and iterations scale with it
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = value_parser!(u16).range(8..=512))]
     size: u16,
+    /// What stays as in the paper: edge (rays per voxel of a surface) or ray (rays per voxel and per parameter)
+    #[arg(long, value_name = "edge|ray", value_parser = matching, default_value = "edge")]
+    #[serde(default)]
+    matched: Matching,
+    /// Of larger volumes in --data, the middle of N³ voxels instead of the average; rays per voxel and per voxel of a surface
+    /// are then those of the paper
+    #[arg(long, value_name = "N", requires = "data", conflicts_with_all = ["size", "matched", "measured"], value_parser = value_parser!(u16).range(8..=512))]
+    #[serde(default)]
+    crop: Option<u16>,
     /// Number of runs of each cell, each with another seed; intervals need at least two
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
     seeds: u64,
@@ -72,7 +83,10 @@ pub(super) struct What {
 impl What {
     pub(super) fn cases(&self) -> Result<Vec<Case>> {
         let all = match &self.data {
-            Some(folder) => Case::in_folder(folder, self.size.into())?,
+            Some(folder) => match self.crop {
+                Some(size) => Case::middles_in_folder(folder, size.into())?,
+                None => Case::in_folder(folder, self.size.into())?,
+            },
             None => Case::stand_ins(),
         };
         if self.cases.is_empty() {
@@ -110,7 +124,10 @@ impl What {
     }
 
     fn scale(&self) -> Scale {
-        Scale { size: self.size.into() }
+        match self.crop {
+            Some(size) => Scale { size: size.into(), matching: Matching::Ray },
+            None => Scale { size: self.size.into(), matching: self.matched },
+        }
     }
 
     /// Writes all files of a table from the finished cells.
@@ -226,6 +243,13 @@ fn run(cells: &[Cell], store: &Store, global: &Global) -> Result<()> {
         go_on()
     };
     experiments::run(cells, store, threads::count(), &observe)
+}
+
+fn matching(text: &str) -> std::result::Result<Matching, String> {
+    [Matching::Edge, Matching::Ray]
+        .into_iter()
+        .find(|matching| matching.to_string() == text)
+        .ok_or_else(|| "expected edge or ray".into())
 }
 
 fn list() -> Output {

@@ -5,9 +5,9 @@ use crate::error::{Error, Result};
 use crate::provenance::{digest_bytes, digest_file, digests};
 use crate::scene::phantom::PHANTOMS;
 use crate::scene::simulate::{Object, Plan, simulate};
-use crate::scene::{Dataset, Grid, Noise, Phantom, Scanner, Volume, volume_file};
+use crate::scene::{Dataset, Grid, Noise, Phantom, Projections, Scanner, Volume, volume_file};
 use crate::setting::Setting;
-use ndarray::Array3;
+use ndarray::{Array3, Slice};
 use std::path::{Path, PathBuf};
 
 /// An object to scan, or an existing scan.
@@ -24,7 +24,42 @@ pub struct Case {
 enum Source {
     Phantom,
     Volume(PathBuf),
+    /// The middle of a larger volume.
+    Middle(PathBuf),
     Scan(PathBuf),
+}
+
+/// Scans and volumes of a folder, ordered by name.
+struct Contents {
+    scans: Vec<(String, PathBuf)>,
+    volumes: Vec<Stored>,
+}
+
+/// A volume in a file.
+struct Stored {
+    name: String,
+    path: PathBuf,
+    /// Voxels along the longest side.
+    side: usize,
+}
+
+impl Contents {
+    fn of(folder: &Path) -> Result<Self> {
+        let entries = folder.read_dir().map_err(|source| Error::read(folder, source))?;
+        let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+        paths.sort();
+        let (mut scans, mut volumes) = (Vec::new(), Vec::new());
+        for path in paths {
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            if path.join("meta_data.json").exists() {
+                scans.push((name, path));
+            } else if path.is_file() && volume_file::is_volume(&path) {
+                let Ok(volume) = volume_file::read(&path) else { continue };
+                volumes.push(Stored { name, side: longest(&volume.values), path });
+            }
+        }
+        Ok(Self { scans, volumes })
+    }
 }
 
 /// The acquisition of a case in a cell.
@@ -51,6 +86,33 @@ impl Case {
         Ok(Self { name: name.into(), digest: name.into(), source: Source::Phantom })
     }
 
+    /// The volumes in a folder whose longest side has more than `size` voxels, ordered by name; of each the middle cube.
+    ///
+    /// Scans, smaller volumes and files that are no volumes are skipped.
+    ///
+    /// # Errors
+    /// When the folder cannot be read, or holds nothing usable.
+    pub fn middles_in_folder(folder: &Path, size: usize) -> Result<Vec<Self>> {
+        let Contents { volumes, .. } = Contents::of(folder)?;
+        let larger = volumes.iter().filter(|volume| volume.side > size);
+        let cases: Vec<Self> = larger
+            .map(|Stored { name, path, .. }| {
+                let digest = format!("middle of {}", digest_file(path)?);
+                Ok(Self { name: format!("{name}-middle"), digest, source: Source::Middle(path.clone()) })
+            })
+            .collect::<Result<_>>()?;
+        if cases.is_empty() {
+            let got = format!("{}, which holds none", folder.display());
+            let expected = format!("a folder with volumes whose longest side has more than {size} voxels");
+            let remedy = match volumes.iter().map(|volume| volume.side).max() {
+                Some(side) if side > 8 => format!("give {} a number below {side}, or another folder", Setting::Crop),
+                _ => "choose another folder".into(),
+            };
+            return Err(Error::invalid(Setting::Data, got, expected, remedy));
+        }
+        Ok(cases)
+    }
+
     /// All scans in a folder, and its volumes whose longest side has `size` voxels, ordered by name.
     ///
     /// If no volume has that size, those whose longest side is a multiple of it are used. Other volumes and files that
@@ -59,25 +121,16 @@ impl Case {
     /// # Errors
     /// When the folder cannot be read, or holds nothing usable.
     pub fn in_folder(folder: &Path, size: usize) -> Result<Vec<Self>> {
-        let entries = folder.read_dir().map_err(|source| Error::read(folder, source))?;
-        let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-        paths.sort();
-        let (mut cases, mut volumes) = (Vec::new(), Vec::new());
-        for path in paths {
-            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let description = path.join("meta_data.json");
-            if description.exists() {
-                let files: Vec<String> = digests(&path)?.into_values().collect();
-                cases.push(Self { name, digest: digest_bytes(files.concat().as_bytes()), source: Source::Scan(path) });
-            } else if path.is_file() && volume_file::is_volume(&path) {
-                let Ok(volume) = volume_file::read(&path) else { continue };
-                volumes.push((longest(&volume.values), name, path));
-            }
+        let Contents { scans, volumes } = Contents::of(folder)?;
+        let mut cases = Vec::new();
+        for (name, path) in scans {
+            let files: Vec<String> = digests(&path)?.into_values().collect();
+            cases.push(Self { name, digest: digest_bytes(files.concat().as_bytes()), source: Source::Scan(path) });
         }
-        let side = volumes.iter().map(|(side, ..)| *side).find(|side| *side > 0);
+        let side = volumes.iter().map(|volume| volume.side).find(|side| *side > 0);
         let fits = |multiple: bool| move |side: usize| if multiple { side.is_multiple_of(size) } else { side == size };
-        let fits = fits(volumes.iter().all(|(side, ..)| *side != size));
-        for (_, name, path) in volumes.into_iter().filter(|(side, ..)| *side > 0 && fits(*side)) {
+        let fits = fits(volumes.iter().all(|volume| volume.side != size));
+        for Stored { name, path, .. } in volumes.into_iter().filter(|volume| volume.side > 0 && fits(volume.side)) {
             cases.push(Self { name, digest: digest_file(&path)?, source: Source::Volume(path) });
         }
         if cases.is_empty() {
@@ -111,11 +164,15 @@ impl Case {
         match &self.source {
             Source::Phantom => {
                 let phantom = Phantom::by_name(&self.name, 0)?;
-                simulate(&self.name, Object::Phantom(&phantom), &scanner(scale, Grid::cube(scale.size)), &plan)
+                scanned(&self.name, Object::Phantom(&phantom), scale, Grid::cube(scale.size), &plan)
             }
             Source::Volume(path) => {
                 let volume = normalised(path, scale.size)?;
-                simulate(&self.name, Object::Volume(&volume), &scanner(scale, volume.grid), &plan)
+                scanned(&self.name, Object::Volume(&volume), scale, volume.grid, &plan)
+            }
+            Source::Middle(path) => {
+                let volume = middle(path, scale.size)?;
+                scanned(&self.name, Object::Volume(&volume), scale, volume.grid, &plan)
             }
             Source::Scan(path) => {
                 let mut dataset = Dataset::read(path)?;
@@ -126,28 +183,70 @@ impl Case {
     }
 }
 
-fn scanner(scale: Scale, grid: Grid) -> Scanner {
-    Scanner { grid, ..Scanner::synthetic(scale.size, scale.detector()) }
+/// A simulated scan; its noise is that of the pixels, each the mean of some rays.
+fn scanned(name: &str, object: Object<'_>, scale: Scale, grid: Grid, plan: &Plan) -> Result<Dataset> {
+    let (pixels, side) = (scale.detector(), scale.rays_per_side());
+    let scanner = |pixels: usize| Scanner { grid, ..Scanner::synthetic(scale.size, pixels) };
+    if side == 1 {
+        return simulate(name, object, &scanner(pixels), plan);
+    }
+    let mut scan = simulate(name, object, &scanner(side * pixels), &Plan { noise: Noise::None, ..*plan })?;
+    let averaged = |views: &Projections| Projections { images: means(&views.images, side), ..views.clone() };
+    (scan.scanner, scan.noise) = (scanner(pixels), plan.noise);
+    scan.train = plan.noise.apply(&averaged(&scan.train), plan.seed)?;
+    scan.test = scan.test.as_ref().map(averaged);
+    Ok(scan)
+}
+
+/// Images whose pixels are the means of `side` × `side` pixels.
+fn means(images: &Array3<f32>, side: usize) -> Array3<f32> {
+    let (views, rows, columns) = images.dim();
+    Array3::from_shape_fn((views, rows / side, columns / side), |(view, v, u)| {
+        let part = |k: usize| images[[view, v * side + k / side, u * side + k % side]];
+        (0..side * side).map(part).sum::<f32>() / (side * side) as f32
+    })
+}
+
+/// The middle cube of a volume, `size` voxels along each side or all that there are, and densities scaled to at most 1.
+fn middle(path: &Path, size: usize) -> Result<Volume> {
+    let fine = volume_file::read(path)?.values;
+    let shape: [usize; 3] = <[usize; 3]>::from(fine.dim()).map(|n| n.min(size));
+    let part = |axis: usize| {
+        let first = (fine.shape()[axis] - shape[axis]) / 2;
+        first..first + shape[axis]
+    };
+    let values = fine.slice_each_axis(|axis| Slice::from(part(axis.axis.index()))).to_owned();
+    let top = largest(&values);
+    scaled(path, values, 1, top)
 }
 
 /// A volume with cubic voxels, averaged over blocks, and densities scaled to at most 1.
 fn normalised(path: &Path, size: usize) -> Result<Volume> {
     let fine = volume_file::read(path)?.values;
     let factor = longest(&fine) / size;
-    let shape: [usize; 3] = <[usize; 3]>::from(fine.dim()).map(|n| n / factor);
-    let top = fine.iter().fold(0.0_f32, |top, &value| top.max(value));
-    if top <= 0.0 || shape.contains(&0) {
-        let expected = "a volume with positive values, at least as thick as one voxel of the result";
-        return Err(Error::format(path, "volume", format!("shape {shape:?}, maximum {top}"), expected, "leave it out"));
-    }
-    let voxels = (factor * factor * factor) as f32 * top;
-    let values = Array3::from_shape_fn(shape, |(x, y, z)| {
+    let shape = <[usize; 3]>::from(fine.dim()).map(|n| n / factor);
+    let sums = Array3::from_shape_fn(shape, |(x, y, z)| {
         let part = |i: usize| {
             let (dx, dy, dz) = (i / (factor * factor), i / factor % factor, i % factor);
             fine[[x * factor + dx, y * factor + dy, z * factor + dz]]
         };
-        (0..factor * factor * factor).map(part).sum::<f32>() / voxels
+        (0..factor * factor * factor).map(part).sum::<f32>()
     });
+    scaled(path, sums, factor * factor * factor, largest(&fine))
+}
+
+fn largest(values: &Array3<f32>) -> f32 {
+    values.iter().fold(0.0_f32, |top, &value| top.max(value))
+}
+
+/// The volume of cubic voxels whose `sums` are those of so many voxels each, divided by the largest density `top`.
+fn scaled(path: &Path, sums: Array3<f32>, voxels: usize, top: f32) -> Result<Volume> {
+    let shape = <[usize; 3]>::from(sums.dim());
+    if top <= 0.0 || shape.contains(&0) {
+        let expected = "a volume with positive values, at least as thick as one voxel of the result";
+        return Err(Error::format(path, "volume", format!("shape {shape:?}, maximum {top}"), expected, "leave it out"));
+    }
+    let values = sums / (voxels as f32 * top);
     let sides = glam::DVec3::from_array(shape.map(|n| n as f64));
     let corner = sides / sides.max_element();
     Volume::new(Grid::new(shape, -corner, corner)?, values).map_err(|error| error.in_file(path))
@@ -155,4 +254,50 @@ fn normalised(path: &Path, size: usize) -> Result<Volume> {
 
 fn longest(values: &Array3<f32>) -> usize {
     values.shape().iter().copied().max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiments::Matching;
+    use crate::scene::npy;
+
+    #[test]
+    fn a_pixel_matched_by_ray_is_the_mean_of_four_rays_and_has_one_noise() {
+        let scale = Scale { size: 32, matching: Matching::Ray };
+        let acquisition = Acquisition { views: 3, noise: Noise::HIGH, seed: 5 };
+        let scan = Case::phantom("pepper").unwrap().scan(scale, &acquisition).unwrap();
+        let plan = Plan { views: 3, test_views: scale.test_views(), noise: Noise::None, seed: 5 };
+        let phantom = Phantom::by_name("pepper", 0).unwrap();
+        let rays = simulate("pepper", Object::Phantom(&phantom), &Scanner::synthetic(32, 46), &plan).unwrap();
+        assert_eq!((scan.scanner, scan.noise), (Scanner::synthetic(32, 23), Noise::HIGH));
+        let mean = |images: &Array3<f32>, [view, v, u]: [usize; 3]| {
+            let ray = |dv: usize, du: usize| images[[view, 2 * v + dv, 2 * u + du]];
+            (ray(0, 0) + ray(0, 1) + ray(1, 0) + ray(1, 1)) / 4.0
+        };
+        let (test, of_rays) = (scan.test.unwrap(), rays.test.unwrap());
+        assert_eq!(test.angles, of_rays.angles);
+        assert!(test.images.indexed_iter().all(|((view, v, u), &pixel)| pixel == mean(&of_rays.images, [view, v, u])));
+        let clean = Array3::from_shape_fn((3, 23, 23), |(view, v, u)| mean(&rays.train.images, [view, v, u]));
+        let clean = Projections { images: clean, ..rays.train };
+        assert_eq!(scan.train, Noise::HIGH.apply(&clean, 5).unwrap());
+        assert_eq!(scan.truth, rays.truth);
+    }
+
+    #[test]
+    fn the_middle_of_a_volume_is_cut_out_and_scaled_by_its_own_maximum() {
+        let folder = tempfile::tempdir().unwrap();
+        // 100 x + 10 y + z, with the maximum of the whole outside of the middle; the second side is shorter than the cube.
+        let values = Array3::from_shape_fn((9, 3, 10), |(x, y, z)| (100 * x + 10 * y + z) as f32);
+        npy::write(&folder.path().join("thing.npy"), values.view()).unwrap();
+        let [case] = &Case::middles_in_folder(folder.path(), 4).unwrap()[..] else { panic!() };
+        let plain = &Case::in_folder(folder.path(), 10).unwrap()[0];
+        assert!(case.name == "thing-middle" && plain.name == "thing" && case.digest != plain.digest);
+        let cut = middle(&folder.path().join("thing.npy"), 4).unwrap();
+        // x from 2 to 5, all y, z from 3 to 6.
+        let expected = Array3::from_shape_fn((4, 3, 4), |(x, y, z)| (100 * (x + 2) + 10 * y + z + 3) as f32 / 526.0);
+        assert_eq!(cut.values, expected);
+        assert_eq!((cut.grid.shape, cut.grid.spacing), ([4, 3, 4], glam::DVec3::splat(0.5)));
+        assert!(Case::middles_in_folder(folder.path(), 10).is_err(), "no larger volume");
+    }
 }

@@ -103,7 +103,7 @@ impl Cell {
     }
 
     fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> String {
-        format!("{} {} {views} {level} {seed}", case.digest, scale.size)
+        format!("{} {} {:?} {views} {level} {seed}", case.digest, scale.size, scale.matching)
     }
 
     /// Id of the scan; equal for cells of the same scan.
@@ -120,7 +120,8 @@ impl Cell {
 
     /// The scan that the cell reconstructs.
     pub(super) fn scan(&self) -> Result<Dataset> {
-        let acquisition = Acquisition { views: self.views, noise: noise(&self.noise), seed: self.seed };
+        let acquisition =
+            Acquisition { views: self.views, noise: self.scale.noise(noise(&self.noise)), seed: self.seed };
         self.case.scan(self.scale, &acquisition)
     }
 

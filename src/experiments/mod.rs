@@ -24,7 +24,7 @@ mod text;
 pub use case::Case;
 pub use cell::{Cell, Finding};
 pub use runner::{Done, Observe, run};
-pub use scale::Scale;
+pub use scale::{Matching, Scale};
 pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
 pub use table::{NAMES, Table, TableRow};

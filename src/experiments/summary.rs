@@ -26,6 +26,8 @@ pub struct Summary {
     pub seeds: u64,
     /// The size of all cells.
     pub scale: Scale,
+    /// Whether all scans are simulated, at that size.
+    pub is_simulated: bool,
     /// One block for each number of views and level of noise.
     pub blocks: Vec<Block>,
     /// Number of unfinished cells.
@@ -98,6 +100,7 @@ impl Summary {
             cases: cases.iter().map(|case| case.name.clone()).collect(),
             seeds,
             scale,
+            is_simulated: cases.iter().all(Case::takes_noise),
             blocks: Vec::new(),
             missing: 0,
             findings: Vec::new(),

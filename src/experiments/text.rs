@@ -1,6 +1,7 @@
 //! A summary as CSV, Markdown and LaTeX.
 
 use super::summary::{Agreement, Block, Estimate, Figure, Summary, decimals};
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 /// Titles of the metrics for display.
@@ -58,10 +59,25 @@ impl Summary {
             1 => "; 1 cell is not finished".into(),
             n => format!("; {n} cells are not finished"),
         };
+        let seeds = if seeds == 1 { "1 seed".into() } else { format!("{seeds} seeds") };
+        let means = format!("Means over {cases} cases and {seeds}");
+        if !self.is_simulated {
+            return format!("{means}{spread}{missing}.");
+        }
+        let views: Vec<usize> =
+            self.blocks.iter().map(|block| block.views).collect::<BTreeSet<_>>().into_iter().collect();
+        let of_views = |k: usize, digits: usize| {
+            let of = |&views: &usize| format!("{:.digits$}", self.scale.rays_per_voxel_and_parameter(views)[k]);
+            views.iter().map(of).collect::<Vec<_>>().join(", ")
+        };
         format!(
-            "Means over {cases} cases and {seeds} seed{} at {size}³ voxels, {}² pixels{spread}{missing}.",
-            if seeds == 1 { "" } else { "s" },
+            "{means} at {size}³ voxels, {}² pixels{spread}{missing}. Matched by {}: {} rays per voxel and {} per parameter \
+             with {} views.",
             self.scale.detector(),
+            self.scale.matching,
+            of_views(0, 2),
+            of_views(1, 1),
+            views.iter().map(usize::to_string).collect::<Vec<_>>().join(", "),
         )
     }
 

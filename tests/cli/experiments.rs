@@ -168,6 +168,30 @@ fn volumes_and_scans_of_a_folder_take_the_place_of_phantoms() {
 }
 
 #[test]
+fn experiments_are_matched_by_ray_and_about_the_middle_of_volumes() {
+    let sandbox = Sandbox::new();
+    let ids = |arguments: &str| cells(&sandbox, &format!("threshold --cases chest {arguments}"), "id");
+    assert_eq!(ids("--size 32"), ids("--size 32 --matched edge"));
+    assert!(ids("--size 32").iter().zip(ids("--size 32 --matched ray")).all(|(edge, ray)| *edge != ray));
+
+    sandbox.done("table threshold --out ray --size 32 --cases chest --matched ray");
+    // 12 · 23² / 32³, and over 12 parameters of 2 · 98 primitives.
+    let expected =
+        "at 32³ voxels, 23² pixels. Matched by ray: 0.19 rays per voxel and 2.7 per parameter with 12 views.";
+    assert!(sandbox.text("ray/threshold.md").contains(expected), "{}", sandbox.text("ray/threshold.md"));
+    assert_eq!(sandbox.done("report ray")["tables"][0]["missing"], 0);
+
+    sandbox.done("simulate --phantom pepper --size 32 --detector 16 --views 1 --test-views 0 --out made");
+    std::fs::create_dir(sandbox.path("data")).unwrap();
+    sandbox.write("data/thing.npy", sandbox.read("made/vol_gt.npy"));
+    let found = sandbox.done("table threshold --out middle --data data --crop 16");
+    assert_eq!((&found["tables"][0]["cells"], &found["tables"][0]["missing"]), (&4.into(), &0.into()));
+    assert!(sandbox.text("middle/threshold-cases.csv").contains("thing-middle"));
+    assert!(sandbox.text("middle/threshold.md").contains("16³ voxels, 8² pixels. Matched by ray"));
+    assert_eq!(sandbox.done("report middle")["tables"][0]["missing"], 0);
+}
+
+#[test]
 fn what_cannot_be_run_is_refused_in_one_line() {
     let sandbox = Sandbox::new();
     for (arguments, words) in [
@@ -179,6 +203,10 @@ fn what_cannot_be_run_is_refused_in_one_line() {
         ("table volume", vec!["--out"]),
         ("table noise --out out --data . --measured", vec!["--measured", "projection"]),
         ("table volume --out out --measured", vec!["--data"]),
+        ("table volume --out out --matched pixel", vec!["--matched", "edge or ray"]),
+        ("table volume --out out --crop 16", vec!["--data"]),
+        ("table volume --out out --data . --crop 16 --matched ray", vec!["--crop", "--matched"]),
+        ("table volume --out out --data . --crop 16", vec!["--data", "more than 16 voxels"]),
     ] {
         let output = sandbox.run(arguments);
         let error = crate::program::stderr(&output);
