@@ -80,7 +80,7 @@ pub(super) struct Reconstruct {
     /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
-    /// Published settings that sart, os-sart or asd-pocs start from
+    /// Published settings to start from: of a comparison that has sart, os-sart or asd-pocs, or of the paper's own experiment
     #[arg(long, value_parser = choice(&Preset::ALL), conflicts_with = "config")]
     preset: Option<Preset>,
     /// Configuration file to start from

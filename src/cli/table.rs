@@ -74,6 +74,10 @@ pub(super) struct What {
     /// Run only these cases
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     cases: Vec<String>,
+    /// Set a configuration key of all rows that fit primitives, for example confidence.alpha=median; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    #[serde(default)]
+    set: Vec<String>,
     /// Compare with the paper's figures on measured scans, which the tables volume and projection have
     #[arg(long, requires = "data")]
     #[serde(default)]
@@ -112,6 +116,7 @@ impl What {
             "all" => experiments::Table::all(),
             name => vec![experiments::Table::by_name(name)?],
         };
+        let tables: Vec<_> = tables.into_iter().map(|table| table.with(&self.set)).collect::<Result<_>>()?;
         if !self.measured {
             return Ok(tables);
         }

@@ -83,17 +83,17 @@ impl Table {
         level: &str,
         seed: u64,
     ) -> Option<Cell> {
-        Cell::new(row.config()?, case, scale, views, level, seed)
+        let config = scale.applied(row, &self.set)?;
+        Cell::new(config, case, scale, views, level, seed)
     }
 }
 
 impl Cell {
-    /// `None` if the case has other noise than the one asked for.
+    /// A cell with a scaled configuration; `None` if the case has other noise than the one asked for.
     fn new(mut config: Config, case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> Option<Self> {
         if !case.takes_noise() && level != "low" {
             return None;
         }
-        scale.apply(&mut config);
         config.seed = seed;
         let scan = Self::scan_key(case, scale, views, level, seed);
         let settings = serde_json::to_string(&config).expect("a configuration has string keys");

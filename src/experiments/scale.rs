@@ -1,5 +1,6 @@
 //! The paper's experiments at another size: how all settings scale.
 
+use super::table::TableRow;
 use crate::config::{Auto, Config, DensityControl, Finish, Sampling, Start};
 use crate::numeric::elementary::pow;
 use crate::scene::Noise;
@@ -123,6 +124,20 @@ impl Scale {
         (50 * self.size).div_ceil(256).max(8)
     }
 
+    /// The configuration of a row at this size; `None` for a row that only the paper has.
+    ///
+    /// # Panics
+    /// When a setting is invalid.
+    pub(super) fn applied(self, row: &TableRow, settings: &[String]) -> Option<Config> {
+        let mut config = row.config()?;
+        self.apply(&mut config);
+        let settings = settings.iter().filter(|_| config.method.fits_primitives());
+        for setting in settings.chain(&row.set).cloned().collect::<Vec<_>>() {
+            config.set(&setting).unwrap_or_else(|error| panic!("{}: {error}", row.name));
+        }
+        Some(config)
+    }
+
     /// Scales the settings of a method to the size.
     pub fn apply(self, config: &mut Config) {
         config.density_unit = Auto::Fixed(1.0);
@@ -156,7 +171,8 @@ impl Scale {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Method;
+    use crate::config::{Method, Preset};
+    use crate::projector::Projection;
 
     #[test]
     fn the_papers_size_is_the_papers() {
@@ -170,6 +186,25 @@ mod tests {
             assert_eq!(crate::optim::schedule::pace(config.optimiser.horizon, config.iterations), 1.0);
             assert_eq!(paper.noise(Noise::LOW), Noise::LOW);
         }
+    }
+
+    #[test]
+    fn the_preset_of_the_paper_is_its_experiment_at_its_size() {
+        for method in [Method::TrGs, Method::R2Gaussian] {
+            let (mut preset, mut scaled) = (Config::of(method), Config::of(method));
+            preset.apply(Preset::Paper);
+            scaled.projection = Projection::Affine;
+            Scale { size: 256, matching: Matching::Edge }.apply(&mut scaled);
+            preset.validate().unwrap();
+            // What the tables of the paper ask for, and intervals that follow from the length of the run.
+            scaled.confidence = preset.confidence.clone();
+            (preset.density_control.every, preset.report_every) = (100, 30_000);
+            preset.checkpoint_every = 30_000;
+            assert_eq!(preset, scaled);
+        }
+        let mut fdk = Config::of(Method::Fdk);
+        fdk.apply(Preset::Paper);
+        assert_eq!(fdk, Config::of(Method::Fdk));
     }
 
     #[test]

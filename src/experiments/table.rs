@@ -48,6 +48,10 @@ pub struct Table {
     pub against: Option<String>,
     /// Rows from top to bottom.
     pub rows: Vec<TableRow>,
+    /// Settings of all rows that fit primitives, in the form that [`Config::set`] takes. They apply after the scaling; a
+    /// row's own settings apply after them.
+    #[serde(skip)]
+    pub set: Vec<String>,
     /// The paper's figures.
     #[serde(skip)]
     printed: Vec<BTreeMap<String, String>>,
@@ -92,6 +96,18 @@ impl Table {
         "real".clone_into(data);
         self.title += ", measured scans";
         Some(self)
+    }
+
+    /// The table with other settings in all rows that fit primitives.
+    ///
+    /// # Errors
+    /// For a setting that is invalid.
+    pub fn with(mut self, settings: &[String]) -> Result<Self> {
+        let mut config = Config::of(Method::TrGs);
+        settings.iter().try_for_each(|setting| config.set(setting))?;
+        config.validate()?;
+        settings.clone_into(&mut self.set);
+        Ok(self)
     }
 
     /// All tables.

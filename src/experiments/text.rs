@@ -60,7 +60,9 @@ impl Summary {
             n => format!("; {n} cells are not finished"),
         };
         let seeds = if seeds == 1 { "1 seed".into() } else { format!("{seeds} seeds") };
-        let means = format!("Means over {cases} cases and {seeds}");
+        let with =
+            if self.table.set.is_empty() { String::new() } else { format!(", with {}", self.table.set.join(", ")) };
+        let means = format!("Means over {cases} cases and {seeds}{with}");
         if !self.is_simulated {
             return format!("{means}{spread}{missing}.");
         }

@@ -192,6 +192,24 @@ fn experiments_are_matched_by_ray_and_about_the_middle_of_volumes() {
 }
 
 #[test]
+fn settings_apply_to_all_rows_with_primitives_and_a_rows_own_win() {
+    let sandbox = Sandbox::new();
+    let ids = |table: &str, more: &str| cells(&sandbox, &format!("{table} --size 8 --cases chest {more}"), "id");
+    let (plain, set) = (ids("temperature", ""), ids("temperature", "--set confidence.temperature=0.9"));
+    assert_eq!(plain, set, "each row has a temperature of its own");
+    let changed = ids("temperature", "--set confidence.weight=3e-4");
+    assert!(plain.iter().zip(&changed).all(|(plain, changed)| plain != changed));
+    // Rows of voxels have no primitives: 12, 18 and 25 views of three methods and of two with primitives.
+    let (plain, changed) = (ids("volume", ""), ids("volume", "--set model.points=33"));
+    let same = plain.iter().filter(|id| changed.contains(id)).count();
+    assert_eq!((plain.len(), same), (18, 9));
+    sandbox
+        .done("table temperature --out out --size 8 --cases chest --set confidence.alpha=median --set model.points=33");
+    assert!(sandbox.text("out/temperature.md").contains("1 seed, with confidence.alpha=median, model.points=33 at 8³"));
+    assert_eq!(sandbox.done("report out")["tables"][0]["missing"], 0);
+}
+
+#[test]
 fn what_cannot_be_run_is_refused_in_one_line() {
     let sandbox = Sandbox::new();
     for (arguments, words) in [
@@ -205,6 +223,8 @@ fn what_cannot_be_run_is_refused_in_one_line() {
         ("table volume --out out --measured", vec!["--data"]),
         ("table volume --out out --matched pixel", vec!["--matched", "edge or ray"]),
         ("table volume --out out --crop 16", vec!["--data"]),
+        ("table volume --out out --set confidence.alpha=mean", vec!["confidence.alpha", "median"]),
+        ("table volume --out out --set confidence.alpha=-1", vec!["confidence.alpha", "positive"]),
         ("table volume --out out --data . --crop 16 --matched ray", vec!["--crop", "--matched"]),
         ("table volume --out out --data . --crop 16", vec!["--data", "more than 16 voxels"]),
     ] {
