@@ -1,8 +1,8 @@
 //! The defaults of each method, and what the parts of the library are told.
 
 use super::{
-    AlgebraicConfig, AlphaConfig, AlphaReading, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method,
-    PositionOptimiser, Preset, Sampling, Start, TvConfig,
+    AlgebraicConfig, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method, PositionOptimiser, Preset, Sampling,
+    Start, TvConfig,
 };
 use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
 use crate::primitives::KernelKind;
@@ -52,8 +52,8 @@ impl Config {
     ///
     /// What the paper states, or takes over from R²-Gaussian without a word: numbers of iterations and primitives, start,
     /// affine projection, point samples, no finish, R²-Gaussian's smallest scale and weight of the total variation, densities
-    /// as they are. What it leaves open, as its tables ask for (reference/results/confidence.md): α is one constant, and κ,
-    /// r_max and the weight λ follow from its Tables 5 and 7.
+    /// as they are. It leaves the weight λ of the pull on ν open, which here is the one that its Table 5 asks for
+    /// (reference/results/confidence.md).
     fn as_in_the_paper(&mut self) {
         self.projection = Projection::Affine;
         self.density_unit = Auto::Fixed(1.0);
@@ -68,8 +68,7 @@ impl Config {
         (self.sampling, self.finish) = (Sampling::Point, Finish::None);
         self.model.smallest_scale = 0.128;
         self.loss.tv = Auto::Fixed(0.05);
-        self.confidence.alpha = AlphaConfig::Reading(AlphaReading::Median);
-        (self.confidence.kappa, self.confidence.r_max, self.confidence.weight) = (2.5, 0.95, 1.4e-4);
+        self.confidence.weight = 4e-4;
     }
 
     /// What SART is told.
