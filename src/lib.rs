@@ -112,6 +112,7 @@ pub mod evaluation;
 pub mod experiments;
 pub mod loss;
 pub mod memory;
+pub mod neural;
 pub mod numeric;
 pub mod optim;
 #[cfg(feature = "oracle")]

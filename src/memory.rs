@@ -86,6 +86,9 @@ impl Estimate {
             Method::AsdPocs => vec![sizes.asd_pocs(config)],
             Method::Cgls => vec![sizes.cgls()],
             Method::Tv => vec![sizes.tv(config)],
+            Method::Naf | Method::SaxNerf | Method::Intratomo => {
+                vec![sizes.sart(&Config::of(Method::Sart)), sizes.neural(config)]
+            }
         };
         if scan.train > views {
             let all =
@@ -350,6 +353,24 @@ impl Sizes {
         Phase { name: "reconstruction", allocations }
     }
 
+    /// The unit of density comes from SART in f32 before.
+    fn neural(&self, config: &Config) -> Phase {
+        let settings = config.neural();
+        let parameters = crate::neural::parameters(&settings);
+        let rays = settings.rays + settings.windows * settings.window * settings.window;
+        let allocations = vec![
+            allocation("parameters, moments and gradients", parameters, 5 * F64 + 3 * self.real),
+            allocation("as they are written to a checkpoint", parameters, 6 * F64),
+            allocation(
+                "points of a step and gradients to their codes",
+                rays * settings.samples,
+                4 * F64 + (3 + 41) * self.real,
+            ),
+            allocation("volume", self.voxels, F32),
+        ];
+        Phase { name: "reconstruction", allocations }
+    }
+
     /// Bytes per voxel of a slice for the partial sums of all workers.
     fn at_work(&self, numbers: usize) -> usize {
         const SLICES: usize = 8;
@@ -411,6 +432,7 @@ mod tests {
             Method::AsdPocs,
             Method::Cgls,
             Method::Tv,
+            Method::Naf,
         ] {
             let config = Config::of(method);
             let of = |scan: &DatasetInfo, views, config: &Config| Estimate::new(scan, views, config, 2).peak();

@@ -45,7 +45,7 @@ const AUTO: usize = 10;
 A value given by --set overrides a flag, a flag overrides FILE.toml, and FILE.toml overrides the method's default.
 The config.toml of any run lists and documents all keys.
 
---resume with more --iterations continues a run beyond its end. sart, os-sart, asd-pocs, cgls and tv end with the bits
+--resume with more --iterations continues a run beyond its end. Other methods end with the bits
 of a run of so many iterations. tr-gs and r2-gaussian follow the schedule of the longer run (learning rates, sampler,
 density control) from the iteration reached; this is deterministic, but differs from the longer run from its start."
 )]

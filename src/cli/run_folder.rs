@@ -94,6 +94,9 @@ impl Outcome {
             Method::AsdPocs => "ASD-POCS",
             Method::Cgls => "CGLS",
             Method::Tv => "TV",
+            Method::Naf => "NAF",
+            Method::SaxNerf => "SAX-NeRF",
+            Method::Intratomo => "IntraTomo",
         }
     }
 

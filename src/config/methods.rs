@@ -1,10 +1,11 @@
 //! The defaults of each method, and what the parts of the library are told.
 
 use super::{
-    AlgebraicConfig, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method, PositionOptimiser, Preset, Sampling,
-    Start, TvConfig,
+    AlgebraicConfig, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method, NeuralConfig, NeuralOutput,
+    PositionOptimiser, Preset, Sampling, Start, TvConfig,
 };
 use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
+use crate::neural::NeuralSettings;
 use crate::primitives::KernelKind;
 use crate::projector::Projection;
 
@@ -31,6 +32,11 @@ impl Config {
                 (config.iterations, config.algebraic.reduction) = (sart.iterations, sart.reduction);
             }
             Method::Tv => (config.iterations, config.checkpoint_every) = (TvSettings::default().iterations, 20),
+            Method::Naf | Method::Intratomo => (config.iterations, config.checkpoint_every) = (1500, 250),
+            Method::SaxNerf => {
+                (config.iterations, config.checkpoint_every) = (1500, 250);
+                (config.neural.rays, config.neural.windows, config.neural.network_rate) = (512, 32, 1e-3);
+            }
         }
         config
     }
@@ -94,6 +100,46 @@ impl Config {
     pub fn tv(&self) -> TvSettings {
         let TvConfig { weight, tolerance, steps, .. } = self.tv;
         TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
+    }
+
+    /// What a network is told; keys must be resolved.
+    ///
+    /// # Panics
+    /// When the method has none.
+    pub fn neural(&self) -> NeuralSettings {
+        let NeuralConfig {
+            levels,
+            table,
+            samples,
+            rays,
+            air,
+            windows,
+            window,
+            table_rate,
+            network_rate,
+            drop,
+            output,
+            ceiling,
+        } = self.neural;
+        let kind = self.method.network().expect("a method with a network");
+        let (iterations, seed) = (self.iterations, self.seed);
+        let is_bounded = output == NeuralOutput::Sigmoid;
+        NeuralSettings {
+            kind,
+            iterations,
+            levels,
+            table,
+            samples,
+            rays,
+            sees_air: air,
+            windows,
+            window,
+            rate: [table_rate, network_rate],
+            drop,
+            is_bounded,
+            ceiling,
+            seed,
+        }
     }
 
     /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.

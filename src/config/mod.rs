@@ -16,6 +16,7 @@ use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettin
 use crate::classical::{RayModel, Turn, Window};
 use crate::confidence::{self, Alpha};
 use crate::density::Relocation;
+use crate::neural::Kind;
 use crate::primitives::KernelKind;
 use crate::projector::Projection;
 use crate::wavelet;
@@ -43,6 +44,12 @@ pub enum Method {
     Cgls,
     /// Least squares without negative values, with total variation.
     Tv,
+    /// A small network on a hash grid.
+    Naf,
+    /// The same with a Lineformer block.
+    SaxNerf,
+    /// A small network on sines and cosines, as in SAX-NeRF's toolbox.
+    Intratomo,
 }
 
 /// Published settings to start from.
@@ -161,7 +168,7 @@ pub struct Config {
     /// What is done to the volume of the primitives: tv (iterations of the method tv on its voxels), or none, as in the paper.
     #[default(Finish::Tv)]
     pub finish: Finish,
-    /// Attenuation per scene unit that counts as 1 inside a run on primitives or of asd-pocs; auto: from the projections.
+    /// Attenuation per scene unit that counts as 1 inside a run on primitives, of asd-pocs or of a network; auto: from the projections.
     pub density_unit: Auto<f64>,
     /// Iterations between two reports.
     #[default = 100]
@@ -193,6 +200,8 @@ pub struct Config {
     pub asd_pocs: AsdPocsConfig,
     /// Least squares without negative values, with total variation.
     pub tv: TvConfig,
+    /// The methods naf, sax-nerf and intratomo.
+    pub neural: NeuralConfig,
 }
 
 /// What is fitted.
@@ -523,6 +532,58 @@ pub struct TvConfig {
     pub pilot: bool,
 }
 
+/// The methods naf, sax-nerf and intratomo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
+#[serde(deny_unknown_fields, default)]
+pub struct NeuralConfig {
+    /// Levels of the hash grid, of 16, 32, 64, … cells a side; 0: the last has four cells a voxel.
+    #[default = 0]
+    pub levels: usize,
+    /// Largest number of entries of a level, as a power of two; 0: as many as voxels, 14 to 19.
+    #[default = 0]
+    pub table: u32,
+    /// Points along a ray, even; 0: one and a half a voxel along a side.
+    #[default = 0]
+    pub samples: usize,
+    /// Single pixels of a step.
+    #[default = 1024]
+    pub rays: usize,
+    /// Whether these are any pixels, or those with a value above 0 as in the original programs.
+    #[default = true]
+    pub air: bool,
+    /// Windows of pixels of a step.
+    #[default = 0]
+    pub windows: usize,
+    /// Pixels along each side of a window.
+    #[default = 4]
+    pub window: usize,
+    /// Learning rate of the hash grid.
+    #[default = 1e-2]
+    pub table_rate: f64,
+    /// Learning rate of the network.
+    #[default = 3e-3]
+    pub network_rate: f64,
+    /// Steps after which both learning rates are a tenth, again and again.
+    #[default = 1000]
+    pub drop: usize,
+    /// What makes a density: sigmoid (from 0 to the ceiling) or relu (a leaky rectifier, with small negative ones).
+    #[default(NeuralOutput::Sigmoid)]
+    pub output: NeuralOutput,
+    /// Largest density of the sigmoid, in units of the scan.
+    #[default = 1.25]
+    pub ceiling: f64,
+}
+
+/// What makes a density of a network's output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NeuralOutput {
+    /// A multiple of a sigmoid.
+    Sigmoid,
+    /// A leaky rectifier.
+    Relu,
+}
+
 impl ConfidenceConfig {
     /// What the confidence is computed with; the side of a voxel in scene units.
     pub fn settings(&self, voxel: f64) -> confidence::Settings {
@@ -546,8 +607,29 @@ impl WaveletConfig {
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 8] =
-        [Self::TrGs, Self::R2Gaussian, Self::Fdk, Self::Sart, Self::OsSart, Self::AsdPocs, Self::Cgls, Self::Tv];
+    pub const ALL: [Self; 11] = [
+        Self::TrGs,
+        Self::R2Gaussian,
+        Self::Fdk,
+        Self::Sart,
+        Self::OsSart,
+        Self::AsdPocs,
+        Self::Cgls,
+        Self::Tv,
+        Self::Naf,
+        Self::SaxNerf,
+        Self::Intratomo,
+    ];
+
+    /// The network that it trains, if it does.
+    pub fn network(self) -> Option<Kind> {
+        match self {
+            Self::Naf => Some(Kind::Naf),
+            Self::SaxNerf => Some(Kind::SaxNerf),
+            Self::Intratomo => Some(Kind::IntraTomo),
+            _ => None,
+        }
+    }
 
     /// Whether it fits primitives, and not voxels.
     pub fn fits_primitives(self) -> bool {

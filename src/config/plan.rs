@@ -9,6 +9,9 @@
 //! | `density_control.cap` | 2 n², at most a primitive for 8 rays | the same; a primitive has 12 numbers |
 //! | `density_control.every` | iterations/60, 1 to 100 | the population is at its cap after a third of any run |
 //! | `confidence.every` | iterations/12, 1 to 500 | twelve times a run |
+//! | `neural.levels` | the last has 4 n cells a side | finer ones are not seen by any ray |
+//! | `neural.table` | n³ entries as a power of two, 2^14 to 2^19 | NAF's 2^19 is for 256³ |
+//! | `neural.samples` | 1.5 n | NAF has 192 to 320 for 256³ |
 //! | `loss.tv` | 0.05 n/256 | the mean difference of neighbours is in proportion to the voxel: R²'s weight is for 256³ |
 //!
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
@@ -26,6 +29,9 @@ const MOST_ITERATIONS: usize = 5000;
 const FEWEST_POINTS: usize = 64;
 /// Rays for a primitive.
 const RAYS: usize = 8;
+/// Cells of the finest level of a hash grid along a voxel, and most doublings of anything.
+const CELLS_PER_VOXEL: f64 = 4.0;
+const LEVELS: u32 = 19;
 /// R²-Gaussian's weight of the total variation, and the voxels a side that it is for.
 const TOTAL_VARIATION: f64 = 0.05;
 const SIDE: f64 = 256.0;
@@ -35,6 +41,16 @@ impl Config {
     #[must_use]
     pub fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
         let mut config = self.clone();
+        if config.method.network().is_some() {
+            let side = cbrt(scanner.grid.voxels() as f64);
+            let neural = &mut config.neural;
+            let doublings = |number: f64| (0..LEVELS).find(|&k| f64::from(1_u32 << k) >= number).unwrap_or(LEVELS);
+            fill(&mut neural.levels, 1 + doublings(CELLS_PER_VOXEL * side / 16.0) as usize);
+            if neural.table == 0 {
+                neural.table = doublings(scanner.grid.voxels() as f64).clamp(14, 19);
+            }
+            fill(&mut neural.samples, 2 * ((0.75 * side).round() as usize).max(4));
+        }
         if !config.method.fits_primitives() {
             return config;
         }

@@ -2,7 +2,7 @@
 
 use super::{
     AlgebraicConfig, AsdPocsConfig, ConfidenceConfig, Config, DensityControlConfig, FdkConfig, InitialisationConfig,
-    LossConfig, Method, ModelConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
+    LossConfig, Method, ModelConfig, NeuralConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
 use documented::{Documented, DocumentedFields};
@@ -14,7 +14,7 @@ use toml::{Table, Value};
 const FORMER_SCALE: &str = "model.scale_min";
 
 /// The tables: name, what it is for, its keys and what they are for.
-const TABLES: [(&str, &str, &[&str], &[&str]); 13] = [
+const TABLES: [(&str, &str, &[&str], &[&str]); 14] = [
     ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
     ("model", ModelConfig::DOCS, ModelConfig::FIELD_NAMES, ModelConfig::FIELD_DOCS),
     ("initialisation", InitialisationConfig::DOCS, InitialisationConfig::FIELD_NAMES, InitialisationConfig::FIELD_DOCS),
@@ -33,6 +33,7 @@ const TABLES: [(&str, &str, &[&str], &[&str]); 13] = [
     ("algebraic", AlgebraicConfig::DOCS, AlgebraicConfig::FIELD_NAMES, AlgebraicConfig::FIELD_DOCS),
     ("asd_pocs", AsdPocsConfig::DOCS, AsdPocsConfig::FIELD_NAMES, AsdPocsConfig::FIELD_DOCS),
     ("tv", TvConfig::DOCS, TvConfig::FIELD_NAMES, TvConfig::FIELD_DOCS),
+    ("neural", NeuralConfig::DOCS, NeuralConfig::FIELD_NAMES, NeuralConfig::FIELD_DOCS),
 ];
 
 impl Config {

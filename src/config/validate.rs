@@ -182,6 +182,28 @@ impl Config {
         ] {
             require(key, value, value >= 0.0 && value.is_finite(), "a number that is not negative")?;
         }
+        let neural = &self.neural;
+        require("neural.levels", neural.levels, neural.levels <= 16, "1 to 16, or 0: as the scan says")?;
+        require("neural.table", neural.table, neural.table <= 24, "1 to 24, or 0: as the scan says")?;
+        let even = neural.samples.is_multiple_of(2) && neural.samples <= 1 << 16;
+        require("neural.samples", neural.samples, even, "an even number up to 65,536, or 0: as the scan says")?;
+        for (key, count) in [("neural.window", neural.window), ("neural.drop", neural.drop)] {
+            require(key, count, count >= 1, "at least 1")?;
+        }
+        let any = neural.rays + neural.windows;
+        require(
+            "neural.rays",
+            neural.rays,
+            (1..=10_000_000).contains(&any),
+            "at least 1 without windows, at most 10 million",
+        )?;
+        for (key, value) in [
+            ("neural.table_rate", neural.table_rate),
+            ("neural.network_rate", neural.network_rate),
+            ("neural.ceiling", neural.ceiling),
+        ] {
+            require(key, value, value > 0.0 && value.is_finite(), "a positive number")?;
+        }
         self.check_method()
     }
 
@@ -265,9 +287,17 @@ mod tests {
                 toml::Value::Array(_) => &["[nan, 0.5]", "[0.5, inf]"],
                 _ => continue,
             };
-            let follows_from_the_scan =
-                ["iterations", "model.points", "confidence.every", "density_control.every", "density_control.cap"];
-            let may_be_zero = key == "seed" || follows_from_the_scan.contains(&key.as_str());
+            let follows_from_the_scan = [
+                "iterations",
+                "model.points",
+                "confidence.every",
+                "density_control.every",
+                "density_control.cap",
+                "neural.levels",
+                "neural.table",
+                "neural.samples",
+            ];
+            let may_be_zero = key == "seed" || key == "neural.windows" || follows_from_the_scan.contains(&key.as_str());
             for absurd in absurd.iter().filter(|absurd| !(may_be_zero && **absurd == "0")) {
                 let mut config = Config::default();
                 if let (Ok(()), Err(error)) = (config.set(&format!("{key}={absurd}")), config.validate()) {

@@ -32,6 +32,12 @@ pub enum Purpose {
     Wavelet = 10,
     /// Choice of test views among those of a scan.
     TestViews = 11,
+    /// Start of a network; step = layer, id = part.
+    Network = 12,
+    /// Choice of rays of a network's step.
+    Rays = 13,
+    /// Places of points along rays; step = step, id = ray.
+    Jitter = 14,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -24,6 +24,22 @@ impl Adam {
         Self { beta, epsilon, steps: 0, moments: vec![[0.0; 2]; n] }
     }
 
+    /// Continues after so many steps from first and second moments.
+    ///
+    /// # Panics
+    /// When the moments differ in number.
+    pub fn continued(beta: [f64; 2], epsilon: f64, steps: u32, first: &[f64], second: &[f64]) -> Self {
+        assert_eq!(first.len(), second.len(), "numbers of moments");
+        let moments = first.iter().zip(second).map(|(&m, &v)| [m, v]).collect();
+        Self { beta, epsilon, steps, moments }
+    }
+
+    /// Steps done, first and second moments.
+    pub fn state(&self) -> (u32, Vec<f64>, Vec<f64>) {
+        let of = |k: usize| self.moments.iter().map(|moments| moments[k]).collect();
+        (self.steps, of(0), of(1))
+    }
+
     /// `θ -= rate · m̂ / (√v̂ + ε)`.
     ///
     /// # Panics

@@ -1,4 +1,4 @@
-//! The iterative methods on voxels, with what is chosen for them by views held out.
+//! The iterative methods on voxels and the networks, with what is chosen for them by views held out.
 
 use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 use super::{Observe, Progress};
@@ -9,6 +9,7 @@ use crate::classical::algebraic::{
 use crate::classical::{VoxelProjector, density_unit};
 use crate::config::{Auto, Config, Method};
 use crate::error::{Error, Result, start_again};
+use crate::neural::NeuralRun;
 use crate::numeric::Real;
 use crate::scene::{Dataset, Volume};
 
@@ -30,8 +31,10 @@ pub(super) fn iterate<R: Real>(
 ) -> Result<Found> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let unit = match (config.method, config.density_unit) {
-        (Method::AsdPocs, Auto::Auto) => Some(density_unit(&dataset.scanner, &dataset.train)?),
-        (Method::AsdPocs, Auto::Fixed(unit)) => Some(unit),
+        (method, unit) if method == Method::AsdPocs || method.network().is_some() => match unit {
+            Auto::Auto => Some(density_unit(&dataset.scanner, &dataset.train)?),
+            Auto::Fixed(unit) => Some(unit),
+        },
         _ => None,
     };
     let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
@@ -109,6 +112,10 @@ fn begin<'a, R: Real>(
     state: Option<&VoxelState>,
 ) -> Result<Box<dyn VoxelRun + 'a>> {
     let views = &dataset.train;
+    if config.method.network().is_some() {
+        let run = NeuralRun::<R>::new(&dataset.scanner, views, &config.neural(), unit.unwrap_or(1.0), state)?;
+        return Ok(Box::new(run));
+    }
     if config.method == Method::Tv {
         let weight = choice.map_or(config.tv().weight, |choice| choice.value);
         let settings = TvSettings { weight, ..config.tv() };

@@ -102,11 +102,12 @@ fn methods_on_voxels_need_what_was_said() {
     }
     let (small, views, voxels) =
         (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 512, 640, 40, 8)), with(&ball(224, 40, 48, 3, 1)));
-    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"] {
+    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv", "naf", "sax-nerf"] {
         let steps = match method {
             "fdk" => "",
             // Held-out runs take time, and are smaller.
             "tv" => "--iterations 1 --set tv.weight=1e-3",
+            "naf" | "sax-nerf" => "--iterations 2 --set neural.rays=512",
             _ => "--iterations 1",
         };
         for (what, sandbox, dominated) in [("small", &small, false), ("views", &views, true), ("voxels", &voxels, true)]

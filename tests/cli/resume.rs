@@ -138,6 +138,9 @@ fn more_passes_on_voxels_after_the_end_of_a_run_are_those_of_a_longer_run() {
         ("cgls", ""),
         ("cgls", "--precision f64"),
         ("tv", "--set tv.weight=1e-3 --set tv.tolerance=0"),
+        ("naf", "--set neural.rays=64 --set neural.samples=16"),
+        ("sax-nerf", "--set neural.rays=32 --set neural.samples=16 --precision f64"),
+        ("intratomo", "--set neural.rays=32 --set neural.samples=16"),
     ] {
         let run = |out: &str, more: &str| {
             let output = sandbox.run(&format!("reconstruct scan --out {out} --method {method} {settings} {more}"));

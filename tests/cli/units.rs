@@ -35,6 +35,9 @@ fn config(method: Method) -> Config {
         (config.loss.tv_block, config.wavelet.block, config.density_control.cap) = (8, 8, 600);
         (config.density_control.every, config.confidence.every) = (20, 50);
     }
+    if method.network().is_some() {
+        (config.iterations, config.neural.rays, config.neural.windows, config.neural.samples) = (12, 96, 2, 16);
+    }
     config
 }
 

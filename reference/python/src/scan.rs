@@ -481,7 +481,8 @@ fn event(progress: Progress<'_>) -> Option<Event> {
 /// Parameters
 /// ----------
 /// scan : Scan
-/// method : {"tr-gs", "r2-gaussian", "fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"}
+/// method : {"tr-gs", "r2-gaussian", "fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv", "naf", "sax-nerf",
+///     "intratomo"}
 /// progress : bool
 ///     Whether reports are printed to stderr.
 /// callback : callable, optional
@@ -518,7 +519,7 @@ pub(crate) fn reconstruct(
     checkpoint: Option<PathBuf>,
     settings: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Reconstruction> {
-    const METHODS: [(&str, Method); 8] = [
+    const METHODS: [(&str, Method); 11] = [
         ("tr-gs", Method::TrGs),
         ("r2-gaussian", Method::R2Gaussian),
         ("fdk", Method::Fdk),
@@ -527,6 +528,9 @@ pub(crate) fn reconstruct(
         ("asd-pocs", Method::AsdPocs),
         ("cgls", Method::Cgls),
         ("tv", Method::Tv),
+        ("naf", Method::Naf),
+        ("sax-nerf", Method::SaxNerf),
+        ("intratomo", Method::Intratomo),
     ];
     let kind = arrays::word("method", method, &METHODS)?;
     let name = METHODS.iter().find(|(_, one)| *one == kind).expect("it was found").0;

@@ -4,8 +4,8 @@
 
 use super::sart::Sweeps;
 use super::{
-    Observe, Pass, SartSettings, System, VoxelRun, VoxelState, add_scaled, dot, norm, pass, run_to_the_end,
-    total_variation, voxel_run::Numbers,
+    Observe, Pass, SartSettings, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, total_variation,
+    voxel_run::Numbers,
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
 use crate::error::Result;
@@ -152,7 +152,7 @@ impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
         self.beta *= settings.sart.reduction;
         self.relaxation *= settings.sart.factor();
         self.iteration += 1;
-        let pass = pass(self.iteration, settings.sart.iterations, residual)?;
+        let pass = Pass::new(self.iteration, settings.sart.iterations, residual)?;
         let cosine = dot(&by_descent, &by_sart) / (descent * sart_step).max(LEAST_PRODUCT * square);
         self.is_settled = cosine < OPPOSITE && residual <= self.enough || self.beta < LEAST_BETA;
         Ok(Some(pass))

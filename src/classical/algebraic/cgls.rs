@@ -1,7 +1,7 @@
 //! Conjugate gradients on the normal equations (CGLS). Not in the paper.
 
 use super::{
-    Observe, Pass, See, System, VoxelRun, VoxelState, add_scaled, dot, norm, pass, run_to_the_end, voxel_run::Numbers,
+    Observe, Pass, See, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers,
 };
 use crate::classical::VoxelProjector;
 use crate::error::Result;
@@ -123,7 +123,7 @@ impl<R: Real> VoxelRun for CglsRun<'_, R> {
 
     fn step(&mut self) -> Result<Option<Pass>> {
         let Some(residual) = self.improve() else { return Ok(None) };
-        let pass = pass(self.iteration, self.iterations, residual)?;
+        let pass = Pass::new(self.iteration, self.iterations, residual)?;
         self.turn();
         Ok(Some(pass))
     }

@@ -60,7 +60,7 @@ pub struct Pass {
     pub iterations: usize,
     /// `‖A x - p‖`, scene units of length × density.
     ///
-    /// For [`sart()`] each view counts before its own correction.
+    /// For [`sart()`] each view counts before its own correction; for networks, the rays of the step alone.
     pub residual: f64,
     /// The objective of [`tv()`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -126,12 +126,14 @@ impl<'a, R: Real> System<'a, R> {
     }
 }
 
-/// The record of an iteration whose residual must be finite.
-fn pass(iteration: usize, iterations: usize, residual: f64) -> Result<Pass> {
-    if !residual.is_finite() {
-        return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
+impl Pass {
+    /// The record of an iteration whose residual must be finite.
+    pub(crate) fn new(iteration: usize, iterations: usize, residual: f64) -> Result<Self> {
+        if !residual.is_finite() {
+            return Err(Error::NonFinite { stage: "residual", value: residual, index: Vec::new(), step: iteration });
+        }
+        Ok(Self { iteration, iterations, residual, objective: None, change: None })
     }
-    Ok(Pass { iteration, iterations, residual, objective: None, change: None })
 }
 
 /// Runs a method to its end.

@@ -1,6 +1,6 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, pass, run_to_the_end, voxel_run::Numbers};
+use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
 use crate::numeric::{Real, real, reduce, threads};
@@ -141,7 +141,7 @@ impl<R: Real> VoxelRun for SartRun<'_, R> {
 
     fn step(&mut self) -> Result<Option<Pass>> {
         let residual = self.pass();
-        pass(self.iteration, self.settings.iterations, residual).map(Some)
+        Pass::new(self.iteration, self.settings.iterations, residual).map(Some)
     }
 
     fn state(&self) -> VoxelState {

@@ -70,8 +70,13 @@ impl VoxelState {
         self.iteration
     }
 
+    /// A state of numbers and arrays in double precision.
+    pub(crate) fn new(iteration: usize, scalars: Vec<f64>, arrays: &[&[f64]]) -> Self {
+        Self { iteration, scalars, arrays: arrays.iter().map(|array| Numbers::Double(array.to_vec())).collect() }
+    }
+
     /// The numbers and arrays of a method; `lengths` are those of the arrays.
-    pub(super) fn get<R: Real, const S: usize, const A: usize>(
+    pub(crate) fn get<R: Real, const S: usize, const A: usize>(
         &self,
         lengths: [usize; A],
     ) -> Result<([f64; S], [Vec<R>; A])> {

@@ -1,0 +1,446 @@
+//! Training of a network, a view at a time, and the volume that it is read off to.
+
+use super::activation::{leaky, leaky_slope, sigmoid};
+use super::encoding::{Encoding, FEATURES, Level};
+use super::linear::stride;
+use super::network::{Network, Trace, Weights};
+use super::rays::{self, MeasuredRay};
+use crate::classical::algebraic::{Pass, VoxelRun, VoxelState};
+use crate::error::{Error, Result};
+use crate::numeric::elementary::pow;
+use crate::numeric::rng::{Purpose, stream};
+use crate::numeric::threads::{self, Pool};
+use crate::numeric::{Lanes, Real, WIDEST, real, reduce};
+use crate::optim::Adam;
+use crate::scene::{Grid, Projections, Scanner, View, Volume};
+use glam::DVec3;
+use ndarray::Array3;
+use rand::RngExt;
+
+/// Rays of a task; gradients of tasks are added in order.
+const BUNDLE: usize = 32;
+/// Samples that go through the network together, about: what it computes for them stays in the cache.
+const TOGETHER: usize = 512;
+/// Entries of the table start uniformly within this.
+const TABLE: f64 = 1e-4;
+/// Voxels of a task of the volume, about.
+const VOXELS: usize = 4096;
+const BETA: [f64; 2] = [0.9, 0.999];
+/// Of Adam. With 1e-8, the originals', densities that have become almost 0 everywhere stay there: their slopes are smaller.
+const EPSILON: f64 = 1e-15;
+
+/// Encoding and network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Hash grid and four linear layers.
+    Naf,
+    /// Hash grid, linear layers and a Lineformer block.
+    SaxNerf,
+    /// Sines and cosines, and eight linear layers.
+    IntraTomo,
+}
+
+/// What a run is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NeuralSettings {
+    /// Encoding and network.
+    pub kind: Kind,
+    /// Steps.
+    pub iterations: usize,
+    /// Levels of the hash grid: 16, 32, 64, … cells a side.
+    pub levels: usize,
+    /// Largest number of entries of a level, as a power of two.
+    pub table: u32,
+    /// Points along a ray, even.
+    pub samples: usize,
+    /// Single pixels of a step.
+    pub rays: usize,
+    /// Whether they are drawn from all pixels, else from those with a value above 0.
+    pub sees_air: bool,
+    /// Windows of a step.
+    pub windows: usize,
+    /// Pixels along each side of a window.
+    pub window: usize,
+    /// Learning rates of the table and of the network.
+    pub rate: [f64; 2],
+    /// Steps after which the rates are a tenth, again and again.
+    pub drop: usize,
+    /// Whether densities are `ceiling` times a sigmoid; else a leaky rectifier, which has negative ones.
+    pub is_bounded: bool,
+    /// Largest density, in units of the scan.
+    pub ceiling: f64,
+    /// Seed of all random choices.
+    pub seed: u64,
+}
+
+/// A run of steps.
+pub struct NeuralRun<'a, R: Real> {
+    grid: Grid,
+    views: Vec<View>,
+    projections: &'a Projections,
+    settings: NeuralSettings,
+    unit: f64,
+    pub(super) model: Model,
+    /// The table, then the network.
+    pub(super) parameters: Vec<f64>,
+    /// Of the table and of the network.
+    adam: [Adam; 2],
+    iteration: usize,
+    buffers: Pool<Buffers<R>>,
+}
+
+/// A field of density without its parameters.
+pub(super) struct Model {
+    encoding: Encoding,
+    network: Network,
+    /// Numbers of the table.
+    pub(super) table: usize,
+    /// Half of the sides of the box, scene units.
+    frame: [f64; 3],
+    is_bounded: bool,
+    ceiling: f64,
+}
+
+/// Parameters of a step in the precision of the kernels.
+struct Field<R> {
+    table: Vec<R>,
+    weights: Weights<R>,
+}
+
+/// Buffers of a task.
+struct Buffers<R: Real> {
+    trace: Trace<R::Lanes>,
+    codes: Vec<R::Lanes>,
+    out: Vec<R::Lanes>,
+    slopes: Vec<R::Lanes>,
+    to_codes: Vec<R::Lanes>,
+}
+
+impl<R: Real> Default for Buffers<R> {
+    fn default() -> Self {
+        let trace = Trace::default();
+        Self { trace, codes: Vec::new(), out: Vec::new(), slopes: Vec::new(), to_codes: Vec::new() }
+    }
+}
+
+/// What a bundle of rays adds to a step.
+struct Share<R: Real> {
+    /// Sum of the squared errors of its rays.
+    error: f64,
+    /// Gradient to the network.
+    gradient: Vec<f64>,
+    /// Points, in registers, and the gradients to their codes.
+    points: Vec<[R::Lanes; 3]>,
+    to_codes: Vec<R::Lanes>,
+}
+
+/// Number of parameters of table and network.
+pub fn parameters(settings: &NeuralSettings) -> usize {
+    let (encoding, network) = parts(settings);
+    encoding.parameters() + network.parameters()
+}
+
+fn parts(settings: &NeuralSettings) -> (Encoding, Network) {
+    let encoding = match settings.kind {
+        Kind::IntraTomo => Encoding::Frequencies(6),
+        Kind::Naf | Kind::SaxNerf => Encoding::hash(settings.levels, settings.table),
+    };
+    let network = match settings.kind {
+        Kind::IntraTomo => Network::new(encoding.width(), 8, 4, false),
+        Kind::Naf => Network::new(encoding.width(), 4, 2, false),
+        Kind::SaxNerf => Network::new(encoding.width(), 4, 2, true),
+    };
+    (encoding, network)
+}
+
+impl Model {
+    pub(super) fn new(grid: &Grid, settings: &NeuralSettings) -> Self {
+        let (encoding, network) = parts(settings);
+        let (table, frame) = (encoding.parameters(), (grid.size() / 2.0).to_array());
+        Self { encoding, network, table, frame, is_bounded: settings.is_bounded, ceiling: settings.ceiling }
+    }
+
+    pub(super) fn begin(&self, seed: u64) -> Vec<f64> {
+        let mut random = stream(seed, Purpose::Network, u64::MAX, 0);
+        let table = (0..self.table).map(|_| TABLE * (2.0 * random.random::<f64>() - 1.0));
+        let mut parameters: Vec<f64> = table.collect();
+        parameters.extend(self.network.begin(seed));
+        parameters
+    }
+
+    fn field<R: Real>(&self, parameters: &[f64]) -> Field<R> {
+        let (table, network) = parameters.split_at(self.table);
+        Field { table: table.iter().map(|&value| real(value)).collect(), weights: self.network.weights(network) }
+    }
+
+    /// Samples that a row has: one, or a pair in two rows.
+    fn points_of_lane(&self) -> usize {
+        if self.network.has_block() { 2 } else { 1 }
+    }
+
+    /// Points in registers, padded by the first: sample n of a pair is in row `2g + n%2`.
+    fn registers<R: Real>(&self, grid: &Grid, points: &[DVec3]) -> Vec<[R::Lanes; 3]> {
+        let side = self.points_of_lane();
+        let group = R::Lanes::WIDTH * side;
+        let size = grid.size();
+        let row = |row: usize| {
+            let at = |lane: usize| {
+                let n = row / side * group + lane * side + row % side;
+                ((points.get(n).unwrap_or(&points[0]) - grid.min) / size).clamp(DVec3::ZERO, DVec3::ONE)
+            };
+            let places: [DVec3; WIDEST] =
+                std::array::from_fn(|lane| if lane < R::Lanes::WIDTH { at(lane) } else { DVec3::ZERO });
+            std::array::from_fn(|axis| R::Lanes::from_fn(|lane| real(places[lane][axis])))
+        };
+        (0..points.len().div_ceil(group) * side).map(row).collect()
+    }
+
+    /// Where sample n is: row and lane.
+    fn place<R: Real>(&self, n: usize) -> [usize; 2] {
+        let side = self.points_of_lane();
+        let group = R::Lanes::WIDTH * side;
+        [n / group * side + n % side, n % group / side]
+    }
+
+    /// Densities of registers of points.
+    fn forward<R: Real>(&self, field: &Field<R>, points: &[[R::Lanes; 3]], buffers: &mut Buffers<R>) {
+        let row = stride(self.encoding.width());
+        buffers.codes.resize(points.len() * row, R::Lanes::default());
+        for (points, code) in points.iter().zip(buffers.codes.chunks_exact_mut(row)) {
+            self.encoding.encode(&field.table, points, self.frame, &mut code[..self.encoding.width()]);
+        }
+        self.network.forward(&field.weights, &buffers.codes, &mut buffers.trace, &mut buffers.out);
+        let ceiling = R::Lanes::splat_f64(self.ceiling);
+        for out in &mut buffers.out {
+            *out = if self.is_bounded { ceiling * sigmoid(*out) } else { leaky(*out) };
+        }
+    }
+
+    /// Densities of some points, in units of the scan.
+    fn densities_of<R: Real>(
+        &self,
+        field: &Field<R>,
+        grid: &Grid,
+        points: &[DVec3],
+        buffers: &mut Buffers<R>,
+    ) -> Vec<f64> {
+        self.forward(field, &self.registers::<R>(grid, points), buffers);
+        let mut lanes = vec![R::ZERO; buffers.out.len() * R::Lanes::WIDTH];
+        for (out, lanes) in buffers.out.iter().zip(lanes.chunks_exact_mut(R::Lanes::WIDTH)) {
+            out.write(lanes);
+        }
+        let of = |n: usize| {
+            let [row, lane] = self.place::<R>(n);
+            lanes[row * R::Lanes::WIDTH + lane].to_f64()
+        };
+        (0..points.len()).map(of).collect()
+    }
+
+    /// Densities of some points, in units of the scan, by parameters in double precision.
+    #[cfg(test)]
+    pub(super) fn densities<R: Real>(&self, grid: &Grid, parameters: &[f64], points: &[DVec3]) -> Vec<f64> {
+        self.densities_of(&self.field::<R>(parameters), grid, points, &mut Buffers::default())
+    }
+
+    /// The slope of the density by what the network gave, from the density.
+    fn slope<L: Lanes>(&self, density: L) -> L {
+        if self.is_bounded {
+            density * (L::splat_f64(1.0) - density / L::splat_f64(self.ceiling))
+        } else {
+            leaky_slope(density)
+        }
+    }
+}
+
+impl<'a, R: Real> NeuralRun<'a, R> {
+    /// Begins, or continues from a state with the bits of an uninterrupted run. `unit` is the density that counts as 1.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit.
+    pub fn new(
+        scanner: &Scanner,
+        projections: &'a Projections,
+        settings: &NeuralSettings,
+        unit: f64,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let views = projections.trajectory().views(scanner);
+        let (got, expected) =
+            (projections.images.dim(), (views.len(), scanner.detector.rows, scanner.detector.columns));
+        if got != expected {
+            let remedy = "give projections [view, v, u] of this scanner";
+            return Err(Error::invalid("projections", format!("shape {got:?}"), format!("{expected:?}"), remedy));
+        }
+        let model = Model::new(&scanner.grid, settings);
+        let mut run = Self {
+            grid: scanner.grid,
+            views,
+            projections,
+            settings: *settings,
+            unit,
+            parameters: Vec::new(),
+            adam: [model.table, model.network.parameters()].map(|n| Adam::new(n, BETA, EPSILON)),
+            model,
+            iteration: 0,
+            buffers: Pool::default(),
+        };
+        match state {
+            Some(state) => {
+                let table = run.model.table;
+                let n = table + run.model.network.parameters();
+                let ([steps], [parameters, first, second]) = state.get::<f64, 1, 3>([n; 3])?;
+                run.adam = [0..table, table..n]
+                    .map(|own| Adam::continued(BETA, EPSILON, steps as u32, &first[own.clone()], &second[own]));
+                (run.parameters, run.iteration) = (parameters, state.iteration());
+            }
+            None => run.parameters = run.model.begin(settings.seed),
+        }
+        Ok(run)
+    }
+
+    /// Mean squared error of the rays of the next step, and its gradient to all parameters.
+    pub(super) fn gradient(&self) -> (f64, usize, Vec<f64>) {
+        let (step, settings) = (self.iteration, &self.settings);
+        let rays = rays::chosen(&self.grid, &self.views, self.projections, settings, step, self.unit);
+        let field: Field<R> = self.model.field(&self.parameters);
+        let bundles: Vec<&[MeasuredRay]> = rays.chunks(BUNDLE).collect();
+        let factor = 2.0 / rays.len().max(1) as f64;
+        let shares = threads::map(bundles.len(), |number| self.share(&field, bundles[number], number * BUNDLE, factor));
+        let mut gradient = vec![0.0; self.parameters.len()];
+        let (to_table, to_network) = gradient.split_at_mut(self.model.table);
+        for share in &shares {
+            to_network.iter_mut().zip(&share.gradient).for_each(|(sum, &part)| *sum += part);
+        }
+        if let Encoding::Hash(levels) = &self.model.encoding {
+            self.add_to_table(levels, &shares, to_table);
+        }
+        let errors: Vec<f64> = shares.iter().map(|share| share.error).collect();
+        (reduce::sum(&errors), rays.len(), gradient)
+    }
+
+    /// The gradient of a bundle of rays, the first of which has this number in the step.
+    fn share(&self, field: &Field<R>, bundle: &[MeasuredRay], first: usize, factor: f64) -> Share<R> {
+        let Self { model, settings, .. } = self;
+        let mut buffers = self.buffers.take();
+        let mut share = Share {
+            error: 0.0,
+            gradient: vec![0.0; model.network.parameters()],
+            points: Vec::new(),
+            to_codes: Vec::new(),
+        };
+        let together = (TOGETHER / settings.samples).max(1);
+        for (number, group) in bundle.chunks(together).enumerate() {
+            let mut samples = Vec::with_capacity(group.len() * settings.samples);
+            for (k, ray) in group.iter().enumerate() {
+                let id = (first + number * together + k) as u64;
+                let mut random = stream(settings.seed, Purpose::Jitter, self.iteration as u64, id);
+                samples.extend(rays::points(ray, settings.samples, &mut random));
+            }
+            let places: Vec<DVec3> = samples.iter().map(|sample| sample.0).collect();
+            let points = model.registers::<R>(&self.grid, &places);
+            model.forward(field, &points, &mut buffers);
+            let Buffers { trace, out, slopes, to_codes, .. } = &mut *buffers;
+            let mut densities = vec![R::ZERO; out.len() * R::Lanes::WIDTH];
+            for (out, densities) in out.iter().zip(densities.chunks_exact_mut(R::Lanes::WIDTH)) {
+                out.write(densities);
+            }
+            let mut to_densities = vec![R::ZERO; densities.len()];
+            let at = |n: usize| {
+                let [row, lane] = model.place::<R>(n);
+                row * R::Lanes::WIDTH + lane
+            };
+            for (k, ray) in group.iter().enumerate() {
+                let own = k * settings.samples..(k + 1) * settings.samples;
+                let integral: f64 = own.clone().map(|n| densities[at(n)].to_f64() * samples[n].1).sum();
+                let error = integral - ray.value;
+                share.error += error * error;
+                own.for_each(|n| to_densities[at(n)] = real(factor * error * samples[n].1));
+            }
+            slopes.clear();
+            slopes.extend(
+                out.iter()
+                    .zip(to_densities.chunks_exact(R::Lanes::WIDTH))
+                    .map(|(&density, to_density)| R::Lanes::from_slice(to_density) * model.slope(density)),
+            );
+            model.network.backward(&field.weights, trace, slopes, &mut share.gradient, to_codes);
+            share.points.extend(points);
+            share.to_codes.extend_from_slice(to_codes);
+        }
+        share
+    }
+
+    /// Adds the gradients of all samples to the table, each level by one task.
+    fn add_to_table(&self, levels: &[Level], shares: &[Share<R>], to_table: &mut [f64]) {
+        let row = stride(self.model.encoding.width());
+        let mut rest = to_table;
+        let mut parts: Vec<(usize, &mut [f64])> = Vec::new();
+        for (number, level) in levels.iter().enumerate() {
+            let (own, others) = rest.split_at_mut(level.entries as usize * FEATURES);
+            parts.push((number, own));
+            rest = others;
+        }
+        threads::for_each_chunk(&mut parts, 1, |_, part| {
+            let (number, to_table) = &mut part[0];
+            let mut sums = vec![R::ZERO; to_table.len()];
+            for share in shares {
+                for (points, to_code) in share.points.iter().zip(share.to_codes.chunks_exact(row)) {
+                    levels[*number].add_gradient(points, &to_code[*number * FEATURES..][..FEATURES], &mut sums);
+                }
+            }
+            to_table.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum.to_f64());
+        });
+    }
+
+    fn rates(&self) -> [f64; 2] {
+        let part = pow(0.1, (self.iteration / self.settings.drop) as f64);
+        self.settings.rate.map(|rate| rate * part)
+    }
+}
+
+impl<R: Real> VoxelRun for NeuralRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        self.iteration >= self.settings.iterations
+    }
+
+    /// The residual is the norm of the errors of the step's rays.
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let (error, _, gradient) = self.gradient();
+        let rates = self.rates();
+        let (table, network) = self.parameters.split_at_mut(self.model.table);
+        let (to_table, to_network) = gradient.split_at(self.model.table);
+        self.adam[0].step(table, to_table, rates[0]);
+        self.adam[1].step(network, to_network, rates[1]);
+        self.iteration += 1;
+        Pass::new(self.iteration, self.settings.iterations, self.unit * error.sqrt()).map(Some)
+    }
+
+    fn state(&self) -> VoxelState {
+        let [(steps, first, second), (_, of_network, squares)] = [0, 1].map(|group| self.adam[group].state());
+        let (first, second) = ([first, of_network].concat(), [second, squares].concat());
+        VoxelState::new(self.iteration, vec![f64::from(steps)], &[&self.parameters, &first, &second])
+    }
+
+    /// The densities at the centres of the voxels.
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        let field: Field<R> = self.model.field(&self.parameters);
+        let [nx, ny, nz] = self.grid.shape;
+        // Pairs are along z; the last of an odd number is paired with itself.
+        let even = nz.next_multiple_of(self.model.points_of_lane());
+        let columns = (VOXELS / nz).max(1);
+        let mut values = vec![0.0_f32; nx * ny * nz];
+        threads::for_each_chunk(&mut values, columns * nz, |chunk, values| {
+            let mut buffers = self.buffers.take();
+            let centre = |n: usize| {
+                let (column, z) = (chunk * columns + n / even, (n % even).min(nz - 1));
+                let index = [column / ny, column % ny, z].map(|i| i as f64 + 0.5);
+                self.grid.min + DVec3::from_array(index) * self.grid.spacing
+            };
+            let places: Vec<DVec3> = (0..values.len() / nz * even).map(centre).collect();
+            let densities = self.model.densities_of(&field, &self.grid, &places, &mut buffers);
+            for (n, value) in values.iter_mut().enumerate() {
+                *value = (densities[n / nz * even + n % nz] * self.unit) as f32;
+            }
+        });
+        Volume::new(self.grid, Array3::from_shape_vec(self.grid.shape, values).expect("a value for each voxel"))
+    }
+}
