@@ -9,7 +9,7 @@
 //!
 //! A step takes one view and some of its rays. The density at points along a ray, summed with their distances, is its line
 //! integral; the mean squared error of the rays is minimised by Adam. Densities and projections are in the unit of the scan
-//! ([`crate::classical::density_unit`]).
+//! ([`crate::classical::density_unit()`]).
 //!
 //! ```text
 //! rays ── points ── encoding ── network ── density ── sum along the ray ── error
