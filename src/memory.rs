@@ -356,7 +356,8 @@ impl Sizes {
     /// The unit of density comes from SART in f32 before.
     fn neural(&self, config: &Config) -> Phase {
         let settings = config.neural();
-        let parameters = crate::neural::parameters(&settings);
+        let sizes = crate::neural::sizes(&settings);
+        let parameters = sizes.table + sizes.network;
         let rays = settings.rays + settings.windows * settings.window * settings.window;
         let allocations = vec![
             allocation("parameters, moments and gradients", parameters, 5 * F64 + 3 * self.real),
@@ -366,6 +367,8 @@ impl Sizes {
                 rays * settings.samples,
                 4 * F64 + (3 + 41) * self.real,
             ),
+            allocation("gradients of the network", sizes.bundles * sizes.network, F64),
+            allocation("samples in the network", self.threads * sizes.together, sizes.computed * self.real),
             allocation("volume", self.voxels, F32),
         ];
         Phase { name: "reconstruction", allocations }

@@ -34,7 +34,7 @@ pub fn effective_ratio(alpha: f64, scale: DVec3, u: DVec3) -> f64 {
 }
 
 /// The primitive's own α: `(s₁s₂s₃)^⅓`.
-pub fn own_alpha(scale: DVec3) -> f64 {
+pub(super) fn own_alpha(scale: DVec3) -> f64 {
     libm::cbrt(scale.x * scale.y * scale.z)
 }
 

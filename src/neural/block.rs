@@ -1,4 +1,4 @@
-//! The Lineformer block `[CA24]`: attention between the two points of a pair, and a feed-forward network, each added to its
+//! The Lineformer block of SAX-NeRF: attention between the two points of a pair, and a feed-forward network, each added to its
 //! input after a normalisation of the layer.
 //!
 //! ```text

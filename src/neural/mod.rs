@@ -3,8 +3,8 @@
 //!
 //! | method | encoding of a point | network |
 //! |---|---|---|
-//! | `naf` `[ZH22]` | hash grid | four linear layers of 32 |
-//! | `sax-nerf` `[CA24]` | hash grid | the same with a Lineformer block as second layer |
+//! | `naf` (Zha et al.) | hash grid | four linear layers of 32 |
+//! | `sax-nerf` (Cai et al.) | hash grid | the same with a Lineformer block as second layer |
 //! | `intratomo` | sines and cosines | eight linear layers of 32 |
 //!
 //! A step takes one view and some of its rays. The density at points along a ray, summed with their distances, is its line
@@ -34,8 +34,8 @@
 //! - a sigmoid reaches `neural.ceiling` units instead of 1;
 //! - random numbers depend on seed, step and ray only.
 //!
-//! `[ZH22]`: R. Zha, Y. Zhang, H. Li, *NAF: neural attenuation fields for sparse-view CBCT reconstruction*, MICCAI 2022.
-//! `[CA24]`: Y. Cai et al., *Structure-aware sparse-view X-ray 3D reconstruction*, CVPR 2024.
+//! R. Zha, Y. Zhang, H. Li, *NAF: neural attenuation fields for sparse-view CBCT reconstruction*, MICCAI 2022.
+//! Y. Cai et al., *Structure-aware sparse-view X-ray 3D reconstruction*, CVPR 2024.
 
 mod activation;
 mod block;
@@ -47,4 +47,4 @@ mod run;
 #[cfg(test)]
 mod tests;
 
-pub use run::{Kind, NeuralRun, NeuralSettings, parameters};
+pub use run::{Kind, NeuralRun, NeuralSettings, Sizes, sizes};

@@ -24,7 +24,7 @@ const TOGETHER: usize = 512;
 /// Entries of the table start uniformly within this.
 const TABLE: f64 = 1e-4;
 /// Voxels of a task of the volume, about.
-const VOXELS: usize = 4096;
+const VOXELS: usize = 1024;
 const BETA: [f64; 2] = [0.9, 0.999];
 /// Of Adam. With 1e-8, the originals', densities that have become almost 0 everywhere stay there: their slopes are smaller.
 const EPSILON: f64 = 1e-15;
@@ -134,10 +134,32 @@ struct Share<R: Real> {
     to_codes: Vec<R::Lanes>,
 }
 
-/// Number of parameters of table and network.
-pub fn parameters(settings: &NeuralSettings) -> usize {
+/// How much a run keeps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sizes {
+    /// Numbers of the table.
+    pub table: usize,
+    /// Numbers of the network.
+    pub network: usize,
+    /// Numbers that the network computes for a sample, at most.
+    pub computed: usize,
+    /// Samples that go through the network together, at most.
+    pub together: usize,
+    /// Tasks of a step, each with a gradient of the network.
+    pub bundles: usize,
+}
+
+/// The sizes of a run.
+pub fn sizes(settings: &NeuralSettings) -> Sizes {
     let (encoding, network) = parts(settings);
-    encoding.parameters() + network.parameters()
+    let rays = settings.rays + settings.windows * settings.window * settings.window;
+    Sizes {
+        table: encoding.parameters(),
+        network: network.parameters(),
+        computed: if network.has_block() { 1300 } else { 600 },
+        together: settings.samples.max(TOGETHER).max(VOXELS),
+        bundles: rays.div_ceil(BUNDLE),
+    }
 }
 
 fn parts(settings: &NeuralSettings) -> (Encoding, Network) {
