@@ -141,7 +141,7 @@ fn confidence(histogram: &Histogram) -> String {
     let label = "Primitives by confidence";
     let Some(chart) = histogram::bars(histogram, label, "confidence c") else { return String::new() };
     let meaning = "<p>The part of a primitive's directions that the rays of all training views cover, 0 to 1. The height of a \
-                   bar is the number of primitives.</p>\n";
+                   bar is the part of all primitives.</p>\n";
     section(label, &format!("{meaning}{chart}\n"))
 }
 
