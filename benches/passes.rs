@@ -17,13 +17,16 @@ use std::cell::RefCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
+use trgs::config::{Config, Method};
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss_into};
+use trgs::neural::{NeuralRun, sizes};
 use trgs::numeric::threads::WorkerPool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
 use trgs::projector::Field;
-use trgs::scene::Scanner;
+use trgs::scene::simulate::{Object, Plan, simulate};
+use trgs::scene::{Noise, Phantom, Scanner};
 use trgs::wavelet::{self, Routing, wavelet_loss_into};
 
 type F32s = <f32 as Real>::Lanes;
@@ -231,6 +234,25 @@ fn all(c: &mut Criterion) {
         let settings = wavelet::Settings::default();
         black_box(wavelet_loss_into(block.view(), &routing, &settings, &workspace, &mut of_block.borrow_mut()));
     });
+
+    // A product for each weight and register of samples, forward, to the input and to the weight. What the hash grid, the
+    // functions between layers and Adam add is left out: it is what the share lacks.
+    let plan = Plan { views: VIEWS, test_views: 0, noise: Noise::None, seed: 0 };
+    let phantom = Phantom::by_name("torso", 0).expect("a phantom of this name");
+    let scan = simulate("torso", Object::Phantom(&phantom), &scanner, &plan).expect("a scan of a phantom");
+    for (method, name) in [(Method::Naf, "step of naf, 64³"), (Method::SaxNerf, "step of sax-nerf, 64³")] {
+        let config = Config::of(method).resolved(&scan.scanner, scan.train.len());
+        let settings = config.neural();
+        let run = NeuralRun::<f32>::new(&scan.scanner, &scan.train, &settings, 1.0, None).expect("a scan of this scanner");
+        let batch = run.batch();
+        let samples = batch.lengths.len() as f64;
+        println!("{name}: {} rays of {} samples", batch.values.len(), settings.samples);
+        let operations = 3.0 * sizes(&settings).network as f64 * samples / f32s;
+        let run = RefCell::new(run);
+        pass(name, Work { operations, ..Work::default() }, &|| {
+            black_box(run.borrow_mut().train());
+        });
+    }
     group.finish();
 
     println!("\n| pass | ms | bound, ms | by | share |\n|---|---|---|---|---|");

@@ -2,11 +2,15 @@
 
 mod checkpoint;
 mod finish;
+#[cfg(feature = "oracle")]
+mod network_steps;
 mod pilot;
 mod run;
 mod sampling;
 mod voxels;
 
+#[cfg(feature = "oracle")]
+pub use network_steps::{NetworkSteps, network_steps};
 pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 pub use pilot::PILOT_PART;
 pub use run::Run;

@@ -2,6 +2,7 @@
 
 import confidence_cases
 import cut_cases
+import network_cases
 import population_cases
 import raw_cases
 import scan_cases
@@ -106,6 +107,13 @@ CASES = [
     *scan_cases.noises(),
     *scan_cases.randoms(),
     *scan_cases.metric_cases(),
+    *network_cases.hash_corners(),
+    *network_cases.hash_codes("hash-code"),
+    *network_cases.hash_codes("gradient-hash-code"),
+    *network_cases.frequency_codes(),
+    *network_cases.lineformers(),
+    *network_cases.lineformer_gradients(),
+    *network_cases.quadratures(),
 ]
 
 

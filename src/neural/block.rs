@@ -1,4 +1,4 @@
-//! The Lineformer block of SAX-NeRF: attention between the two points of a pair, and a feed-forward network, each added to its
+//! The Lineformer block of SAX-NeRF, not in the paper: attention between the two points of a pair, and a feed-forward network, each added to its
 //! input after a normalisation of the layer.
 //!
 //! ```text
@@ -36,7 +36,28 @@ const FIRST: usize = 3;
 const SECOND: usize = 4;
 const THIRD: usize = 5;
 
-/// Parts of the block's parameters, in order: how many numbers, and how they start.
+/// Names of the parts of the block's parameters, in order.
+pub(super) const NAMES: [&str; 12] = [
+    "gain_1", "shift_1", "query", "key_value", "position", "out", "out_bias", "gain_2", "shift_2", "first", "second", "third",
+];
+
+/// Their shapes; weights are `[outputs, inputs]`.
+pub(super) const PART_SHAPES: [&[usize]; 12] = [
+    &[HIDDEN],
+    &[HIDDEN],
+    &[HIDDEN, HIDDEN],
+    &[2 * HIDDEN, HIDDEN],
+    &[HEADS, PAIR, PAIR],
+    &[HIDDEN, HIDDEN],
+    &[HIDDEN],
+    &[HIDDEN],
+    &[HIDDEN],
+    &[WIDE, HIDDEN],
+    &[WIDE, WIDE],
+    &[HIDDEN, WIDE],
+];
+
+/// How many numbers they have, and how these start.
 pub(super) const PARTS: [(usize, Begin); 12] = [
     (HIDDEN, Begin::Number(1.0)),
     (HIDDEN, Begin::Number(0.0)),

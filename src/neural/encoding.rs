@@ -1,4 +1,4 @@
-//! What a point is to the network: features of a hash grid, or sines and cosines.
+//! What a point is to the network: features of a hash grid, or sines and cosines. Not in the paper.
 
 use crate::numeric::{Lanes, Real, WIDEST, real};
 
@@ -53,6 +53,19 @@ impl Encoding {
         match self {
             Self::Hash(levels) => levels.iter().map(|level| level.entries as usize * FEATURES).sum(),
             Self::Frequencies(_) => 0,
+        }
+    }
+
+    /// Name and shape of each level's table.
+    pub(super) fn layout(&self) -> Vec<(String, Vec<usize>)> {
+        match self {
+            Self::Hash(levels) => {
+                let named = |(number, level): (usize, &Level)| {
+                    (format!("level_{number}"), vec![level.entries as usize, FEATURES])
+                };
+                levels.iter().enumerate().map(named).collect()
+            }
+            Self::Frequencies(_) => Vec::new(),
         }
     }
 
@@ -137,6 +150,12 @@ impl Level {
             index = (0..3).fold(0, |hash, axis| hash ^ point[axis].wrapping_mul(PRIMES[axis]));
         }
         (index % self.entries) as usize
+    }
+
+    /// Entries and weights of the corners of the cells that a register of points lies in, x fastest.
+    #[cfg(feature = "oracle")]
+    pub(super) fn corners_of<R: Real>(&self, points: &[R::Lanes; 3]) -> Vec<[(usize, R); 8]> {
+        places::<R>(self, points).iter().take(R::Lanes::WIDTH).map(|place| self.corners(place)).collect()
     }
 
     /// Entries and weights of the corners of a cell, x fastest.

@@ -39,6 +39,8 @@
 
 mod activation;
 mod block;
+#[cfg(feature = "oracle")]
+pub mod conformance;
 mod encoding;
 mod linear;
 mod network;
@@ -47,4 +49,4 @@ mod run;
 #[cfg(test)]
 mod tests;
 
-pub use run::{Kind, NeuralRun, NeuralSettings, Sizes, sizes};
+pub use run::{Batch, Kind, NeuralRun, NeuralSettings, Sizes, sizes};

@@ -1,7 +1,7 @@
-//! The network from the encoding of points to their density, and its gradient.
+//! The network from the encoding of points to their density, and its gradient. Not in the paper.
 
 use super::activation::{leaky, leaky_slope};
-use super::block::{self, Begin, BlockTrace, BlockWeights, PARTS, rows};
+use super::block::{self, Begin, BlockTrace, BlockWeights, NAMES, PART_SHAPES, PARTS, rows};
 use super::linear::{add_bias_gradient, add_gradient, apply, stride, transposed};
 use crate::numeric::rng::{Purpose, stream};
 use crate::numeric::{Lanes, Real, real};
@@ -85,6 +85,20 @@ impl Network {
     /// Number of parameters.
     pub(super) fn parameters(&self) -> usize {
         self.layers.last().map_or(0, |layer| layer.parameters().end)
+    }
+
+    /// Name and shape of each part of the parameters, in order.
+    pub(super) fn layout(&self) -> Vec<(String, Vec<usize>)> {
+        let of = |(number, layer): (usize, &Layer)| -> Vec<(String, Vec<usize>)> {
+            let name = |part: &str| format!("layer_{number}.{part}");
+            match layer {
+                Layer::Linear { shape: [inputs, outputs], .. } => {
+                    vec![(name("weight"), vec![*outputs, *inputs]), (name("bias"), vec![*outputs])]
+                }
+                Layer::Block { .. } => NAMES.into_iter().zip(PART_SHAPES).map(|(part, s)| (name(part), s.to_vec())).collect(),
+            }
+        };
+        self.layers.iter().enumerate().flat_map(of).collect()
     }
 
     /// Parameters at the start: weights and biases uniformly within `±1/√inputs`.

@@ -1,10 +1,9 @@
-//! Which rays a step has, and the points along a ray.
+//! Which rays a step has, and the points along a ray. Not in the paper.
 
 use super::run::NeuralSettings;
 use crate::numeric::rng::{Purpose, stream};
 use crate::scene::{Grid, Projections, Ray, View};
 use glam::DVec3;
-use rand::RngExt;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 
@@ -85,20 +84,19 @@ pub(super) fn crossing(grid: &Grid, ray: &Ray) -> Option<[f64; 2]> {
     (near < far).then_some([near, far])
 }
 
-/// Points along a ray and the lengths that they stand for.
+/// Points along a ray and the lengths that they stand for, by one number from 0 to 1 for each.
 ///
-/// Each point is drawn from the part of the ray that is nearest to one of evenly spaced places; the first and the last part
+/// Each point lies in the part of the ray that is nearest to one of evenly spaced places; the first and the last part
 /// are half as long. A point stands for the length to the next one.
-pub(super) fn points(ray: &MeasuredRay, count: usize, random: &mut ChaCha8Rng) -> Vec<(DVec3, f64)> {
+pub(super) fn points(ray: &MeasuredRay, draws: &[f64]) -> Vec<(DVec3, f64)> {
+    let count = draws.len();
     let step = (ray.far - ray.near) / (count - 1) as f64;
     let place = |k: f64| ray.near + k * step;
-    let drawn: Vec<f64> = (0..count)
-        .map(|k| {
-            let (k, last) = (k as f64, (count - 1) as f64);
-            let (from, to) = (place((k - 0.5).max(0.0)), place((k + 0.5).min(last)));
-            from + (to - from) * random.random::<f64>()
-        })
-        .collect();
+    let at = |k: f64, draw: f64| {
+        let (from, to) = (place((k - 0.5).max(0.0)), place((k + 0.5).min((count - 1) as f64)));
+        from + (to - from) * draw
+    };
+    let drawn: Vec<f64> = draws.iter().enumerate().map(|(k, &draw)| at(k as f64, draw)).collect();
     let length = |k: usize| drawn.get(k + 1).map_or(LAST, |next| next - drawn[k]);
     (0..count).map(|k| (ray.ray.origin + drawn[k] * ray.ray.direction, length(k))).collect()
 }

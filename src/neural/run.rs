@@ -1,4 +1,4 @@
-//! Training of a network, a view at a time, and the volume that it is read off to.
+//! Training of a network, a view at a time, and the volume that it is read off to. Not in the paper.
 
 use super::activation::{leaky, leaky_slope, sigmoid};
 use super::encoding::{Encoding, FEATURES, Level};
@@ -14,7 +14,7 @@ use crate::numeric::{Lanes, Real, WIDEST, real, reduce};
 use crate::optim::Adam;
 use crate::scene::{Grid, Projections, Scanner, View, Volume};
 use glam::DVec3;
-use ndarray::Array3;
+use ndarray::{Array1, Array2, Array3, ArrayD};
 use rand::RngExt;
 
 /// Rays of a task; gradients of tasks are added in order.
@@ -134,6 +134,17 @@ struct Share<R: Real> {
     to_codes: Vec<R::Lanes>,
 }
 
+/// What a step sees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Batch {
+    /// Points `[ray, sample, axis]`, from 0 to 1 along each side of the volume.
+    pub points: Array3<f64>,
+    /// The length that each point stands for `[ray, sample]`, scene units.
+    pub lengths: Array2<f64>,
+    /// Measured line integral of each ray, scene units times the run's unit of density.
+    pub values: Array1<f64>,
+}
+
 /// How much a run keeps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sizes {
@@ -173,6 +184,13 @@ fn parts(settings: &NeuralSettings) -> (Encoding, Network) {
         Kind::SaxNerf => Network::new(encoding.width(), 4, 2, true),
     };
     (encoding, network)
+}
+
+/// The scalars of registers.
+fn scalars<R: Real>(registers: &[R::Lanes]) -> Vec<R> {
+    let mut scalars = vec![R::ZERO; registers.len() * R::Lanes::WIDTH];
+    registers.iter().zip(scalars.chunks_exact_mut(R::Lanes::WIDTH)).for_each(|(&register, out)| register.write(out));
+    scalars
 }
 
 impl Model {
@@ -217,11 +235,11 @@ impl Model {
         (0..points.len().div_ceil(group) * side).map(row).collect()
     }
 
-    /// Where sample n is: row and lane.
-    fn place<R: Real>(&self, n: usize) -> [usize; 2] {
+    /// Where sample n is among the scalars of the registers.
+    fn place<R: Real>(&self, n: usize) -> usize {
         let side = self.points_of_lane();
         let group = R::Lanes::WIDTH * side;
-        [n / group * side + n % side, n % group / side]
+        (n / group * side + n % side) * R::Lanes::WIDTH + n % group / side
     }
 
     /// Densities of registers of points.
@@ -247,15 +265,8 @@ impl Model {
         buffers: &mut Buffers<R>,
     ) -> Vec<f64> {
         self.forward(field, &self.registers::<R>(grid, points), buffers);
-        let mut lanes = vec![R::ZERO; buffers.out.len() * R::Lanes::WIDTH];
-        for (out, lanes) in buffers.out.iter().zip(lanes.chunks_exact_mut(R::Lanes::WIDTH)) {
-            out.write(lanes);
-        }
-        let of = |n: usize| {
-            let [row, lane] = self.place::<R>(n);
-            lanes[row * R::Lanes::WIDTH + lane].to_f64()
-        };
-        (0..points.len()).map(of).collect()
+        let lanes = scalars::<R>(&buffers.out);
+        (0..points.len()).map(|n| lanes[self.place::<R>(n)].to_f64()).collect()
     }
 
     /// Densities of some points, in units of the scan, by parameters in double precision.
@@ -322,8 +333,7 @@ impl<'a, R: Real> NeuralRun<'a, R> {
 
     /// Mean squared error of the rays of the next step, and its gradient to all parameters.
     pub(super) fn gradient(&self) -> (f64, usize, Vec<f64>) {
-        let (step, settings) = (self.iteration, &self.settings);
-        let rays = rays::chosen(&self.grid, &self.views, self.projections, settings, step, self.unit);
+        let rays = self.rays();
         let field: Field<R> = self.model.field(&self.parameters);
         let bundles: Vec<&[MeasuredRay]> = rays.chunks(BUNDLE).collect();
         let factor = 2.0 / rays.len().max(1) as f64;
@@ -340,6 +350,69 @@ impl<'a, R: Real> NeuralRun<'a, R> {
         (reduce::sum(&errors), rays.len(), gradient)
     }
 
+    /// The rays of the next step.
+    fn rays(&self) -> Vec<MeasuredRay> {
+        rays::chosen(&self.grid, &self.views, self.projections, &self.settings, self.iteration, self.unit)
+    }
+
+    /// Points and their lengths along the ray with this number in the next step.
+    fn samples(&self, ray: &MeasuredRay, number: usize) -> Vec<(DVec3, f64)> {
+        let Self { settings, iteration, .. } = self;
+        let mut random = stream(settings.seed, Purpose::Jitter, *iteration as u64, number as u64);
+        let draws: Vec<f64> = (0..settings.samples).map(|_| random.random()).collect();
+        rays::points(ray, &draws)
+    }
+
+    /// What the next step sees.
+    pub fn batch(&self) -> Batch {
+        let rays = self.rays();
+        let (count, samples) = (rays.len(), self.settings.samples);
+        let mut batch = Batch {
+            points: Array3::zeros([count, samples, 3]),
+            lengths: Array2::zeros([count, samples]),
+            values: rays.iter().map(|ray| ray.value).collect(),
+        };
+        for (number, ray) in rays.iter().enumerate() {
+            for (sample, (point, length)) in self.samples(ray, number).into_iter().enumerate() {
+                let place = (point - self.grid.min) / self.grid.size();
+                (0..3).for_each(|axis| batch.points[[number, sample, axis]] = place[axis].clamp(0.0, 1.0));
+                batch.lengths[[number, sample]] = length;
+            }
+        }
+        batch
+    }
+
+    /// All parameters by name; weights are `[outputs, inputs]`, and a level of the table is `[entries, features]`.
+    pub fn named_parameters(&self) -> Vec<(String, ArrayD<f64>)> {
+        let mut rest = self.parameters.as_slice();
+        let mut take = |(name, shape): (String, Vec<usize>)| {
+            let (own, others) = rest.split_at(shape.iter().product());
+            rest = others;
+            (name, ArrayD::from_shape_vec(shape, own.to_vec()).expect("as many numbers as the shape has"))
+        };
+        let mut all: Vec<_> = self.model.encoding.layout().into_iter().map(&mut take).collect();
+        all.extend(self.model.network.layout().into_iter().map(take));
+        all
+    }
+
+    /// A step; returns the mean squared error of its rays before it.
+    pub fn train(&mut self) -> f64 {
+        let (error, rays) = self.advance();
+        error / rays.max(1) as f64
+    }
+
+    /// A step; returns the sum of the squared errors of its rays before it, and their number.
+    fn advance(&mut self) -> (f64, usize) {
+        let (error, rays, gradient) = self.gradient();
+        let rates = self.rates();
+        let (table, network) = self.parameters.split_at_mut(self.model.table);
+        let (to_table, to_network) = gradient.split_at(self.model.table);
+        self.adam[0].step(table, to_table, rates[0]);
+        self.adam[1].step(network, to_network, rates[1]);
+        self.iteration += 1;
+        (error, rays)
+    }
+
     /// The gradient of a bundle of rays, the first of which has this number in the step.
     fn share(&self, field: &Field<R>, bundle: &[MeasuredRay], first: usize, factor: f64) -> Share<R> {
         let Self { model, settings, .. } = self;
@@ -354,23 +427,15 @@ impl<'a, R: Real> NeuralRun<'a, R> {
         for (number, group) in bundle.chunks(together).enumerate() {
             let mut samples = Vec::with_capacity(group.len() * settings.samples);
             for (k, ray) in group.iter().enumerate() {
-                let id = (first + number * together + k) as u64;
-                let mut random = stream(settings.seed, Purpose::Jitter, self.iteration as u64, id);
-                samples.extend(rays::points(ray, settings.samples, &mut random));
+                samples.extend(self.samples(ray, first + number * together + k));
             }
             let places: Vec<DVec3> = samples.iter().map(|sample| sample.0).collect();
             let points = model.registers::<R>(&self.grid, &places);
             model.forward(field, &points, &mut buffers);
             let Buffers { trace, out, slopes, to_codes, .. } = &mut *buffers;
-            let mut densities = vec![R::ZERO; out.len() * R::Lanes::WIDTH];
-            for (out, densities) in out.iter().zip(densities.chunks_exact_mut(R::Lanes::WIDTH)) {
-                out.write(densities);
-            }
+            let densities = scalars::<R>(out);
             let mut to_densities = vec![R::ZERO; densities.len()];
-            let at = |n: usize| {
-                let [row, lane] = model.place::<R>(n);
-                row * R::Lanes::WIDTH + lane
-            };
+            let at = |n: usize| model.place::<R>(n);
             for (k, ray) in group.iter().enumerate() {
                 let own = k * settings.samples..(k + 1) * settings.samples;
                 let integral: f64 = own.clone().map(|n| densities[at(n)].to_f64() * samples[n].1).sum();
@@ -426,13 +491,7 @@ impl<R: Real> VoxelRun for NeuralRun<'_, R> {
 
     /// The residual is the norm of the errors of the step's rays.
     fn step(&mut self) -> Result<Option<Pass>> {
-        let (error, _, gradient) = self.gradient();
-        let rates = self.rates();
-        let (table, network) = self.parameters.split_at_mut(self.model.table);
-        let (to_table, to_network) = gradient.split_at(self.model.table);
-        self.adam[0].step(table, to_table, rates[0]);
-        self.adam[1].step(network, to_network, rates[1]);
-        self.iteration += 1;
+        let (error, _) = self.advance();
         Pass::new(self.iteration, self.settings.iterations, self.unit * error.sqrt()).map(Some)
     }
 

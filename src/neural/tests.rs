@@ -13,6 +13,7 @@ use crate::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner};
 use crate::tolerances::largest;
 use glam::DVec3;
 use ndarray::Array3;
+use rand::RngExt;
 use wide::{f32x16, f64x8};
 
 fn settings(kind: Kind) -> NeuralSettings {
@@ -329,7 +330,8 @@ fn points_of_a_ray_lie_in_the_box_in_order_and_stand_for_its_length() {
     let (low, high) = (scan.scanner.grid.min, scan.scanner.grid.max());
     for (id, ray) in rays.iter().enumerate() {
         let mut random = crate::numeric::rng::stream(0, crate::numeric::rng::Purpose::Jitter, 0, id as u64);
-        let points = super::rays::points(ray, 12, &mut random);
+        let draws: Vec<f64> = (0..12).map(|_| random.random()).collect();
+        let points = super::rays::points(ray, &draws);
         let along: Vec<f64> = points.iter().map(|(p, _)| (*p - ray.ray.origin).dot(ray.ray.direction)).collect();
         assert!(along.windows(2).all(|pair| pair[0] < pair[1]), "{along:?}");
         assert!(points.iter().all(|(p, _)| p.cmpge(low - 1e-12).all() && p.cmple(high + 1e-12).all()));

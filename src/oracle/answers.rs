@@ -1,6 +1,7 @@
 //! This program's own answers in both precisions: stage name → function that computes it.
 
 use super::manifest::Case;
+use super::networks;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
 use super::population;
 use super::question::Question;
@@ -26,7 +27,7 @@ use rand::Rng;
 use std::path::Path;
 
 /// The stages this program computes, in the manifest's order.
-pub const STAGES: [&str; 41] = [
+pub const STAGES: [&str; 48] = [
     "covariance",
     "kernel",
     "integral-factor",
@@ -68,6 +69,13 @@ pub const STAGES: [&str; 41] = [
     "noise",
     "random",
     "metrics",
+    "hash-corners",
+    "hash-code",
+    "gradient-hash-code",
+    "frequency-code",
+    "lineformer",
+    "gradient-lineformer",
+    "ray-quadrature",
 ];
 
 /// This program's outputs for a question, with pixel kernels and losses in the given precision.
@@ -197,6 +205,13 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "noise" => one("noisy", noise(q)?),
         "random" => random(q)?,
         "metrics" => metrics(q)?,
+        "hash-corners" => networks::corners::<R>(q)?,
+        "hash-code" => networks::hash_code::<R>(q)?,
+        "gradient-hash-code" => networks::hash_code_vjp::<R>(q)?,
+        "frequency-code" => networks::frequency_code::<R>(q)?,
+        "lineformer" => networks::lineformer::<R>(q)?,
+        "gradient-lineformer" => networks::lineformer_vjp::<R>(q)?,
+        "ray-quadrature" => networks::quadrature(q)?,
         stage => {
             let remedy = "export the vectors again with this version: `trgs oracle export`";
             return Err(Error::invalid("stage", stage, format!("one of {}", STAGES.join(", ")), remedy));

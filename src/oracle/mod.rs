@@ -30,6 +30,7 @@ pub mod diagnosis;
 pub mod difference;
 pub mod format;
 pub mod manifest;
+mod networks;
 mod outputs;
 mod population;
 pub mod question;

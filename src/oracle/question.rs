@@ -68,6 +68,21 @@ impl Question {
         Ok(self.array::<ndarray::Ix1>(role)?.to_vec())
     }
 
+    /// The arrays of an input that is an archive, by name and shape, one after the other.
+    pub(super) fn joined(
+        &self,
+        role: &str,
+        parts: impl Iterator<Item = (&'static str, &'static [usize])>,
+    ) -> Result<Vec<f64>> {
+        let arrays = self.arrays.get(role).ok_or_else(|| self.missing(&format!("input {role}")))?;
+        let mut all = Vec::new();
+        for (name, shape) in parts {
+            let array = arrays.get(name).filter(|array| array.shape() == shape);
+            all.extend(array.ok_or_else(|| self.missing(&format!("input {role} with {name}")))?.iter());
+        }
+        Ok(all)
+    }
+
     /// An input with the arrays of a model: parameters, gradients or moments.
     pub(super) fn parameters(&self, role: &str) -> Result<Parameters> {
         let arrays = self.arrays.get(role).ok_or_else(|| self.missing(&format!("input {role}")))?;
@@ -112,6 +127,10 @@ impl Question {
         let values = self.settings.get(key).and_then(Value::as_array);
         let values = values.and_then(|values| values.iter().map(Value::as_f64).collect::<Option<Vec<_>>>());
         values.ok_or_else(|| self.missing(&format!("setting {key}")))
+    }
+
+    pub(super) fn triple(&self, key: &str) -> Result<[f64; 3]> {
+        self.list(key)?.try_into().map_err(|_| self.missing(&format!("setting {key} with three numbers")))
     }
 
     pub(super) fn angles(&self) -> Result<Vec<f64>> {

@@ -31,10 +31,7 @@ pub(super) fn iterate<R: Real>(
 ) -> Result<Found> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let unit = match (config.method, config.density_unit) {
-        (method, unit) if method == Method::AsdPocs || method.network().is_some() => match unit {
-            Auto::Auto => Some(density_unit(&dataset.scanner, &dataset.train)?),
-            Auto::Fixed(unit) => Some(unit),
-        },
+        (method, unit) if method == Method::AsdPocs || method.network().is_some() => Some(chosen_unit(dataset, unit)?),
         _ => None,
     };
     let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
@@ -100,6 +97,14 @@ fn choose<R: Real>(
         return Ok(None);
     }
     choose_passes::<R>(projector, &dataset.train, passes, &mut watch).map(Some)
+}
+
+/// The density that counts as 1.
+pub(super) fn chosen_unit(dataset: &Dataset, unit: Auto<f64>) -> Result<f64> {
+    match unit {
+        Auto::Auto => density_unit(&dataset.scanner, &dataset.train),
+        Auto::Fixed(unit) => Ok(unit),
+    }
 }
 
 /// A run with what was chosen, from the beginning or from a state.

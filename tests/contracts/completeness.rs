@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// Entry for an equation without code; it replaces the functions and stands alone.
 const NOT_YET: &str = "not yet";
 /// Folders and files whose public functions must be in the register.
-const NUMERICAL: [&str; 9] = [
+const NUMERICAL: [&str; 10] = [
     "src/primitives",
     "src/projector",
     "src/confidence",
@@ -17,6 +17,7 @@ const NUMERICAL: [&str; 9] = [
     "src/wavelet",
     "src/optim",
     "src/classical",
+    "src/neural",
     "src/evaluation.rs",
 ];
 /// Files there whose public functions only read, write or convert.

@@ -9,6 +9,7 @@ mod conformance;
 mod geometry;
 mod losses;
 mod model;
+mod networks;
 mod optim;
 mod projector;
 mod scan;
@@ -36,6 +37,8 @@ mod _core {
     };
     #[pymodule_export]
     use crate::model::{Activation, Model, integral_factor, kernel, nu_loss, nu_target, ray_confidence};
+    #[pymodule_export]
+    use crate::networks::network_steps;
     #[pymodule_export]
     use crate::optim::{Adam, Sghmc, adaptive_control, add_and_recycle, gate, learning_rate};
     #[pymodule_export]

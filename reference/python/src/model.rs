@@ -374,7 +374,10 @@ impl AlphaArgument {
             Self::Word(word) => match word.as_str() {
                 "own" => Ok(Alpha::Own),
                 "median" => Ok(Alpha::Median),
-                other => Err(wrong_value("alpha", &format!("{other:?}"), "'own', 'median' or a length in scene units")),
+                other => {
+                    let expected = "'own', 'median' or a length in scene units";
+                    Err(wrong_value("alpha", format!("{other:?}"), expected, "give one of them"))
+                }
             },
         }
     }

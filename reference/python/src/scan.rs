@@ -44,7 +44,7 @@ use trgs::{Config, Dataset, Method, Projections, Run, Volume};
 /// ValueError
 ///     For shapes that do not fit the scanner, and numbers that are not finite.
 #[pyclass(frozen, module = "trgs")]
-pub(crate) struct Scan(Dataset);
+pub(crate) struct Scan(pub(crate) Dataset);
 
 fn views(scanner: &Scanner, projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
     let measured = measured(projections, angles)?;
@@ -450,7 +450,7 @@ fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
 }
 
 /// Sets keys of the configuration; a dict has the keys of a table.
-fn configure(config: &mut Config, table: &str, settings: &Bound<'_, PyDict>) -> PyResult<()> {
+pub(crate) fn configure(config: &mut Config, table: &str, settings: &Bound<'_, PyDict>) -> PyResult<()> {
     for (key, value) in settings {
         let key = format!("{table}{}", key.extract::<String>()?);
         match value.cast::<PyDict>() {

@@ -17,7 +17,7 @@ import pytest
 import trgs
 import trgs._core
 from conftest import model_of
-from trgs import conformance, density, losses, metrics, optim  # noqa: F401
+from trgs import conformance, density, losses, metrics, networks, optim  # noqa: F401
 
 DIGEST = """
 import hashlib, numpy as np, trgs
@@ -207,7 +207,7 @@ def test_a_module_that_cannot_run_is_an_error(wish):
 
 
 def public():
-    for module in (trgs, losses, metrics, optim, density, conformance):
+    for module in (trgs, losses, metrics, networks, optim, density, conformance):
         for name in module.__all__:
             yield f"{module.__name__}.{name}", getattr(module, name)
 

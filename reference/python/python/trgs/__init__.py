@@ -10,7 +10,7 @@ that a call reads must not be changed by another thread until the call returns.
 >>> result = trgs.reconstruct(scan, method="fdk")
 >>> metrics = scan.evaluate(result.volume)
 
-The submodules: `losses`, `metrics`, `optim` (single steps of optimisers), `density` (density control), `conformance` (test
+The submodules: `losses`, `metrics`, `optim` (single steps of optimisers), `density` (density control), `networks` (training steps of NAF, SAX-NeRF and IntraTomo), `conformance` (test
 vectors for other implementations), and for gradients in other frameworks `torch` and `jax`, which are imported when asked for.
 """
 
@@ -110,7 +110,7 @@ __all__ = [
     "wavelet_routing",
 ]
 
-_SUBMODULES = ("conformance", "density", "jax", "losses", "metrics", "optim", "torch")
+_SUBMODULES = ("conformance", "density", "jax", "losses", "metrics", "networks", "optim", "torch")
 
 
 def __getattr__(name: str) -> object:

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ._types import Metric, Parameters, Population, Progress, WaveletLoss
+from ._types import Metric, NetworkSteps, Parameters, Population, Progress, WaveletLoss
 
 __all__ = [
     "Activation",
@@ -63,6 +63,7 @@ __all__ = [
     "ssim",
     "ssim_2d",
     "ssim_3d",
+    "steps",
     "support",
     "threads",
     "total_variation",
@@ -369,6 +370,9 @@ def ar(
     cap: int,
     relocation: Literal["exact", "sss", "sss-program"] = "exact",
 ) -> Population: ...
+def steps(
+    scan: Scan, method: Literal["naf", "sax-nerf", "intratomo"] = "naf", *, steps: int = 10, **settings: Any
+) -> NetworkSteps: ...
 def adc(
     model: Model,
     pull: NDArray[np.float64],

@@ -46,6 +46,39 @@ class WaveletLoss(NamedTuple):
     """S, the mean of |N_low|/K·g over the voxels."""
 
 
+class Batch(NamedTuple):
+    """What a step of a network sees."""
+
+    points: NDArray[np.float64]
+    """[ray, sample, 3], from 0 to 1 along each side of the volume."""
+    lengths: NDArray[np.float64]
+    """[ray, sample]: the length that a point stands for, scene units."""
+    values: NDArray[np.float64]
+    """[ray]: the measured line integral, divided by the unit of density."""
+
+
+class NetworkSteps(NamedTuple):
+    """The first steps of the training of a network.
+
+    A step moves the parameters by Adam (decay 0.9 and 0.999, epsilon 1e-15) against the gradient of the mean squared error of
+    its rays; the prediction of a ray is the sum of density times length. The density is the network's output through
+    ceiling times a sigmoid (`neural.bounded`), else a leaky rectifier.
+    """
+
+    begin: dict[str, NDArray[np.float64]]
+    """Parameters before the first step: `level_K` [entries, 2] of the hash grid, `layer_K.weight` [outputs, inputs] and
+    `layer_K.bias`; the parts of a Lineformer block have the names of the conformance vectors."""
+    batches: list[Batch]
+    losses: NDArray[np.float64]
+    """Mean squared error of each step, before the step."""
+    end: dict[str, NDArray[np.float64]]
+    """Parameters after the last step."""
+    unit: float
+    """Attenuation per scene unit that counts as 1."""
+    settings: str
+    """All keys in TOML, with what follows from the scan."""
+
+
 class Metric(NamedTuple):
     """A mean, the id of its definition, and the values that it is the mean of."""
 

@@ -1,0 +1,56 @@
+//! The first steps of a network's training with all that they rest on, for programs that repeat them.
+
+use super::voxels::chosen_unit;
+use crate::config::{Config, Precision};
+use crate::error::{Error, Result};
+use crate::neural::{Batch, NeuralRun};
+use crate::numeric::Real;
+use crate::scene::Dataset;
+use ndarray::ArrayD;
+
+/// Steps of a network's training.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NetworkSteps {
+    /// Parameters before the first step, by name; weights are `[outputs, inputs]`, tables `[entries, features]`.
+    pub begin: Vec<(String, ArrayD<f64>)>,
+    /// What each step sees.
+    pub batches: Vec<Batch>,
+    /// Mean squared error of the rays of each step, before the step.
+    pub errors: Vec<f64>,
+    /// Parameters after the last step.
+    pub end: Vec<(String, ArrayD<f64>)>,
+    /// Attenuation per scene unit that counts as 1.
+    pub unit: f64,
+    /// The configuration with what follows from the scan.
+    pub config: Config,
+}
+
+/// The first `count` steps of a run with this configuration.
+///
+/// # Errors
+/// For a method that has no network, settings out of their ranges, or a scan that does not fit.
+pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result<NetworkSteps> {
+    if config.method.network().is_none() {
+        let got = serde_json::to_value(config.method).expect("a name");
+        return Err(Error::invalid("method", got, "naf, sax-nerf or intratomo", "name one of them"));
+    }
+    config.validate()?;
+    let config = config.resolved(&dataset.scanner, dataset.train.len());
+    let unit = chosen_unit(dataset, config.density_unit)?;
+    match config.precision {
+        Precision::F32 => steps::<f32>(dataset, config, count, unit),
+        Precision::F64 => steps::<f64>(dataset, config, count, unit),
+    }
+}
+
+fn steps<R: Real>(dataset: &Dataset, config: Config, count: usize, unit: f64) -> Result<NetworkSteps> {
+    let mut run = NeuralRun::<R>::new(&dataset.scanner, &dataset.train, &config.neural(), unit, None)?;
+    let begin = run.named_parameters();
+    let (mut batches, mut errors) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    for _ in 0..count {
+        batches.push(run.batch());
+        errors.push(run.train());
+    }
+    let end = run.named_parameters();
+    Ok(NetworkSteps { begin, batches, errors, end, unit, config })
+}
