@@ -243,7 +243,8 @@ fn all(c: &mut Criterion) {
     for (method, name) in [(Method::Naf, "step of naf, 64³"), (Method::SaxNerf, "step of sax-nerf, 64³")] {
         let config = Config::of(method).resolved(&scan.scanner, scan.train.len());
         let settings = config.neural();
-        let run = NeuralRun::<f32>::new(&scan.scanner, &scan.train, &settings, 1.0, None).expect("a scan of this scanner");
+        let run =
+            NeuralRun::<f32>::new(&scan.scanner, &scan.train, &settings, 1.0, None).expect("a scan of this scanner");
         let batch = run.batch();
         let samples = batch.lengths.len() as f64;
         println!("{name}: {} rays of {} samples", batch.values.len(), settings.samples);

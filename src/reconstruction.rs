@@ -9,9 +9,9 @@ mod run;
 mod sampling;
 mod voxels;
 
+pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 #[cfg(feature = "oracle")]
 pub use network_steps::{NetworkSteps, network_steps};
-pub use checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
 pub use pilot::PILOT_PART;
 pub use run::Run;
 pub use sampling::{Evidence, Sampled};

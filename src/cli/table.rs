@@ -1,5 +1,6 @@
 //! `trgs table`: runs the paper's tables and compares them with the paper's figures.
 
+use super::arguments::choice;
 use super::messages::{ProgressBar, go_on};
 use super::{Global, Output, interrupt};
 use clap::{Args, value_parser};
@@ -11,6 +12,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
 use std::time::Instant;
+use trgs::config::Method;
 use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, Summary};
 use trgs::numeric::threads;
 use trgs::output::write_atomically;
@@ -28,6 +30,7 @@ const REQUESTS: &str = "tables.json";
   trgs table volume --out out/tables --data data/r2_gaussian
   trgs table volume --out out/ray --matched ray
   trgs table volume --out out/middle --data data/volumes --crop 64
+  trgs table volume --out out/tables --networks naf
   trgs table volume --out out/measured --data data/r2_gaussian/real --measured
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
@@ -78,6 +81,10 @@ pub(super) struct What {
     #[arg(long, value_name = "KEY=VALUE")]
     #[serde(default)]
     set: Vec<String>,
+    /// Run the rows of these networks, which take minutes a cell: naf, sax-nerf
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',', value_parser = choice(&[Method::Naf, Method::SaxNerf]))]
+    #[serde(default)]
+    networks: Vec<Method>,
     /// Compare with the paper's figures on measured scans, which the tables volume and projection have
     #[arg(long, requires = "data")]
     #[serde(default)]
@@ -116,7 +123,8 @@ impl What {
             "all" => experiments::Table::all(),
             name => vec![experiments::Table::by_name(name)?],
         };
-        let tables: Vec<_> = tables.into_iter().map(|table| table.with(&self.set)).collect::<Result<_>>()?;
+        let with = |table: experiments::Table| table.with_networks(&self.networks).with(&self.set);
+        let tables: Vec<_> = tables.into_iter().map(with).collect::<Result<_>>()?;
         if !self.measured {
             return Ok(tables);
         }

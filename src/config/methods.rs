@@ -63,7 +63,7 @@ impl Config {
     fn as_in_the_paper(&mut self) {
         self.projection = Projection::Affine;
         self.density_unit = Auto::Fixed(1.0);
-        self.iterations = 30_000;
+        (self.iterations, self.optimiser.longest) = (30_000, 30_000);
         self.model.points = 50_000;
         self.density_control.cap = match self.density_control.method {
             // The last step of ADC exceeds its cap.

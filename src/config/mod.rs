@@ -345,6 +345,9 @@ pub struct OptimiserConfig {
     /// Iterations that learning rates are stated for: n make them (horizon/n)^¾ times as large, up to 64 times.
     #[default = 30_000]
     pub horizon: usize,
+    /// Iterations beyond which learning rates fall as 1/n: their sum stays, so longer runs do not fit the noise more closely.
+    #[default = 5000]
+    pub longest: usize,
     /// Learning rate of means, scene units.
     #[default([2e-4, 2e-5])]
     pub mean: [f64; 2],

@@ -51,6 +51,7 @@ impl Config {
             ("checkpoint_every", self.checkpoint_every),
             ("wavelet.every", wavelet.every),
             ("optimiser.horizon", optimiser.horizon),
+            ("optimiser.longest", optimiser.longest),
         ] {
             require(key, period, period >= 1, "at least 1")?;
         }

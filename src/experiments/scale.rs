@@ -63,7 +63,7 @@ impl fmt::Display for Matching {
 /// | iterations between two steps of density control | 100 | n/60, at most 100 |
 /// | iterations between two computations of confidence | 500 | n/12, at most 500 |
 /// | wavelet block, block of the total variation | 32³ | at most (N/4)³ |
-/// | passes of a voxel method | its own | its own |
+/// | passes of a voxel method, steps of a network | its own | its own |
 /// | test views | 50 | 50 (N/256), at least 8 |
 /// | density that counts as 1 | 1 | 1: densities of the paper's scans are from 0 to about 1 |
 ///
@@ -150,6 +150,7 @@ impl Scale {
             DensityControl::Adc => config.model.points * 8 / 5,
             DensityControl::Ar | DensityControl::None => 2 * config.model.points,
         };
+        config.optimiser.longest = PAPER_ITERATIONS as usize;
         config.iterations = ((PAPER_ITERATIONS * pow(self.ratio(), 8.0 / 3.0)).round() as usize).max(1);
         config.density_control.every = (config.iterations / 60).clamp(1, 100);
         config.confidence.every = (config.iterations / 12).clamp(1, 500);
@@ -183,7 +184,9 @@ mod tests {
             assert_eq!((config.model.points, config.iterations, config.wavelet.block), (50_000, 30_000, 32));
             assert_eq!((paper.detector(), paper.test_views()), (512, 50));
             assert_eq!((config.density_control.every, config.confidence.every), (100, 500));
-            assert_eq!(crate::optim::schedule::pace(config.optimiser.horizon, config.iterations), 1.0);
+            let optimiser = &config.optimiser;
+            let pace = crate::optim::schedule::pace(optimiser.horizon, optimiser.longest, config.iterations);
+            assert_eq!(pace, 1.0);
             assert_eq!(paper.noise(Noise::LOW), Noise::LOW);
         }
     }

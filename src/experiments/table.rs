@@ -110,6 +110,17 @@ impl Table {
         Ok(self)
     }
 
+    /// The table in which of the networks these run. The others have only the paper's figures, and no row where there are none.
+    #[must_use]
+    pub fn with_networks(mut self, run: &[Method]) -> Self {
+        let runs = |method: &Method| method.network().is_none() || run.contains(method);
+        for row in &mut self.rows {
+            row.method = row.method.filter(runs);
+        }
+        self.rows.retain(|row| row.method.is_some() || !row.paper.is_empty());
+        self
+    }
+
     /// All tables.
     pub fn all() -> Vec<Self> {
         TABLES.iter().map(Self::load).collect()
@@ -218,6 +229,18 @@ mod tests {
             let placed = table.rows.iter().all(|row| table.place(row, table.views[0], &table.noise[0]).is_some());
             assert_eq!(placed, table.against.is_some(), "{}", table.name);
         }
+    }
+
+    #[test]
+    fn networks_run_where_they_are_asked_for() {
+        let of = |run: &[Method]| {
+            let table = Table::by_name("volume").unwrap().with_networks(run);
+            let rows = table.rows.into_iter().filter(|row| ["NAF", "SAX-NeRF"].contains(&row.name.as_str()));
+            rows.map(|row| (row.name, row.method)).collect::<Vec<_>>()
+        };
+        assert_eq!(of(&[]), [("SAX-NeRF".into(), None)]);
+        assert_eq!(of(&[Method::Naf]), [("NAF".into(), Some(Method::Naf)), ("SAX-NeRF".into(), None)]);
+        assert_eq!(of(&[Method::SaxNerf]), [("SAX-NeRF".into(), Some(Method::SaxNerf))]);
     }
 
     #[test]

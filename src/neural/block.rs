@@ -38,7 +38,18 @@ const THIRD: usize = 5;
 
 /// Names of the parts of the block's parameters, in order.
 pub(super) const NAMES: [&str; 12] = [
-    "gain_1", "shift_1", "query", "key_value", "position", "out", "out_bias", "gain_2", "shift_2", "first", "second", "third",
+    "gain_1",
+    "shift_1",
+    "query",
+    "key_value",
+    "position",
+    "out",
+    "out_bias",
+    "gain_2",
+    "shift_2",
+    "first",
+    "second",
+    "third",
 ];
 
 /// Their shapes; weights are `[outputs, inputs]`.

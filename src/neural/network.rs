@@ -95,7 +95,9 @@ impl Network {
                 Layer::Linear { shape: [inputs, outputs], .. } => {
                     vec![(name("weight"), vec![*outputs, *inputs]), (name("bias"), vec![*outputs])]
                 }
-                Layer::Block { .. } => NAMES.into_iter().zip(PART_SHAPES).map(|(part, s)| (name(part), s.to_vec())).collect(),
+                Layer::Block { .. } => {
+                    NAMES.into_iter().zip(PART_SHAPES).map(|(part, s)| (name(part), s.to_vec())).collect()
+                }
             }
         };
         self.layers.iter().enumerate().flat_map(of).collect()

@@ -57,8 +57,7 @@ pub(super) fn lineformer_vjp<R: Real>(q: &Question) -> Result<Outputs> {
 
 pub(super) fn quadrature(q: &Question) -> Result<Outputs> {
     let [pixels, draws, density] = [q.array::<Ix2>("pixels")?, q.array::<Ix2>("draws")?, q.array::<Ix2>("density")?];
-    let found =
-        conformance::quadrature(&q.scanner()?, &q.angles()?, pixels.view(), draws.view(), density.view())?;
+    let found = conformance::quadrature(&q.scanner()?, &q.angles()?, pixels.view(), draws.view(), density.view())?;
     let mut all = two(("point", found.points), ("length", found.lengths));
     all.extend(one("integral", found.integrals));
     Ok(all)

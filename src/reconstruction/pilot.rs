@@ -32,6 +32,10 @@ pub const PILOT_PART: f64 = 0.5;
 /// The smallest weight that is tried for an interpolant: below it the error of held-out views still falls while the volume
 /// becomes worse.
 const FIRST: f64 = 4e-4;
+/// How near the least error the first iterations are that are taken: of an interpolant, and where the projections are
+/// corrected. There the error still falls a little while edges are smoothed.
+const NEAR: f64 = 0.005;
+const NEAR_CORRECTED: f64 = 0.02;
 /// Most iterations of a finish that are tried.
 const MOST_ITERATIONS: usize = 200;
 
@@ -92,18 +96,19 @@ fn finish_of<R: Real>(
     observe: &mut Observe<'_>,
 ) -> Result<Choice> {
     let interpolated: Volume;
-    let (start, first, fewest) = match sampling {
+    let (start, first, fewest, near) = match sampling {
         Sampling::Interpolant => {
             interpolated = interpolant(&pilot.volume);
-            (&interpolated, FIRST, 0)
+            (&interpolated, FIRST, 0, NEAR)
         }
-        _ => (&pilot.volume, LEAST, SHORTEST),
+        _ => (&pilot.volume, LEAST, SHORTEST, NEAR_CORRECTED),
     };
     let search = FinishSearch {
         weight: config.tv.weight.fixed(),
         iterations: config.tv.finish_iterations.fixed(),
         range: [fewest, MOST_ITERATIONS],
         first,
+        near,
     };
     let of = |views| target(views, projector.scanner(), &pilot.primitives, start, sampling, projector, config);
     let [train, held] = [of(views[0])?, of(views[1])?];

@@ -1,6 +1,6 @@
 //! One optimiser for each group of parameters, with its learning rate.
 
-use crate::config::{Config, PositionOptimiser};
+use crate::config::{Config, OptimiserConfig, PositionOptimiser};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads;
 use crate::optim::schedule::pace;
@@ -47,7 +47,7 @@ impl Optimiser {
         step: &Step<'_>,
     ) {
         let o = &step.config.optimiser;
-        let pace = pace(o.horizon, step.config.iterations);
+        let pace = pace(o.horizon, o.longest, step.config.iterations);
         let rate =
             |[first, last]: [f64; 2]| pace * Exponential { first, last, steps: step.config.iterations }.at(step.done);
         let [of_mean, others @ ..] = &mut self.adam;
@@ -89,7 +89,8 @@ fn sample(
     step: &Step<'_>,
 ) {
     let settings = &step.config.sghmc;
-    let pace_root = pace(step.config.optimiser.horizon, step.config.iterations).sqrt();
+    let OptimiserConfig { horizon, longest, .. } = step.config.optimiser;
+    let pace_root = pace(horizon, longest, step.config.iterations).sqrt();
     let (burn_in_friction, friction) = (settings.burn_in_friction / pace_root, settings.friction / pace_root);
     let noise = |i: usize| {
         let mut random = rng::stream(step.config.seed, Purpose::PositionNoise, step.done as u64, step.ids[i]);

@@ -206,7 +206,7 @@ impl Checkpoint {
     /// density control) is that of a run of `iterations`. Intervals between steps, such as `confidence.every`, stay. The
     /// result has the same bits for any number of threads and after any interruption. It is that of a run of `iterations`
     /// from its start, up to the rounding of rates, only where no setting depends on the length: constant rates, an
-    /// `optimiser.horizon` of 1, and phases that begin at 0 and end at 1.
+    /// `optimiser.horizon` of 1, at most `optimiser.longest` iterations, and phases that begin at 0 and end at 1.
     ///
     /// # Errors
     /// When as many iterations are done, unless the run has this number already.

@@ -117,13 +117,15 @@ def test_two_hundred_steps_are_those_of_pytorch(scan, method, joined):
     half_sides = (np.array(grid.high) - np.array(grid.low)) / 2
     losses, end = repeated(torch, steps, half_sides, joined)
     off = abs(losses / steps.losses - 1)
-    # Rounding grows with the steps: the first ones are equal to twelve digits, the issue of all 200 is the curve.
-    assert off[:5].max() < 1e-9, off[:5]
-    assert off.max() < 0.02, f"{off.max()} at step {off.argmax()}"
+    # Measured: 4e-16 in the first five steps, 8e-14 in all.
+    assert off[:5].max() < 1e-14, off[:5]
+    assert off.max() < 2e-12, f"{off.max()} at step {off.argmax()}"
     assert steps.losses[-20:].mean() < 0.5 * steps.losses[:5].mean()
     assert set(end) == set(steps.end)
     single = begun(scan, method, steps=200, precision="f32")
-    assert abs(single.losses / steps.losses - 1)[:5].max() < 1e-3
+    # In single precision, 4e-8 and 1 %.
+    off = abs(single.losses / steps.losses - 1)
+    assert off[:5].max() < 1e-6 and off.max() < 0.05, off
 
 
 def test_batches_are_rays_of_the_scan(scan):

@@ -33,8 +33,6 @@ const PILOT_FOLDS: usize = 6;
 /// A finish is judged after every so many iterations, and ends so many iterations after its least error.
 const JUDGED_EVERY: usize = 5;
 const IN_VAIN: usize = 40;
-/// Of the iterations whose error is above the least by no more than this fraction, the first are chosen.
-const NEAR: f64 = 0.005;
 /// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
 
@@ -220,6 +218,8 @@ pub(crate) struct FinishSearch {
     pub(crate) range: [usize; 2],
     /// The smallest weight that is tried otherwise.
     pub(crate) first: f64,
+    /// Of the iterations whose error is above the least by no more than this fraction, the first are chosen.
+    pub(crate) near: f64,
 }
 
 /// Weight and number of iterations of [`super::tv()`] from the volume `start` with the least error of the held-out views.
@@ -271,7 +271,8 @@ pub(crate) fn choose_finish<R: Real>(
             steps += 1;
         }
         go_on(observe(KEY, Some(&Trial { value: weight, error: best.1 })))?;
-        let near = judged.iter().find(|(_, error)| *error <= (1.0 + NEAR) * best.1).map_or(best.0, |judged| judged.0);
+        let is_near = |(_, error): &&(usize, f64)| *error <= (1.0 + search.near) * best.1;
+        let near = judged.iter().find(is_near).map_or(best.0, |judged| judged.0);
         Ok::<_, Error>((weight, near, best.1))
     };
     let first = search.weight.unwrap_or(search.first);
@@ -462,7 +463,7 @@ mod tests {
             let volume = tv::<f32>(&projector, &fitted, &settings, Some(&start), &mut quiet).unwrap();
             psnr_3d(truth, volume.values.view()).value
         };
-        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4 };
+        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4, near: 0.005 };
         let choose = |search: &FinishSearch| {
             let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
             let views = [&fitted, &held];
