@@ -8,6 +8,7 @@ Needs Python 3.11 and nothing else.
 
 import html
 import sys
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -23,13 +24,21 @@ def verdict_of(claim):
     return found
 
 
+def wrapped(text, indent=""):
+    return textwrap.fill(text, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
 def markdown(table):
-    lines = ["# What holds of the paper", "", table["summary"].strip(), ""]
-    counts = [f"{sum(verdict_of(claim) == verdict for claim in table['claim'])} {verdict}" for verdict in VERDICTS]
-    lines += [f"{len(table['claim'])} claims: {', '.join(counts)}. [With plots](VERDICT.html).", ""]
+    lines = ["# What holds of the paper", ""]
+    lines += [part for paragraph in table["summary"].strip().split("\n\n") for part in (wrapped(paragraph), "")]
+    counts = [f"{verdict}: {sum(verdict_of(claim) == verdict for claim in table['claim'])}" for verdict in VERDICTS]
+    lines += [wrapped(f"{len(table['claim'])} claims. {'; '.join(counts)}. The same page [with plots](VERDICT.html)."), ""]
+    lines += ["| claim | | |", "|---|---|---|"]
+    lines += [f"| {claim['claim']} | {claim['source']} | {verdict_of(claim)} |" for claim in table["claim"]] + [""]
     for claim in table["claim"]:
-        lines += [f"## {claim['claim']}", "", f"**{claim['verdict'][0].upper()}{claim['verdict'][1:]}.** ({claim['source']})", ""]
-        lines += [f"- Paper: {claim['paper']}", f"- Here: {claim['ours']}", f"- Command: {claim['command']}", ""]
+        lines += [f"## {claim['claim']}", "", wrapped(f"**{claim['verdict'][0].upper()}{claim['verdict'][1:]}.** ({claim['source']})"), ""]
+        rows = [("Paper", claim["paper"]), ("Here", claim["ours"]), ("Command", claim["command"])]
+        lines += [*(wrapped(f"- {name}: {text}", "  ") for name, text in rows), ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
