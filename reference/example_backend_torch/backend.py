@@ -1,7 +1,8 @@
-"""A conformance backend in PyTorch:  python3 backend.py VECTORS ANSWERS [float32]
+"""A conformance backend in PyTorch:  python3 backend.py VECTORS ANSWERS [float32 [cuda]]
 
 The formulas are those of PROTOCOL.md as it states them, for all primitives at once; gradients are PyTorch's own (autograd).
-The arithmetic is float64, or with a third argument float32 throughout, inputs and set-up included.
+The arithmetic is float64, or with a third argument float32 throughout, inputs and set-up included; on the CPU, or on the
+device of a fourth argument.
 """
 import json, math, sys
 from pathlib import Path
@@ -9,7 +10,10 @@ import numpy as np
 import torch
 
 REAL = getattr(torch, (sys.argv[3:] or ["float64"])[0])
+DEVICE = (sys.argv[4:] or ["cpu"])[0]
 torch.set_default_dtype(REAL)
+if DEVICE != "cpu":
+    torch.set_default_device(DEVICE)
 torch.set_num_threads(1)
 KEYS = "mean", "scale", "quaternion", "density", "nu"
 
@@ -181,7 +185,7 @@ def load(path):
         return json.loads(path.read_text())["scanner"]
     data = np.load(path)
     if path.suffix == ".npz":
-        return {key: torch.tensor(data[key], dtype=REAL) for key in KEYS}
+        return {key: torch.tensor(data[key], dtype=REAL) for key in data.files}
     return torch.tensor(data, dtype=REAL)
 
 
@@ -192,10 +196,10 @@ def main(vectors, answers):
             path = answers / case["outputs"][role]["file"]
             path.parent.mkdir(parents=True, exist_ok=True)
             if isinstance(result, dict):
-                np.savez(path, **{key: array.detach().numpy() for key, array in result.items()})
+                np.savez(path, **{key: array.detach().cpu().numpy() for key, array in result.items()})
             else:
-                np.save(path, result.detach().numpy())
-    about = {"name": f"PyTorch example in {REAL}", "version": torch.__version__, "device": "CPU"}
+                np.save(path, result.detach().cpu().numpy())
+    about = {"name": f"PyTorch example in {REAL}", "version": torch.__version__, "device": DEVICE}
     (answers / "backend.json").write_text(json.dumps(about))
 
 

@@ -83,9 +83,9 @@ BUGS = [
     ("epsilon in the root", "adam", ["ε inside of the root"], [(ADAM, ADAM.replace("(torch.sqrt(v / (1 - beta2**t)) + epsilon)", "torch.sqrt(v / (1 - beta2**t) + epsilon)"))]),
     ("no bias correction", "adam", ["without bias correction"], [(ADAM, ADAM.replace(" / (1 - beta1**t)", "").replace(" / (1 - beta2**t)", ""))]),
     # not in the catalogue
-    ("random half percent", f"{EXACT},gradient-{EXACT}", [], [("np.save(path, result.detach().numpy())", "np.save(path, result.detach().numpy() * (1 + 0.005 * np.sin(1 + np.arange(result.numel())).reshape(result.shape)))"), slope("scale", "g['scale'] * (1 + 0.005 * torch.sin(1.0 + torch.arange(g['scale'].numel()))).reshape(g['scale'].shape)")]),
-    ("noise of 1e-4", f"{EXACT},{FIELD},loss-ssim,adam", [], [("np.save(path, result.detach().numpy())", "np.save(path, result.detach().numpy() * (1 + 1e-4 * np.sin(1 + np.arange(result.numel())).reshape(result.shape)))")]),
-    ("nu at most 5", f"{AFFINE},gradient-{AFFINE}", [], [("dtype=REAL) for key in KEYS}", "dtype=REAL).clamp(max=5 if key == 'nu' else 1e30) for key in KEYS}")]),
+    ("random half percent", f"{EXACT},gradient-{EXACT}", [], [("np.save(path, result.detach().cpu().numpy())", "np.save(path, result.detach().cpu().numpy() * (1 + 0.005 * np.sin(1 + np.arange(result.numel())).reshape(result.shape)))"), slope("scale", "g['scale'] * (1 + 0.005 * torch.sin(1.0 + torch.arange(g['scale'].numel()))).reshape(g['scale'].shape)")]),
+    ("noise of 1e-4", f"{EXACT},{FIELD},loss-ssim,adam", [], [("np.save(path, result.detach().cpu().numpy())", "np.save(path, result.detach().cpu().numpy() * (1 + 1e-4 * np.sin(1 + np.arange(result.numel())).reshape(result.shape)))")]),
+    ("nu at most 5", f"{AFFINE},gradient-{AFFINE}", [], [("dtype=REAL) for key in data.files}", "dtype=REAL).clamp(max=5 if key == 'nu' else 1e30) for key in data.files}")]),
     ("angles 2 degrees off", f"{EXACT},gradient-{AFFINE}", [], [(TURN, "angle = angle + 0.0349; " + TURN)]),
     ("beta2 of 0.9", "adam", [], [("m, v = beta1", "beta2 = 0.9; m, v = beta1")]),
 ]
