@@ -107,10 +107,10 @@ def answer(stage, a):
         return [gradient(FIELDS[field], a)]
     parts = np.array([FIELDS[field](p, a).real for p in a["model"]])
     return [parts if kind == "projected-kernel" else parts.sum(axis=0)]
-def load(path):  # a model as an array [primitive, 12]
+def load(path):  # a model as an array [primitive, 12]; parameters of a network as None
     data = json.loads(path.read_text())["scanner"] if path.suffix == ".json" else np.load(path)
     if path.suffix == ".npz":
-        return np.column_stack([data[name] for name in PARTS]).astype(COMPLEX)
+        return np.column_stack([data[name] for name in PARTS]).astype(COMPLEX) if "mean" in data else None
     return data if path.suffix == ".json" else data.astype(REAL)
 
 vectors, answers = map(Path, sys.argv[1:3])

@@ -125,6 +125,11 @@ impl What {
         };
         let with = |table: experiments::Table| table.with_networks(&self.networks).with(&self.set);
         let tables: Vec<_> = tables.into_iter().map(with).collect::<Result<_>>()?;
+        let runs = |table: &experiments::Table| table.rows.iter().any(|row| row.method.is_some_and(Method::is_network));
+        if !self.networks.is_empty() && !tables.iter().any(runs) {
+            let expected = "volume or projection: the other tables have no networks";
+            return Err(Error::invalid("--networks", name, expected, "leave it out"));
+        }
         if !self.measured {
             return Ok(tables);
         }

@@ -564,6 +564,11 @@ impl Method {
         }
     }
 
+    /// Whether it trains a network.
+    pub fn is_network(self) -> bool {
+        self.network().is_some()
+    }
+
     /// Whether it fits primitives, and not voxels.
     pub fn fits_primitives(self) -> bool {
         matches!(self, Self::TrGs | Self::R2Gaussian)

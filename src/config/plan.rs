@@ -41,7 +41,7 @@ impl Config {
     #[must_use]
     pub fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
         let mut config = self.clone();
-        if config.method.network().is_some() {
+        if config.method.is_network() {
             let side = cbrt(scanner.grid.voxels() as f64);
             let neural = &mut config.neural;
             let doublings = |number: f64| (0..LEVELS).find(|&k| f64::from(1_u32 << k) >= number).unwrap_or(LEVELS);

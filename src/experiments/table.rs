@@ -113,7 +113,7 @@ impl Table {
     /// The table in which of the networks these run. The others have only the paper's figures, and no row where there are none.
     #[must_use]
     pub fn with_networks(mut self, run: &[Method]) -> Self {
-        let runs = |method: &Method| method.network().is_none() || run.contains(method);
+        let runs = |method: &Method| !method.is_network() || run.contains(method);
         for row in &mut self.rows {
             row.method = row.method.filter(runs);
         }

@@ -141,7 +141,7 @@ pub struct Batch {
     pub points: Array3<f64>,
     /// The length that each point stands for `[ray, sample]`, scene units.
     pub lengths: Array2<f64>,
-    /// Measured line integral of each ray, scene units times the run's unit of density.
+    /// Measured line integral of each ray, divided by the run's unit of density.
     pub values: Array1<f64>,
 }
 

@@ -30,7 +30,7 @@ pub struct NetworkSteps {
 /// # Errors
 /// For a method that has no network, settings out of their ranges, or a scan that does not fit.
 pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result<NetworkSteps> {
-    if config.method.network().is_none() {
+    if !config.method.is_network() {
         let got = serde_json::to_value(config.method).expect("a name");
         return Err(Error::invalid("method", got, "naf, sax-nerf or intratomo", "name one of them"));
     }

@@ -31,7 +31,7 @@ pub(super) fn iterate<R: Real>(
 ) -> Result<Found> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let unit = match (config.method, config.density_unit) {
-        (method, unit) if method == Method::AsdPocs || method.network().is_some() => Some(chosen_unit(dataset, unit)?),
+        (method, unit) if method == Method::AsdPocs || method.is_network() => Some(chosen_unit(dataset, unit)?),
         _ => None,
     };
     let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
@@ -117,7 +117,7 @@ fn begin<'a, R: Real>(
     state: Option<&VoxelState>,
 ) -> Result<Box<dyn VoxelRun + 'a>> {
     let views = &dataset.train;
-    if config.method.network().is_some() {
+    if config.method.is_network() {
         let run = NeuralRun::<R>::new(&dataset.scanner, views, &config.neural(), unit.unwrap_or(1.0), state)?;
         return Ok(Box::new(run));
     }

@@ -222,6 +222,8 @@ fn what_cannot_be_run_is_refused_in_one_line() {
         ("table noise --out out --data . --measured", vec!["--measured", "projection"]),
         ("table volume --out out --measured", vec!["--data"]),
         ("table volume --out out --matched pixel", vec!["--matched", "edge or ray"]),
+        ("table volume --out out --networks tr-gs", vec!["--networks", "naf"]),
+        ("table noise --out out --networks naf", vec!["--networks", "volume or projection"]),
         ("table volume --out out --crop 16", vec!["--data"]),
         ("table volume --out out --set confidence.alpha=mean", vec!["confidence.alpha", "median"]),
         ("table volume --out out --set confidence.alpha=-1", vec!["confidence.alpha", "positive"]),
