@@ -25,7 +25,7 @@ struct Case {
 }
 
 const CASES: [Case; 3] = [
-    Case { phantom: "torso", interpolated: false, views: 18, expected: [33.55, 30.51] },
+    Case { phantom: "torso", interpolated: false, views: 18, expected: [33.49, 30.51] },
     // The pilot run prefers a weight of 1.6e-3, by 5 % of the error of held-out views; with 4e-4 the finish has 28.91 dB.
     Case { phantom: "engine", interpolated: true, views: 12, expected: [25.87, 26.62] },
     Case { phantom: "bonsai", interpolated: true, views: 25, expected: [41.51, 39.60] },
