@@ -1,6 +1,6 @@
-"""A training loop in PyTorch with the gradients of trgs, beside trgs.reconstruct without its finish.
+"""A training loop in PyTorch with the gradients of trgs, beside trgs.reconstruct before and after its finish on voxels.
 
-    python reference/python/train.py [--size 64] [--views 18] [--iterations 1500] [--ours 500]
+    python reference/python/train.py [--size 64] [--views 18] [--iterations 3000] [--ours 500]
 
 The scene is that of `trgs demo`: a torso phantom of SIZE³ voxels from noisy projections of twice as many pixels. Needs PyTorch.
 """
@@ -31,8 +31,8 @@ def starting_points(scan, count):
 def train(scan, count, iterations):
     """The volume of primitives that were fitted to a scan."""
     raw, angles, measured = starting_points(scan, count), list(scan.angles), torch.as_tensor(scan.projections)
-    rates = dict(zip(("mean", "scale", "quaternion", "density", "nu"), (1e-3, 2e-2, 5e-3, 4e-2, 2e-2)))
-    adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(raw, rates.values())], eps=1e-15)
+    rates = 1e-3, 2e-2, 5e-3, 4e-2, 2e-2
+    adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(raw, rates)], eps=1e-15)
     decay = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / iterations))
     weight = 0.05 * scan.scanner.grid.shape[0] / 256
 
@@ -57,7 +57,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--views", type=int, default=18)
-    parser.add_argument("--iterations", type=int, default=1500)
+    parser.add_argument("--iterations", type=int, default=3000)
     parser.add_argument("--ours", type=int, default=500, help="iterations of trgs.reconstruct; the demo has 500")
     arguments = parser.parse_args()
     scanner = trgs.Scanner.synthetic(arguments.size, 2 * arguments.size)
