@@ -1,5 +1,5 @@
-//! The Lineformer block of SAX-NeRF, not in the paper: attention between the two points of a pair, and a feed-forward network, each added to its
-//! input after a normalisation of the layer.
+//! The Lineformer block of SAX-NeRF, not in the paper: attention between the two points of a pair, and a feed-forward
+//! network, each added to its input after a normalisation of the layer.
 //!
 //! ```text
 //! y = x + Wo·A(N₁(x)) + bo          A: softmax((½q)·k + P)·v in 8 heads of 4;  q = Wq·n, [k, v] = Wkv·n
