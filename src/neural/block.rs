@@ -36,52 +36,44 @@ const FIRST: usize = 3;
 const SECOND: usize = 4;
 const THIRD: usize = 5;
 
-/// Names of the parts of the block's parameters, in order.
-pub(super) const NAMES: [&str; 12] = [
-    "gain_1",
-    "shift_1",
-    "query",
-    "key_value",
-    "position",
-    "out",
-    "out_bias",
-    "gain_2",
-    "shift_2",
-    "first",
-    "second",
-    "third",
-];
+/// A part of the block's parameters.
+pub(super) struct Part {
+    pub(super) name: &'static str,
+    /// Weights are `[outputs, inputs]`.
+    pub(super) shape: &'static [usize],
+    pub(super) begin: Begin,
+}
 
-/// Their shapes; weights are `[outputs, inputs]`.
-pub(super) const PART_SHAPES: [&[usize]; 12] = [
-    &[HIDDEN],
-    &[HIDDEN],
-    &[HIDDEN, HIDDEN],
-    &[2 * HIDDEN, HIDDEN],
-    &[HEADS, PAIR, PAIR],
-    &[HIDDEN, HIDDEN],
-    &[HIDDEN],
-    &[HIDDEN],
-    &[HIDDEN],
-    &[WIDE, HIDDEN],
-    &[WIDE, WIDE],
-    &[HIDDEN, WIDE],
-];
+impl Part {
+    /// Number of parameters.
+    pub(super) const fn len(&self) -> usize {
+        let (mut product, mut axis) = (1, 0);
+        while axis < self.shape.len() {
+            product *= self.shape[axis];
+            axis += 1;
+        }
+        product
+    }
+}
 
-/// How many numbers they have, and how these start.
-pub(super) const PARTS: [(usize, Begin); 12] = [
-    (HIDDEN, Begin::Number(1.0)),
-    (HIDDEN, Begin::Number(0.0)),
-    (HIDDEN * HIDDEN, Begin::Uniform(HIDDEN)),
-    (2 * HIDDEN * HIDDEN, Begin::Uniform(HIDDEN)),
-    (HEADS * PAIR * PAIR, Begin::Normal),
-    (HIDDEN * HIDDEN, Begin::Uniform(HIDDEN)),
-    (HIDDEN, Begin::Uniform(HIDDEN)),
-    (HIDDEN, Begin::Number(1.0)),
-    (HIDDEN, Begin::Number(0.0)),
-    (WIDE * HIDDEN, Begin::Uniform(HIDDEN)),
-    (WIDE * WIDE, Begin::Uniform(WIDE)),
-    (HIDDEN * WIDE, Begin::Uniform(WIDE)),
+const fn of(name: &'static str, shape: &'static [usize], begin: Begin) -> Part {
+    Part { name, shape, begin }
+}
+
+/// The parts in order.
+pub(super) const PARTS: [Part; 12] = [
+    of("gain_1", &[HIDDEN], Begin::Number(1.0)),
+    of("shift_1", &[HIDDEN], Begin::Number(0.0)),
+    of("query", &[HIDDEN, HIDDEN], Begin::Uniform(HIDDEN)),
+    of("key_value", &[2 * HIDDEN, HIDDEN], Begin::Uniform(HIDDEN)),
+    of("position", &[HEADS, PAIR, PAIR], Begin::Normal),
+    of("out", &[HIDDEN, HIDDEN], Begin::Uniform(HIDDEN)),
+    of("out_bias", &[HIDDEN], Begin::Uniform(HIDDEN)),
+    of("gain_2", &[HIDDEN], Begin::Number(1.0)),
+    of("shift_2", &[HIDDEN], Begin::Number(0.0)),
+    of("first", &[WIDE, HIDDEN], Begin::Uniform(HIDDEN)),
+    of("second", &[WIDE, WIDE], Begin::Uniform(WIDE)),
+    of("third", &[HIDDEN, WIDE], Begin::Uniform(WIDE)),
 ];
 const GAIN_1: usize = 0;
 const SHIFT_1: usize = 1;
@@ -105,12 +97,12 @@ pub(super) enum Begin {
 
 /// Number of the block's parameters.
 pub(super) fn parameters() -> usize {
-    PARTS.iter().map(|part| part.0).sum()
+    PARTS.iter().map(Part::len).sum()
 }
 
 fn part(number: usize) -> Range<usize> {
-    let start: usize = PARTS[..number].iter().map(|part| part.0).sum();
-    start..start + PARTS[number].0
+    let start: usize = PARTS[..number].iter().map(Part::len).sum();
+    start..start + PARTS[number].len()
 }
 
 /// The parameters of a step, and the transposes of the linear layers.

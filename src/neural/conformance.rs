@@ -2,15 +2,15 @@
 //!
 //! Arrays have a row for each point or pair; they go through the registers of the runs. `R` is the precision of the kernels.
 
-use super::block::{BlockTrace, BlockWeights, NAMES, PART_SHAPES, rows};
+use super::block::{BlockTrace, BlockWeights, PARTS, rows};
 use super::encoding::{Encoding, FEATURES, Level};
 use super::linear::stride;
-use super::network::HIDDEN;
+use super::network::{HIDDEN, split};
 use super::rays::{self, MeasuredRay};
 use crate::error::{Error, Result};
 use crate::numeric::{Lanes, Real, WIDEST, real};
 use crate::scene::Scanner;
-use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3};
+use ndarray::{Array1, Array2, Array3, ArrayD, ArrayView2, ArrayView3};
 
 /// The level of a table with so many entries.
 fn level(resolution: u32, entries: u32) -> Level {
@@ -142,7 +142,7 @@ pub fn quadrature(
 
 /// Names and shapes of the parts of the Lineformer block's parameters, in order; weights are `[outputs, inputs]`.
 pub fn lineformer_parts() -> impl Iterator<Item = (&'static str, &'static [usize])> {
-    NAMES.into_iter().zip(PART_SHAPES)
+    PARTS.iter().map(|part| (part.name, part.shape))
 }
 
 /// Registers of pairs `[pair, point, number]`: rows 2g and 2g+1 have the first and the second points.
@@ -190,16 +190,17 @@ fn weights<R: Real>(parameters: &[f64]) -> BlockWeights<R> {
     BlockWeights::new(&parameters)
 }
 
-/// The gradient to the parameters of the Lineformer block, and to the pairs, from the one to its output.
+/// The gradient to the parts of the Lineformer block's parameters, and to the pairs, from the one to its output.
 pub fn lineformer_vjp<R: Real>(
     parameters: &[f64],
     x: ArrayView3<f64>,
     cotangent: ArrayView3<f64>,
-) -> (Vec<f64>, Array3<f64>) {
+) -> (Vec<(String, ArrayD<f64>)>, Array3<f64>) {
     let (lanes, mut trace) = (pairs::<R>(x), BlockTrace::default());
     let (mut slopes, mut gradient) = (pairs::<R>(cotangent), vec![0.0; parameters.len()]);
     let weights = weights::<R>(parameters);
     weights.forward(&lanes, &mut trace, &mut lanes.clone());
     weights.backward(&mut trace, &mut slopes, &mut gradient);
-    (gradient, unpaired::<R>(&slopes, x.dim().0))
+    let parts = lineformer_parts().map(|(name, shape)| (name.to_owned(), shape.to_vec()));
+    (split(&gradient, parts), unpaired::<R>(&slopes, x.dim().0))
 }

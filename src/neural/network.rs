@@ -1,10 +1,11 @@
 //! The network from the encoding of points to their density, and its gradient. Not in the paper.
 
 use super::activation::{leaky, leaky_slope};
-use super::block::{self, Begin, BlockTrace, BlockWeights, NAMES, PART_SHAPES, PARTS, rows};
+use super::block::{self, Begin, BlockTrace, BlockWeights, PARTS, rows};
 use super::linear::{add_bias_gradient, add_gradient, apply, stride, transposed};
 use crate::numeric::rng::{Purpose, stream};
 use crate::numeric::{Lanes, Real, real};
+use ndarray::ArrayD;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::Range;
@@ -95,9 +96,7 @@ impl Network {
                 Layer::Linear { shape: [inputs, outputs], .. } => {
                     vec![(name("weight"), vec![*outputs, *inputs]), (name("bias"), vec![*outputs])]
                 }
-                Layer::Block { .. } => {
-                    NAMES.into_iter().zip(PART_SHAPES).map(|(part, s)| (name(part), s.to_vec())).collect()
-                }
+                Layer::Block { .. } => PARTS.iter().map(|part| (name(part.name), part.shape.to_vec())).collect(),
             }
         };
         self.layers.iter().enumerate().flat_map(of).collect()
@@ -126,7 +125,7 @@ impl Network {
                     add(1, *outputs, Begin::Uniform(*inputs));
                 }
                 Layer::Block { .. } => {
-                    PARTS.iter().enumerate().for_each(|(part, &(count, begin))| add(part as u64, count, begin));
+                    PARTS.iter().enumerate().for_each(|(number, part)| add(number as u64, part.len(), part.begin));
                 }
             }
         }
@@ -249,4 +248,21 @@ impl Layer {
             Self::Linear { parameters, .. } | Self::Block { parameters } => parameters,
         }
     }
+}
+
+/// Parameters as arrays of the named shapes, in order.
+///
+/// # Panics
+/// When there are fewer parameters than the shapes have elements.
+pub(super) fn split(
+    parameters: &[f64],
+    parts: impl Iterator<Item = (String, Vec<usize>)>,
+) -> Vec<(String, ArrayD<f64>)> {
+    let mut rest = parameters;
+    let own = |(name, shape): (String, Vec<usize>)| {
+        let (own, others) = rest.split_at(shape.iter().product());
+        rest = others;
+        (name, ArrayD::from_shape_vec(shape, own.to_vec()).expect("as many numbers as the shape has"))
+    };
+    parts.map(own).collect()
 }

@@ -3,7 +3,7 @@
 use super::activation::{leaky, leaky_slope, sigmoid};
 use super::encoding::{Encoding, FEATURES, Level};
 use super::linear::stride;
-use super::network::{Network, Trace, Weights};
+use super::network::{Network, Trace, Weights, split};
 use super::rays::{self, MeasuredRay};
 use crate::classical::algebraic::{Pass, VoxelRun, VoxelState};
 use crate::error::{Error, Result};
@@ -384,15 +384,8 @@ impl<'a, R: Real> NeuralRun<'a, R> {
 
     /// All parameters by name; weights are `[outputs, inputs]`, and a level of the table is `[entries, features]`.
     pub fn named_parameters(&self) -> Vec<(String, ArrayD<f64>)> {
-        let mut rest = self.parameters.as_slice();
-        let mut take = |(name, shape): (String, Vec<usize>)| {
-            let (own, others) = rest.split_at(shape.iter().product());
-            rest = others;
-            (name, ArrayD::from_shape_vec(shape, own.to_vec()).expect("as many numbers as the shape has"))
-        };
-        let mut all: Vec<_> = self.model.encoding.layout().into_iter().map(&mut take).collect();
-        all.extend(self.model.network.layout().into_iter().map(take));
-        all
+        let parts = self.model.encoding.layout().into_iter().chain(self.model.network.layout());
+        split(&self.parameters, parts)
     }
 
     /// A step; returns the mean squared error of its rays before it.

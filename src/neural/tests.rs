@@ -99,7 +99,7 @@ fn plain(kind: Kind, settings: &NeuralSettings, parameters: &[f64], points: &[[f
     let mut x = codes.clone();
     for k in 0..count {
         if k == 1 && kind == Kind::SaxNerf {
-            let parts: Vec<Vec<f64>> = PARTS.iter().map(|part| take(part.0)).collect();
+            let parts: Vec<Vec<f64>> = PARTS.iter().map(|part| take(part.len())).collect();
             x = plain_block(&parts, &x).into_iter().map(|x| x.into_iter().map(leaky).collect()).collect();
             continue;
         }

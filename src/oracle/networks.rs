@@ -6,7 +6,7 @@ use super::question::Question;
 use crate::error::Result;
 use crate::neural::conformance;
 use crate::numeric::Real;
-use ndarray::{ArrayD, Ix2, Ix3};
+use ndarray::{Ix2, Ix3};
 
 fn level(q: &Question) -> Result<[u32; 2]> {
     Ok([q.integer("resolution")? as u32, q.integer("entries")? as u32])
@@ -44,14 +44,8 @@ pub(super) fn lineformer_vjp<R: Real>(q: &Question) -> Result<Outputs> {
     let parameters = q.joined("parameters", conformance::lineformer_parts())?;
     let (x, cotangent) = (q.array::<Ix3>("x")?, q.array::<Ix3>("cotangent")?);
     let (gradient, to_x) = conformance::lineformer_vjp::<R>(&parameters, x.view(), cotangent.view());
-    let mut rest = gradient.as_slice();
-    let mut arrays = Arrays::from([("x".to_owned(), to_x.into_dyn())]);
-    for (name, shape) in conformance::lineformer_parts() {
-        let (own, others) = rest.split_at(shape.iter().product());
-        rest = others;
-        let array = ArrayD::from_shape_vec(shape, own.to_vec()).expect("as many numbers as the shape has");
-        arrays.insert(name.to_owned(), array);
-    }
+    let mut arrays: Arrays = gradient.into_iter().collect();
+    arrays.insert("x".to_owned(), to_x.into_dyn());
     Ok([("grad".to_owned(), arrays)].into())
 }
 
