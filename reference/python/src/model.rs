@@ -411,7 +411,11 @@ impl AlphaArgument {
 /// ValueError
 ///     For a setting that is not positive.
 #[pyfunction]
-#[pyo3(name = "confidence", signature = (model, scanner, angles, *, sphere_points = 512, r_max = 0.5, kappa = 1.0, alpha = AlphaArgument::Word("own".into())))]
+#[pyo3(
+    name = "confidence",
+    signature = (model, scanner, angles, *, sphere_points = 512, r_max = 0.5, kappa = 1.0, alpha = AlphaArgument::Word("own".into())),
+    text_signature = "(model, scanner, angles, *, sphere_points=512, r_max=0.5, kappa=1.0, alpha='own')",
+)]
 #[allow(clippy::too_many_arguments)]
 pub(crate) fn ray_confidence<'py>(
     py: Python<'py>,
