@@ -19,6 +19,7 @@ mod messages;
 #[cfg(feature = "oracle")]
 mod oracle;
 mod output;
+mod pace;
 mod reconstruct;
 mod render;
 mod report;

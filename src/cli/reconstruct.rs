@@ -3,6 +3,7 @@
 use super::arguments::{choice, positive, seed};
 use super::evaluate::answer;
 use super::messages::{ProgressBar, warning};
+use super::pace::Pace;
 use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Global, Output, check_size, interrupt};
 use bytesize::ByteSize;
@@ -13,10 +14,9 @@ use std::time::Instant;
 use trgs::config::{Config, Method, Precision, Preset, Start};
 use trgs::evaluation::Metrics;
 use trgs::memory::Estimate;
-use trgs::numeric::elementary::pow;
 use trgs::numeric::threads;
 use trgs::projector::Projection;
-use trgs::reconstruction::{Checkpoint, Checkpoints, PILOT_PART, Progress, Reconstruction, Run, evaluate};
+use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume, plausibility};
 use trgs::train::{primitives_of_model, with_points_of_model};
@@ -254,18 +254,18 @@ pub(super) fn reconstruct(
         }
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
-        let (mut passes, mut pace) = (Vec::new(), Pace::default());
-        let run = Run::new(dataset, config).observe(|step| match step {
-            Progress::Iteration(iteration, record) => {
-                pace.tell(iteration, config);
-                bar.observe(iteration, record)
-            }
-            Progress::Choosing(key, trial) => bar.trial(key, trial),
-            Progress::Pass(pass) if config.method.fits_primitives() => bar.finish(pass),
-            Progress::Pass(pass) => {
-                let seconds = began.elapsed().as_secs_f64();
-                passes.push(TimedPass { pass: pass.clone(), seconds });
-                bar.pass(pass, seconds)
+        let (mut passes, mut pace) = (Vec::new(), Pace::new(config));
+        let run = Run::new(dataset, config).observe(|step| {
+            pace.tell(&step);
+            match step {
+                Progress::Iteration(iteration, record) => bar.observe(iteration, record),
+                Progress::Choosing(key, trial) => bar.trial(key, trial),
+                Progress::Pass(pass) if config.method.fits_primitives() => bar.finish(pass),
+                Progress::Pass(pass) => {
+                    let seconds = began.elapsed().as_secs_f64();
+                    passes.push(TimedPass { pass: pass.clone(), seconds });
+                    bar.pass(pass, seconds)
+                }
             }
         });
         let run = match checkpoints {
@@ -306,37 +306,6 @@ pub(super) fn reconstruct(
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })
-}
-
-/// Measures the time of early iterations and predicts the total.
-#[derive(Default)]
-struct Pace {
-    from: Option<Instant>,
-}
-
-impl Pace {
-    /// The iterations between which the time is measured.
-    const MEASURED: [usize; 2] = [10, 40];
-    /// The time of an iteration is proportional to this power of the number of primitives.
-    const POWER: f64 = 0.8;
-
-    /// Reports once, as early as possible, how long a run that fits primitives will take.
-    fn tell(&mut self, iteration: usize, config: &Config) {
-        let [from, to] = Self::MEASURED;
-        if iteration == from {
-            self.from = Some(Instant::now());
-        }
-        let Some(began) = self.from.filter(|_| iteration == to) else { return };
-        let points = config.model.points as f64;
-        let growth = pow(config.mean_population(config.model.points) / points, Self::POWER);
-        let seconds = began.elapsed().as_secs_f64() / (to - from) as f64 * growth * config.iterations as f64;
-        let (pilot, also) = match config.has_pilot() {
-            true => (PILOT_PART * seconds, format!(", the pilot run {:.0} s", PILOT_PART * seconds)),
-            false => (0.0, String::new()),
-        };
-        let text = format!("{} iterations will take about {seconds:.0} s{also}", config.iterations);
-        tracing::info!(seconds = seconds + pilot, "{text}");
-    }
 }
 
 /// Bytes of memory of this machine, if the system states them in a file.

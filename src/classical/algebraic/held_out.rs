@@ -26,6 +26,8 @@ const FEWEST_FOLDS: usize = 3;
 const FIRST: f64 = 1e-3;
 const FACTOR: f64 = 4.0;
 const MOST_NEIGHBOURS: i32 = 5;
+/// Fewest reconstructions of a choice by [`choose_weight`]: three weights in each fold held out.
+pub const FEWEST_TRIALS: usize = 3 * WEIGHT_FOLDS.div_ceil(2);
 /// Number of folds for a number of passes; one of them is held out.
 const PASS_FOLDS: usize = 4;
 /// Number of folds of a pilot run; one of them is held out.

@@ -28,7 +28,7 @@ mod voxel_run;
 
 pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
 pub use cgls::{CglsRun, cgls};
-pub use held_out::{Choice, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
+pub use held_out::{Choice, FEWEST_TRIALS, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
 pub use sart::{SartRun, SartSettings, sart};
 pub use tv::{TvRun, TvSettings, tv};
