@@ -37,7 +37,7 @@ fn embed_vectors() -> io::Result<()> {
 }
 
 fn main() {
-    if env::var_os("CARGO_FEATURE_ORACLE").is_some() {
+    if env::var_os("CARGO_FEATURE_VECTORS").is_some() {
         embed_vectors().expect("the vectors can be read");
     }
     // Files that are added are built in, too.

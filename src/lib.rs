@@ -55,7 +55,8 @@
 //! | feature | adds |
 //! |---|---|
 //! | `cli` | the program `trgs` |
-//! | `oracle` | the module `oracle`: conformance vectors for other implementations |
+//! | `oracle` | the module `oracle`: the judge of other implementations, with conformance vectors from a folder |
+//! | `vectors` | these vectors are built in |
 //! | `plots` | plots on the pages of the paper's tables |
 //! | `dicom` | the reader of DICOM series |
 //!

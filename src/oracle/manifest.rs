@@ -95,7 +95,10 @@ pub struct Manifest {
 pub type Arrays = BTreeMap<String, ArrayD<f64>>;
 
 /// The vectors built into the program.
+#[cfg(feature = "vectors")]
 static EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/vectors.rs"));
+#[cfg(not(feature = "vectors"))]
+static EMBEDDED: &[(&str, &[u8])] = &[];
 
 /// Conformance vectors from a folder or built in.
 #[derive(Clone, Debug)]
@@ -111,7 +114,7 @@ impl Vectors {
     /// The vectors built into this program.
     ///
     /// # Errors
-    /// None in a program that passed its tests.
+    /// [`Error::Read`] without the feature `vectors`.
     pub fn embedded() -> Result<Self> {
         Self::new(None)
     }
@@ -234,7 +237,11 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
         None => match EMBEDDED.binary_search_by_key(&file, |(path, _)| path) {
             Ok(index) => Ok(EMBEDDED[index].1.into()),
             Err(_) => {
-                let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the built-in vectors");
+                let text = match EMBEDDED {
+                    [] => "this program was built without the feature `vectors`; read them from a folder",
+                    _ => "not among the built-in vectors",
+                };
+                let missing = std::io::Error::new(std::io::ErrorKind::NotFound, text);
                 Err(Error::read(Path::new(file), missing))
             }
         },

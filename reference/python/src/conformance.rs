@@ -16,13 +16,22 @@ const LEVELS: [(&str, Level); 3] = [("core", Level::Core), ("optional", Level::O
 const FORMATS: [(&str, Format); 4] =
     [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
 
+static VECTORS: OnceLock<Vectors> = OnceLock::new();
+
 fn vectors() -> PyResult<&'static Vectors> {
-    static VECTORS: OnceLock<Vectors> = OnceLock::new();
     if let Some(vectors) = VECTORS.get() {
         return Ok(vectors);
     }
     let vectors = Vectors::embedded().map_err(raise)?;
     Ok(VECTORS.get_or_init(|| vectors))
+}
+
+/// Takes the vectors from a folder, unless some are in use already.
+#[pyfunction]
+pub(crate) fn conformance_open(folder: PathBuf) -> PyResult<()> {
+    let vectors = Vectors::open(&folder).map_err(raise)?;
+    VECTORS.get_or_init(|| vectors);
+    Ok(())
 }
 
 fn case<'a>(vectors: &'a Vectors, id: &str) -> PyResult<&'a Case> {

@@ -26,7 +26,8 @@ mod _core {
     };
     #[pymodule_export]
     use crate::conformance::{
-        conformance_cases, conformance_check, conformance_export, conformance_input, conformance_truth,
+        conformance_cases, conformance_check, conformance_export, conformance_input, conformance_open,
+        conformance_truth,
     };
     #[pymodule_export]
     use crate::geometry::{Grid, Scanner};

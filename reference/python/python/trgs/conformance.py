@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -29,12 +30,18 @@ from ._core import (
     conformance_check,
     conformance_export,
     conformance_input,
+    conformance_open,
     conformance_truth,
 )
 
 Level = Literal["core", "optional", "stress"]
 Precision = Literal["f64", "f32", "f16", "bf16"]
 Answer = ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike]
+
+# A wheel with several extension modules carries the vectors as files. Otherwise they are part of the module.
+_FOLDER = Path(__file__).with_name("vectors")
+if _FOLDER.is_dir():
+    conformance_open(_FOLDER)
 
 _GROUPS = ("mean", "scale", "quaternion", "density", "nu")
 
