@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -317,3 +318,27 @@ def test_the_ten_lines_of_a_backend_run(tmp_path):
     )
     run = subprocess.run([sys.executable, "-m", "pytest", "-q", str(test)], capture_output=True, text=True)
     assert run.returncode == 0 and "17 passed" in run.stdout, run.stdout
+
+
+def test_vectors_of_a_folder_are_those_of_the_module(tmp_path):
+    with pytest.raises(FileNotFoundError, match="manifest.json"):
+        trgs._core.conformance_open(tmp_path)
+    folder = Path(__file__).parents[2] / "vectors"
+    if not folder.is_dir():
+        pytest.skip("needs the vectors of a checkout, reference/vectors")
+    digests = "".join(
+        "import hashlib, sys\nfrom trgs import _core\n"
+        "if len(sys.argv) > 1: _core.conformance_open(sys.argv[1])\n"
+        "from trgs import conformance\n"
+        "for case in conformance.find(level='stress'):\n"
+        "    for role in case.output_names:\n"
+        "        truth = _core.conformance_truth(case.id, role)\n"
+        "        arrays = truth if isinstance(truth, dict) else {'': truth}\n"
+        "        for name, array in sorted(arrays.items()): print(case.id, role, name, hashlib.sha256(array.tobytes()).hexdigest())\n"
+    )
+    of_folder, of_module = (
+        subprocess.run([sys.executable, "-c", digests, *more], capture_output=True, text=True, check=True).stdout
+        for more in ([str(folder)], [])
+    )
+    assert len(of_module.splitlines()) > 400
+    assert of_folder == of_module
