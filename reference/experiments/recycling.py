@@ -4,8 +4,8 @@
 
 Every setting runs the rows with adding and recycling of `trgs table optimiser --size 64 --matched ray --set ...`: Adam, both
 methods, fifteen phantoms. Their difference to the rows with adaptive density control, which do not depend on these keys, is
-printed as a Markdown table with its standard error and R²-Gaussian's mean populations at the end. Finished cells are not run again. Needs Python 3.11 and nothing else;
-`cargo build --release` first.
+printed as a Markdown table with its standard error and R²-Gaussian's mean populations at the end. Finished cells are not run
+again. Needs Python 3.11 and nothing else; `cargo build --release` first.
 """
 
 import argparse

@@ -9,6 +9,8 @@ use trgs::reconstruction::{PILOT_PART, Progress};
 /// Measures the time of early iterations and reports the predicted total once.
 pub(super) struct Pace<'a> {
     config: &'a Config,
+    /// Iterations of the checkpoint that the run continues; its passes are reported again, in no time.
+    done: usize,
     /// Steps of a method on voxels or of its choice.
     steps: usize,
     from: Option<Instant>,
@@ -24,8 +26,8 @@ impl<'a> Pace<'a> {
     /// A method on voxels that takes fewer seconds says nothing.
     const LONG: f64 = 10.0;
 
-    pub(super) fn new(config: &'a Config) -> Self {
-        Self { config, steps: 0, from: None }
+    pub(super) fn new(config: &'a Config, done: usize) -> Self {
+        Self { config, done, steps: 0, from: None }
     }
 
     pub(super) fn tell(&mut self, step: &Progress<'_>) {
@@ -37,7 +39,9 @@ impl<'a> Pace<'a> {
                 }
             }
             Progress::Choosing(_, None) if is_on_voxels => self.tell_of_voxels(self.config.iterations, true),
-            Progress::Pass(pass) if is_on_voxels => self.tell_of_voxels(pass.iterations, false),
+            Progress::Pass(pass) if is_on_voxels && pass.iteration > self.done => {
+                self.tell_of_voxels(pass.iterations - self.done, false);
+            }
             Progress::Choosing(..) | Progress::Pass(_) => {}
         }
     }
@@ -94,6 +98,25 @@ fn of_voxels(step: f64, iterations: usize, is_choosing: bool) -> Option<(f64, St
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trgs::classical::algebraic::Pass;
+    use trgs::config::Method;
+
+    #[test]
+    fn passes_of_a_checkpoint_are_not_measured() {
+        let config = Config::of(Method::Sart);
+        let mut pace = Pace::new(&config, 3);
+        let mut see = |iteration| {
+            pace.tell(&Progress::Pass(&Pass {
+                iteration,
+                iterations: 20,
+                residual: 1.0,
+                objective: None,
+                change: None,
+            }));
+            (pace.steps, pace.from.is_some())
+        };
+        assert_eq!([1, 2, 3, 4].map(&mut see), [(0, false), (0, false), (0, false), (1, true)]);
+    }
 
     #[test]
     fn a_long_run_on_voxels_says_what_it_costs() {

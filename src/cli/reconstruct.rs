@@ -254,7 +254,9 @@ pub(super) fn reconstruct(
         }
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
-        let (mut passes, mut pace) = (Vec::new(), Pace::new(config));
+        let done =
+            checkpoints.as_ref().and_then(|checkpoints| checkpoints.from.as_ref()).map_or(0, Checkpoint::iteration);
+        let (mut passes, mut pace) = (Vec::new(), Pace::new(config, done));
         let run = Run::new(dataset, config).observe(|step| {
             pace.tell(&step);
             match step {
