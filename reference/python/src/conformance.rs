@@ -26,12 +26,16 @@ fn vectors() -> PyResult<&'static Vectors> {
     Ok(VECTORS.get_or_init(|| vectors))
 }
 
-/// Takes the vectors from a folder, unless some are in use already.
+/// Takes the vectors from a folder. Those in use cannot be replaced by others.
 #[pyfunction]
 pub(crate) fn conformance_open(folder: PathBuf) -> PyResult<()> {
     let vectors = Vectors::open(&folder).map_err(raise)?;
-    VECTORS.get_or_init(|| vectors);
-    Ok(())
+    let digest = vectors.digest.clone();
+    if VECTORS.get_or_init(|| vectors).digest == digest {
+        return Ok(());
+    }
+    let got = format!("{}, which has others than those in use", folder.display());
+    Err(crate::arrays::wrong_value("folder", got, "the vectors in use", "open it first, in a new process"))
 }
 
 fn case<'a>(vectors: &'a Vectors, id: &str) -> PyResult<&'a Case> {

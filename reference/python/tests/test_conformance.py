@@ -323,6 +323,11 @@ def test_the_ten_lines_of_a_backend_run(tmp_path):
 def test_vectors_of_a_folder_are_those_of_the_module(tmp_path):
     with pytest.raises(FileNotFoundError, match="manifest.json"):
         trgs._core.conformance_open(tmp_path)
+    conformance.find()
+    other = tmp_path / "core"
+    conformance.export(other, level="core")
+    with pytest.raises(ValueError, match="in use"):
+        trgs._core.conformance_open(other)
     folder = Path(__file__).parents[2] / "vectors"
     if not folder.is_dir():
         pytest.skip("needs the vectors of a checkout, reference/vectors")
