@@ -2,7 +2,7 @@
 
 use super::{
     AlgebraicConfig, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method, NeuralConfig, NeuralOutput,
-    PositionOptimiser, Preset, Sampling, Start, TvConfig,
+    PositionOptimiser, Preset, Sampling, Start, TvConfig, VoxelPartner,
 };
 use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
 use crate::neural::NeuralSettings;
@@ -120,6 +120,7 @@ impl Config {
             drop,
             output,
             ceiling,
+            partner,
         } = self.neural;
         let kind = self.method.network().expect("a method with a network");
         let (iterations, seed) = (self.iterations, self.seed);
@@ -138,6 +139,7 @@ impl Config {
             drop,
             is_bounded,
             ceiling,
+            pairs_neighbours: partner == VoxelPartner::Neighbour,
             seed,
         }
     }

@@ -12,7 +12,7 @@ mod text;
 mod validate;
 
 pub use auto::Auto;
-pub use parts::{AlphaConfig, AlphaReading, NeuralConfig, NeuralOutput};
+pub use parts::{AlphaConfig, AlphaReading, NeuralConfig, NeuralOutput, VoxelPartner};
 
 use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettings};
 use crate::classical::{RayModel, Turn, Window};

@@ -64,6 +64,9 @@ pub struct NeuralConfig {
     /// Largest density of the sigmoid, in units of the scan.
     #[default = 1.25]
     pub ceiling: f64,
+    /// What a voxel is paired with in SAX-NeRF's block: itself, or its neighbour along z as in the original program.
+    #[default(VoxelPartner::Itself)]
+    pub partner: VoxelPartner,
 }
 
 /// What makes a density of a network's output.
@@ -74,4 +77,15 @@ pub enum NeuralOutput {
     Sigmoid,
     /// A leaky rectifier.
     Relu,
+}
+
+/// What a voxel is paired with when the volume of a SAX-NeRF is read off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum VoxelPartner {
+    /// Itself.
+    #[serde(rename = "self")]
+    Itself,
+    /// The next or the last along z.
+    #[serde(rename = "z")]
+    Neighbour,
 }

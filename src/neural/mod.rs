@@ -28,8 +28,8 @@
 //! - rays of air are seen, too (`neural.air`): theirs are drawn where the value is above 0, which tells nothing about what lies
 //!   beside the object in a scan without noise;
 //! - no jitter and no checkpoint chosen by the truth when the volume is read off;
-//! - SAX-NeRF's block sees pairs of points along a ray in training. Of voxels it sees pairs along z, as there; the last of an
-//!   odd number is paired with itself;
+//! - SAX-NeRF's block sees pairs of points along a ray in training. A voxel is paired with itself when the volume is read off,
+//!   so its density depends on its position alone; theirs is paired with its neighbour along z (`neural.partner`);
 //! - levels, table and samples follow from the number of voxels (`neural.*`), theirs are for 256³;
 //! - a sigmoid reaches `neural.ceiling` units instead of 1;
 //! - random numbers depend on seed, step and ray only.

@@ -69,6 +69,8 @@ pub struct NeuralSettings {
     pub is_bounded: bool,
     /// Largest density, in units of the scan.
     pub ceiling: f64,
+    /// Whether the block sees a voxel with its neighbour along z, else with itself.
+    pub pairs_neighbours: bool,
     /// Seed of all random choices.
     pub seed: u64,
 }
@@ -498,21 +500,25 @@ impl<R: Real> VoxelRun for NeuralRun<'_, R> {
     fn into_volume(self: Box<Self>) -> Result<Volume> {
         let field: Field<R> = self.model.field(&self.parameters);
         let [nx, ny, nz] = self.grid.shape;
-        // Pairs are along z; the last of an odd number is paired with itself.
-        let even = nz.next_multiple_of(self.model.points_of_lane());
-        let columns = (VOXELS / nz).max(1);
+        let side = self.model.points_of_lane();
+        let pairs_neighbours = self.settings.pairs_neighbours;
+        // Points of a column; the last of an odd number of neighbours is paired with itself.
+        let points = if pairs_neighbours { nz.next_multiple_of(side) } else { nz * side };
+        let columns = (VOXELS / points).max(1);
         let mut values = vec![0.0_f32; nx * ny * nz];
         threads::for_each_chunk(&mut values, columns * nz, |chunk, values| {
             let mut buffers = self.buffers.take();
             let centre = |n: usize| {
-                let (column, z) = (chunk * columns + n / even, (n % even).min(nz - 1));
+                let (column, point) = (chunk * columns + n / points, n % points);
+                let z = if pairs_neighbours { point.min(nz - 1) } else { point / side };
                 let index = [column / ny, column % ny, z].map(|i| i as f64 + 0.5);
                 self.grid.min + DVec3::from_array(index) * self.grid.spacing
             };
-            let places: Vec<DVec3> = (0..values.len() / nz * even).map(centre).collect();
+            let places: Vec<DVec3> = (0..values.len() / nz * points).map(centre).collect();
             let densities = self.model.densities_of(&field, &self.grid, &places, &mut buffers);
             for (n, value) in values.iter_mut().enumerate() {
-                *value = (densities[n / nz * even + n % nz] * self.unit) as f32;
+                let point = if pairs_neighbours { n % nz } else { n % nz * side };
+                *value = (densities[n / nz * points + point] * self.unit) as f32;
             }
         });
         Volume::new(self.grid, Array3::from_shape_vec(self.grid.shape, values).expect("a value for each voxel"))

@@ -31,6 +31,7 @@ fn settings(kind: Kind) -> NeuralSettings {
         drop: 1000,
         is_bounded: true,
         ceiling: 1.25,
+        pairs_neighbours: false,
         seed: 5,
     }
 }
@@ -292,6 +293,32 @@ fn the_number_of_threads_changes_no_bit_and_a_state_goes_on_to_the_same() {
         assert!(once.iter().all(|value| *value >= 0.0) && once.iter().any(|value| *value != once[[0, 0, 0]]));
         assert!(train(3, 0) == once && train(2, 2) == once, "{kind:?}");
     }
+}
+
+#[test]
+fn a_voxel_has_itself_or_its_neighbour_as_partner() {
+    // Nine slices: the last has no neighbour that is left.
+    let scan = scan(10, 2);
+    let grid = scan.scanner.grid;
+    let place = |index: [usize; 3]| std::array::from_fn(|axis| (index[axis] as f64 + 0.5) / grid.shape[axis] as f64);
+    let volumes = [false, true].map(|pairs_neighbours| {
+        let settings = NeuralSettings { pairs_neighbours, ..settings(Kind::SaxNerf) };
+        let mut run = run::<f64>(&scan, settings);
+        run.parameters = parameters(&run.model, 6);
+        let values = run.parameters.clone();
+        let found = Box::new(run).into_volume().unwrap().values;
+        for (z, partner) in [(0, 1), (1, 0), (6, 7), (7, 6), (8, 8)] {
+            let index = [4, 5, z];
+            let partner = [4, 5, if pairs_neighbours { partner } else { z }];
+            let pair = if z % 2 == 0 { [place(index), place(partner)] } else { [place(partner), place(index)] };
+            let expected = plain(Kind::SaxNerf, &settings, &values, &pair, (grid.size() / 2.0).to_array())[z % 2] * 0.7;
+            within!((f64::from(found[index]) - expected).abs(), "{pairs_neighbours} {index:?}");
+        }
+        found
+    });
+    let differences = (&volumes[0] - &volumes[1]).mapv(f32::abs);
+    beyond!("difference", f64::from(differences.iter().fold(0.0_f32, |top, &value| top.max(value))));
+    assert!(differences.index_axis(ndarray::Axis(2), 8).iter().all(|difference| *difference == 0.0));
 }
 
 #[test]
