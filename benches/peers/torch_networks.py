@@ -19,7 +19,6 @@ import trgs
 import trgs.networks
 
 JOINED = {"naf": 2, "sax-nerf": 2, "intratomo": 4}
-FEW, MANY = 10, 40
 
 
 def corner_entries(points, resolution, count):
@@ -89,7 +88,7 @@ class Field(torch.nn.Module):
         return self.ceiling * torch.sigmoid(x[:, 0])
 
 
-def torch_seconds(field, batches, settings):
+def torch_seconds(field, batches, settings, few_steps, many_steps):
     """Seconds of a step of PyTorch."""
     ready = [[torch.tensor(array, dtype=torch.float32) for array in batch] for batch in batches]
     tables = [tensor for tensor in field.tensors.values() if any(tensor is table for table in field.tables)]
@@ -110,11 +109,11 @@ def torch_seconds(field, batches, settings):
             adam.step()
         return time.perf_counter() - began, loss.item()
 
-    few, (many, loss) = run(FEW)[0], run(MANY)
-    return (many - few) / (MANY - FEW), loss
+    few, (many, loss) = run(few_steps)[0], run(many_steps)
+    return (many - few) / (many_steps - few_steps), loss
 
 
-def trgs_seconds(scan, method):
+def trgs_seconds(scan, method, few_steps, many_steps):
     """Seconds of a step of trgs."""
 
     def run(steps):
@@ -122,13 +121,14 @@ def trgs_seconds(scan, method):
         trgs.reconstruct(scan, method, iterations=steps)
         return time.perf_counter() - began
 
-    few, many = run(FEW), run(MANY)
-    return (many - few) / (MANY - FEW)
+    few, many = run(few_steps), run(many_steps)
+    return (many - few) / (many_steps - few_steps)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--steps", type=int, nargs=2, default=[10, 40], metavar=("FEW", "MANY"))
     parser.add_argument("--methods", nargs="+", default=list(JOINED), choices=list(JOINED))
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
@@ -144,8 +144,8 @@ def main():
         ours, theirs = [], []
         for _ in range(3):
             field = Field(steps.begin, settings, half_sides, JOINED[method])
-            ours.append(trgs_seconds(scan, method))
-            seconds, loss = torch_seconds(field, steps.batches, settings)
+            ours.append(trgs_seconds(scan, method, *arguments.steps))
+            seconds, loss = torch_seconds(field, steps.batches, settings, *arguments.steps)
             assert np.isfinite(loss), "a loss that is not a number"
             theirs.append(seconds)
         rays, samples = steps.batches[0].lengths.shape
