@@ -166,6 +166,8 @@ struct Sizes {
     /// Voxels of a slice across x.
     slice: usize,
     slices: usize,
+    /// Voxels along z.
+    column: usize,
     /// Primitives at the start.
     points: usize,
     /// Largest number of primitives.
@@ -191,6 +193,7 @@ impl Sizes {
             voxels: grid.voxels(),
             slice: grid.shape[1] * grid.shape[2],
             slices: grid.shape[0],
+            column: grid.shape[2],
             points,
             most: most_primitives(points, config),
             test: scan.test,
@@ -356,7 +359,7 @@ impl Sizes {
     /// The unit of density comes from SART in f32 before.
     fn neural(&self, config: &Config) -> Phase {
         let settings = config.neural();
-        let sizes = crate::neural::sizes(&settings);
+        let sizes = crate::neural::sizes(&settings, self.column);
         let parameters = sizes.table + sizes.network;
         let rays = settings.rays + settings.windows * settings.window * settings.window;
         let allocations = vec![

@@ -162,17 +162,29 @@ pub struct Sizes {
     pub bundles: usize,
 }
 
-/// The sizes of a run.
-pub fn sizes(settings: &NeuralSettings) -> Sizes {
+/// The sizes of a run whose volume has columns of `column` voxels.
+pub fn sizes(settings: &NeuralSettings, column: usize) -> Sizes {
     let (encoding, network) = parts(settings);
     let rays = settings.rays + settings.windows * settings.window * settings.window;
     Sizes {
         table: encoding.parameters(),
         network: network.parameters(),
         computed: if network.has_block() { 1300 } else { 600 },
-        together: settings.samples.max(TOGETHER).max(VOXELS),
+        // A task of the volume has whole columns.
+        together: settings.samples.max(TOGETHER).max(VOXELS).max(points_of_column(settings, &network, column)),
         bundles: rays.div_ceil(BUNDLE),
     }
+}
+
+/// Points at which a column of voxels is read off; the last of an odd number of neighbours is paired with itself.
+fn points_of_column(settings: &NeuralSettings, network: &Network, column: usize) -> usize {
+    let side = points_of_lane(network);
+    if settings.pairs_neighbours { column.next_multiple_of(side) } else { column * side }
+}
+
+/// Points that a lane has: one, or a pair in two rows.
+fn points_of_lane(network: &Network) -> usize {
+    if network.has_block() { 2 } else { 1 }
 }
 
 fn parts(settings: &NeuralSettings) -> (Encoding, Network) {
@@ -215,14 +227,9 @@ impl Model {
         Field { table: table.iter().map(|&value| real(value)).collect(), weights: self.network.weights(network) }
     }
 
-    /// Samples that a row has: one, or a pair in two rows.
-    fn points_of_lane(&self) -> usize {
-        if self.network.has_block() { 2 } else { 1 }
-    }
-
     /// Points in registers, padded by the first: sample n of a pair is in row `2g + n%2`.
     fn registers<R: Real>(&self, grid: &Grid, points: &[DVec3]) -> Vec<[R::Lanes; 3]> {
-        let side = self.points_of_lane();
+        let side = points_of_lane(&self.network);
         let group = R::Lanes::WIDTH * side;
         let size = grid.size();
         let row = |row: usize| {
@@ -239,7 +246,7 @@ impl Model {
 
     /// Where sample n is among the scalars of the registers.
     fn place<R: Real>(&self, n: usize) -> usize {
-        let side = self.points_of_lane();
+        let side = points_of_lane(&self.network);
         let group = R::Lanes::WIDTH * side;
         (n / group * side + n % side) * R::Lanes::WIDTH + n % group / side
     }
@@ -500,10 +507,9 @@ impl<R: Real> VoxelRun for NeuralRun<'_, R> {
     fn into_volume(self: Box<Self>) -> Result<Volume> {
         let field: Field<R> = self.model.field(&self.parameters);
         let [nx, ny, nz] = self.grid.shape;
-        let side = self.model.points_of_lane();
+        let side = points_of_lane(&self.model.network);
         let pairs_neighbours = self.settings.pairs_neighbours;
-        // Points of a column; the last of an odd number of neighbours is paired with itself.
-        let points = if pairs_neighbours { nz.next_multiple_of(side) } else { nz * side };
+        let points = points_of_column(&self.settings, &self.model.network, nz);
         let columns = (VOXELS / points).max(1);
         let mut values = vec![0.0_f32; nx * ny * nz];
         threads::for_each_chunk(&mut values, columns * nz, |chunk, values| {

@@ -4,7 +4,7 @@ use super::block::PARTS;
 use super::encoding::{Encoding, FEATURES, Level};
 use super::network::HIDDEN;
 use super::run::Model;
-use super::{Kind, NeuralRun, NeuralSettings};
+use super::{Kind, NeuralRun, NeuralSettings, sizes};
 use crate::classical::algebraic::VoxelRun;
 use crate::evaluation::psnr_3d;
 use crate::numeric::{Real, threads};
@@ -365,6 +365,17 @@ fn points_of_a_ray_lie_in_the_box_in_order_and_stand_for_its_length() {
         let total: f64 = points.iter().map(|point| point.1).sum();
         within!((total - (along[11] - along[0])).abs());
     }
+}
+
+/// A column of 601 voxels is more than a task of the volume has otherwise, if each of its points is a pair.
+#[test]
+fn the_samples_of_a_long_column_are_counted() {
+    let together = |kind: Kind, pairs_neighbours: bool, column: usize| {
+        sizes(&NeuralSettings { pairs_neighbours, ..settings(kind) }, column).together
+    };
+    assert_eq!([false, true].map(|pairs| together(Kind::SaxNerf, pairs, 601)), [1202, 1024]);
+    assert_eq!([false, true].map(|pairs| together(Kind::SaxNerf, pairs, 1601)), [3202, 1602]);
+    assert_eq!([300, 1601].map(|column| together(Kind::Naf, false, column)), [1024, 1601]);
 }
 
 #[test]
