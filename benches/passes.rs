@@ -248,7 +248,7 @@ fn all(c: &mut Criterion) {
         let batch = run.batch();
         let samples = batch.lengths.len() as f64;
         println!("{name}: {} rays of {} samples", batch.values.len(), settings.samples);
-        let operations = 3.0 * sizes(&settings).network as f64 * samples / f32s;
+        let operations = 3.0 * sizes(&settings, scan.scanner.grid.shape[2]).network as f64 * samples / f32s;
         let run = RefCell::new(run);
         pass(name, Work { operations, ..Work::default() }, &|| {
             black_box(run.borrow_mut().train());
