@@ -83,6 +83,11 @@ impl Network {
         self.layers.iter().any(|layer| matches!(layer, Layer::Block { .. }))
     }
 
+    /// Points that a lane has: one, or a pair in two rows.
+    pub(super) fn points_of_lane(&self) -> usize {
+        if self.has_block() { 2 } else { 1 }
+    }
+
     /// Number of parameters.
     pub(super) fn parameters(&self) -> usize {
         self.layers.last().map_or(0, |layer| layer.parameters().end)

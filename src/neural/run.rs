@@ -178,13 +178,8 @@ pub fn sizes(settings: &NeuralSettings, column: usize) -> Sizes {
 
 /// Points at which a column of voxels is read off; the last of an odd number of neighbours is paired with itself.
 fn points_of_column(settings: &NeuralSettings, network: &Network, column: usize) -> usize {
-    let side = points_of_lane(network);
+    let side = network.points_of_lane();
     if settings.pairs_neighbours { column.next_multiple_of(side) } else { column * side }
-}
-
-/// Points that a lane has: one, or a pair in two rows.
-fn points_of_lane(network: &Network) -> usize {
-    if network.has_block() { 2 } else { 1 }
 }
 
 fn parts(settings: &NeuralSettings) -> (Encoding, Network) {
@@ -229,7 +224,7 @@ impl Model {
 
     /// Points in registers, padded by the first: sample n of a pair is in row `2g + n%2`.
     fn registers<R: Real>(&self, grid: &Grid, points: &[DVec3]) -> Vec<[R::Lanes; 3]> {
-        let side = points_of_lane(&self.network);
+        let side = self.network.points_of_lane();
         let group = R::Lanes::WIDTH * side;
         let size = grid.size();
         let row = |row: usize| {
@@ -246,7 +241,7 @@ impl Model {
 
     /// Where sample n is among the scalars of the registers.
     fn place<R: Real>(&self, n: usize) -> usize {
-        let side = points_of_lane(&self.network);
+        let side = self.network.points_of_lane();
         let group = R::Lanes::WIDTH * side;
         (n / group * side + n % side) * R::Lanes::WIDTH + n % group / side
     }
@@ -507,7 +502,7 @@ impl<R: Real> VoxelRun for NeuralRun<'_, R> {
     fn into_volume(self: Box<Self>) -> Result<Volume> {
         let field: Field<R> = self.model.field(&self.parameters);
         let [nx, ny, nz] = self.grid.shape;
-        let side = points_of_lane(&self.model.network);
+        let side = self.model.network.points_of_lane();
         let pairs_neighbours = self.settings.pairs_neighbours;
         let points = points_of_column(&self.settings, &self.model.network, nz);
         let columns = (VOXELS / points).max(1);
