@@ -5,7 +5,7 @@ use super::case::Case;
 use super::plot::plot;
 use super::store::Store;
 use super::summary::Summary;
-use super::text::{number, title, with_interval};
+use super::text::{number, ours, title, with_interval};
 use crate::report::{document, escape};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use std::fmt::Write;
@@ -49,7 +49,7 @@ impl Summary {
                 let _ = write!(
                     body,
                     "<td{class}>{}</td><td>{difference}</td><td>{}</td>",
-                    with_interval(figure.ours, metric, false),
+                    ours(figure, metric),
                     number(figure.paper, metric)
                 );
             }

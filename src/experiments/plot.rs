@@ -1,6 +1,6 @@
 //! Plots a metric against the varied parameter: a line per row, or one line through numbered rows.
 
-use super::summary::{Estimate, Figure, Summary};
+use super::summary::{Estimate, Summary};
 use super::table::TableRow;
 use crate::report::escape;
 use plotters::prelude::*;
@@ -37,8 +37,12 @@ pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
     let mut svg = String::new();
     draw(&mut svg, summary, &series).ok()?;
     let svg = &svg[svg.find("<svg ")?..];
-    let names = series.iter().zip(COLOURS.iter().cycle()).map(|(Series { name, ours, .. }, RGBColor(r, g, b))| {
-        let whose = if ours.is_empty() { " (the paper’s alone)" } else { "" };
+    let names = series.iter().zip(COLOURS.iter().cycle()).map(|(Series { name, ours, paper }, RGBColor(r, g, b))| {
+        let whose = match (ours.is_empty(), paper.is_empty()) {
+            (false, _) => "",
+            (true, false) => " (the paper’s alone)",
+            (true, true) => " (not finished)",
+        };
         format!("<span><b style=\"color: rgb({r} {g} {b})\">●</b> {}{whose}</span>\n", escape(name))
     });
     Some(format!("{svg}\n<p class=\"legends\">\n{}</p>", names.collect::<String>()))
@@ -62,9 +66,9 @@ fn series(summary: &Summary, column: usize) -> Vec<Series> {
             for (row, figures) in table.rows.iter().zip(&block.figures) {
                 let Some(x) = table.place(row, block.views, &block.noise) else { continue };
                 if wanted(row, &block.noise, block.views) {
-                    let Figure { ours, paper, .. } = &figures[column];
-                    series.ours.extend(ours.map(|ours| (x, ours)));
-                    series.paper.extend(paper.map(|paper| (x, paper)));
+                    let figure = &figures[column];
+                    series.ours.extend(figure.complete().map(|ours| (x, ours)));
+                    series.paper.extend(figure.paper.map(|paper| (x, paper)));
                 }
             }
         }

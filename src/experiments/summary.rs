@@ -52,16 +52,25 @@ pub struct Block {
 /// A row's value for a metric.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figure {
-    /// Our mean over cases and seeds.
+    /// Our mean over the finished cells.
     pub ours: Option<Estimate>,
-    /// Our difference from the full model, over pairs of cells.
+    /// Number of finished cells, and of all cells of the row.
+    pub cells: [usize; 2],
+    /// Our difference from the full model, over pairs of cells; only with all cells of both.
     pub difference: Option<Estimate>,
     /// The figure printed in the paper.
     pub paper: Option<f64>,
-    /// Rank among our figures in the block; 1 is the best.
+    /// Rank among our figures in the block that have all cells; 1 is the best.
     pub rank: Option<usize>,
     /// Means over seeds, one per case.
     pub by_case: Vec<Option<f64>>,
+}
+
+impl Figure {
+    /// Our mean, if all cells of the row are finished: means over other cells cannot be compared.
+    pub fn complete(&self) -> Option<Estimate> {
+        self.ours.filter(|_| self.cells[0] == self.cells[1])
+    }
 }
 
 /// A mean over cases and seeds, with its 95 % interval.
@@ -107,15 +116,17 @@ impl Summary {
         };
         for &views in &table.views {
             for level in &table.noise {
-                // [row][case][seed]
+                // [row][case][seed], and the number of cells of each row.
                 let mut found: Vec<Vec<Vec<Option<Finding>>>> = Vec::new();
+                let mut planned = Vec::new();
                 for row in &table.rows {
-                    let mut of_row = Vec::new();
+                    let (mut of_row, mut count) = (Vec::new(), 0);
                     for case in cases {
                         let mut of_case = Vec::new();
                         for seed in 0..seeds {
                             let finding = match table.cell(row, case, scale, views, level, seed) {
                                 Some(cell) => {
+                                    count += 1;
                                     let finding = store.find(&cell.id)?;
                                     summary.missing += usize::from(finding.is_none());
                                     finding
@@ -128,8 +139,9 @@ impl Summary {
                         of_row.push(of_case);
                     }
                     found.push(of_row);
+                    planned.push(count);
                 }
-                summary.blocks.push(Block::new(table, views, level, &found));
+                summary.blocks.push(Block::new(table, views, level, &found, &planned));
             }
         }
         Ok(summary)
@@ -137,7 +149,9 @@ impl Summary {
 }
 
 impl Block {
-    fn new(table: &Table, views: usize, noise: &str, found: &[Vec<Vec<Option<Finding>>>]) -> Self {
+    fn new(table: &Table, views: usize, noise: &str, found: &[Vec<Vec<Option<Finding>>>], planned: &[usize]) -> Self {
+        let finished = |row: usize| found[row].iter().flatten().flatten().count();
+        let is_complete = |row: usize| finished(row) == planned[row];
         let full = table.rows.iter().position(|row| row.name == table.full).expect("a row of the table");
         let mut figures: Vec<Vec<Figure>> = vec![Vec::new(); table.rows.len()];
         for metric in &table.metrics {
@@ -151,9 +165,11 @@ impl Block {
                 let pairs = values.iter().zip(&of_full).map(|(ours, full)| {
                     ours.iter().zip(full).map(|(ours, full)| Some((*ours)? - (*full)?)).collect::<Vec<_>>()
                 });
-                let difference = if number == full { None } else { estimate(&pairs.collect::<Vec<_>>()) };
+                let is_comparable = number != full && is_complete(number) && is_complete(full);
+                let difference = if is_comparable { estimate(&pairs.collect::<Vec<_>>()) } else { None };
                 figures[number].push(Figure {
                     ours: estimate(&values),
+                    cells: [finished(number), planned[number]],
                     difference,
                     paper: table.printed(row, views, noise, metric),
                     rank: None,
@@ -162,7 +178,7 @@ impl Block {
             }
         }
         for column in 0..table.metrics.len() {
-            let ours = |row: &[Figure]| row[column].ours.map(|estimate| estimate.mean);
+            let ours = |row: &[Figure]| row[column].complete().map(|estimate| estimate.mean);
             let all: Vec<Option<f64>> = figures.iter().map(|row| ours(row)).collect();
             for (row, value) in figures.iter_mut().zip(&all) {
                 row[column].rank = value.map(|value| 1 + all.iter().flatten().filter(|other| **other > value).count());
@@ -175,7 +191,7 @@ impl Block {
 
 impl Agreement {
     fn new(figures: &[Vec<Figure>], column: usize, full: usize) -> Self {
-        let both = |row: usize| Some((figures[row][column].ours?.mean, figures[row][column].paper?));
+        let both = |row: usize| Some((figures[row][column].complete()?.mean, figures[row][column].paper?));
         let mut agreement = Self::default();
         for a in 0..figures.len() {
             for b in a + 1..figures.len() {
@@ -261,9 +277,13 @@ mod tests {
             }]
         };
         // The paper's order is a < b < c = d; ours a < c < b < d.
-        let figures = [figure(1.0, 1.0), figure(3.0, 2.0), figure(2.0, 3.0), figure(4.0, 3.0)];
+        let mut figures = [figure(1.0, 1.0), figure(3.0, 2.0), figure(2.0, 3.0), figure(4.0, 3.0)];
         let agreement = Agreement::new(&figures, 0, 3);
         assert_eq!((agreement.pairs, agreement.pairs_kept), (5, 4));
         assert_eq!((agreement.signs, agreement.signs_kept), (2, 2));
+        // A mean over a part of the cells is compared with none.
+        figures[3][0].cells = [1, 2];
+        let agreement = Agreement::new(&figures, 0, 3);
+        assert_eq!((agreement.pairs, agreement.pairs_kept, agreement.signs), (3, 2, 0));
     }
 }

@@ -20,6 +20,13 @@ pub(super) fn number(value: Option<f64>, metric: &str) -> String {
     value.map_or_else(|| "–".into(), |value| format!("{value:.*}", decimals(metric)))
 }
 
+/// Our mean with its interval; if cells of the row are not finished, with the number of those that are.
+pub(super) fn ours(figure: &Figure, metric: &str) -> String {
+    let mean = with_interval(figure.ours, metric, false);
+    let [finished, all] = figure.cells;
+    if figure.ours.is_some() && finished < all { format!("{mean} ({finished} of {all})") } else { mean }
+}
+
 /// A mean with half the width of its interval.
 pub(super) fn with_interval(estimate: Option<Estimate>, metric: &str, signed: bool) -> String {
     let Some(Estimate { mean, interval }) = estimate else { return "–".into() };
@@ -39,6 +46,9 @@ impl Agreement {
     /// A sentence on whether the paper's order and signs hold.
     pub(super) fn sentence(&self, metric: &str) -> String {
         let Self { pairs, pairs_kept, signs, signs_kept } = *self;
+        if pairs == 0 {
+            return format!("{}: no two rows of the paper are finished", title(metric));
+        }
         let all = |kept, of| if kept == of { "holds" } else { "does not hold" };
         format!(
             "{}: the paper’s order {} ({pairs_kept} of {pairs} pairs), the sign of differences to the full model {} ({signs_kept} of {signs})",
@@ -59,6 +69,13 @@ impl Summary {
             1 => "; 1 cell is not finished".into(),
             n => format!("; {n} cells are not finished"),
         };
+        let is_partial = |figure: &Figure| (1..figure.cells[1]).contains(&figure.cells[0]);
+        let partial = if self.blocks.iter().flat_map(|block| block.figures.iter().flatten()).any(is_partial) {
+            "; a mean over a part of a row’s cells says of how many, and is not ranked"
+        } else {
+            ""
+        };
+        let missing = missing + partial;
         let seeds = if seeds == 1 { "1 seed".into() } else { format!("{seeds} seeds") };
         let with =
             if self.table.set.is_empty() { String::new() } else { format!(", with {}", self.table.set.join(", ")) };
@@ -83,7 +100,7 @@ impl Summary {
         )
     }
 
-    /// CSV with one line per block, row and metric.
+    /// CSV with one line per block, row and metric; rows with unfinished cells have no figures of ours.
     pub fn csv(&self) -> String {
         let header = [
             "views",
@@ -105,7 +122,7 @@ impl Summary {
                 let interval = estimate.and_then(|estimate| estimate.interval);
                 [estimate.map(|e| e.mean), interval.map(|i| i.0), interval.map(|i| i.1)].map(plain)
             };
-            let [ours, low, high] = ends(figure.ours);
+            let [ours, low, high] = ends(figure.complete());
             let [difference, difference_low, difference_high] = ends(figure.difference);
             let paper = number(figure.paper, metric).replace('–', "");
             let (views, noise) = (block.views.to_string(), block.noise.clone());
@@ -162,7 +179,7 @@ impl Summary {
             for (row, figures) in self.table.rows.iter().zip(&block.figures) {
                 let _ = write!(text, "| {} |", row.name);
                 for (metric, figure) in self.table.metrics.iter().zip(figures) {
-                    let ours = with_interval(figure.ours, metric, false);
+                    let ours = ours(figure, metric);
                     let ours = match figure.rank {
                         Some(1) => format!("**{ours}**"),
                         Some(2) => format!("*{ours}*"),
@@ -199,7 +216,7 @@ impl Summary {
             for (row, figures) in self.table.rows.iter().zip(&block.figures) {
                 text += &escaped(&row.name);
                 for (metric, figure) in self.table.metrics.iter().zip(figures) {
-                    let ours = number(figure.ours.map(|estimate| estimate.mean), metric).replace('–', "--");
+                    let ours = number(figure.complete().map(|estimate| estimate.mean), metric).replace('–', "--");
                     let ours = match figure.rank {
                         Some(1) => format!("\\textbf{{{ours}}}"),
                         Some(2) => format!("\\underline{{{ours}}}"),

@@ -79,6 +79,15 @@ fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
     let again = sandbox.done("report out");
     assert_eq!((&again["tables"][0]["cells"], &again["tables"][0]["missing"]), (&7.into(), &1.into()));
     assert!(sandbox.text("out/threshold.html").contains("1 cell is not finished"));
+    // Its row has the mean of the other case, which is not compared with means of both.
+    for page in ["threshold.html", "threshold.md"] {
+        let text = sandbox.text(&format!("out/{page}"));
+        assert_eq!(["(1 of 2)", " of 3 pairs)"].map(|part| text.matches(part).count()), [4, 4], "{text}");
+    }
+    let lines = sandbox.text("out/threshold.csv");
+    let mut reader = csv::Reader::from_reader(lines.as_bytes());
+    let lines: Vec<BTreeMap<String, String>> = reader.deserialize().collect::<Result<_, _>>().unwrap();
+    assert_eq!(lines.iter().filter(|line| line["ours"].is_empty()).count(), 4, "{lines:?}");
 }
 
 #[test]
