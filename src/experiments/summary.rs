@@ -285,5 +285,8 @@ mod tests {
         figures[3][0].cells = [1, 2];
         let agreement = Agreement::new(&figures, 0, 3);
         assert_eq!((agreement.pairs, agreement.pairs_kept, agreement.signs), (3, 2, 0));
+        let sentence = agreement.sentence("psnr_3d");
+        assert!(sentence.contains("(2 of 3 pairs); no row") && !sentence.contains("0 of 0"), "{sentence}");
+        assert!(!Agreement::default().sentence("psnr_3d").contains("holds"));
     }
 }

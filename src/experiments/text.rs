@@ -47,13 +47,16 @@ impl Agreement {
     pub(super) fn sentence(&self, metric: &str) -> String {
         let Self { pairs, pairs_kept, signs, signs_kept } = *self;
         if pairs == 0 {
-            return format!("{}: no two rows of the paper are finished", title(metric));
+            return format!("{}: no two rows that differ in the paper are finished", title(metric));
         }
         let all = |kept, of| if kept == of { "holds" } else { "does not hold" };
+        let order =
+            format!("{}: the paper’s order {} ({pairs_kept} of {pairs} pairs)", title(metric), all(pairs_kept, pairs));
+        if signs == 0 {
+            return format!("{order}; no row is compared with the full model");
+        }
         format!(
-            "{}: the paper’s order {} ({pairs_kept} of {pairs} pairs), the sign of differences to the full model {} ({signs_kept} of {signs})",
-            title(metric),
-            all(pairs_kept, pairs),
+            "{order}, the sign of differences to the full model {} ({signs_kept} of {signs})",
             all(signs_kept, signs)
         )
     }
