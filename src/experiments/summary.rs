@@ -67,9 +67,14 @@ pub struct Figure {
 }
 
 impl Figure {
+    /// Whether some cells of the row are finished and others are not.
+    pub fn is_partial(&self) -> bool {
+        (1..self.cells[1]).contains(&self.cells[0])
+    }
+
     /// Our mean, if all cells of the row are finished: means over other cells cannot be compared.
     pub fn complete(&self) -> Option<Estimate> {
-        self.ours.filter(|_| self.cells[0] == self.cells[1])
+        self.ours.filter(|_| !self.is_partial())
     }
 }
 
@@ -116,19 +121,19 @@ impl Summary {
         };
         for &views in &table.views {
             for level in &table.noise {
-                // [row][case][seed], and the number of cells of each row.
+                // [row][case][seed], and the numbers of finished cells and of all cells of each row.
                 let mut found: Vec<Vec<Vec<Option<Finding>>>> = Vec::new();
-                let mut planned = Vec::new();
+                let mut cells = Vec::new();
                 for row in &table.rows {
-                    let (mut of_row, mut count) = (Vec::new(), 0);
+                    let (mut of_row, mut count) = (Vec::new(), [0, 0]);
                     for case in cases {
                         let mut of_case = Vec::new();
                         for seed in 0..seeds {
                             let finding = match table.cell(row, case, scale, views, level, seed) {
                                 Some(cell) => {
-                                    count += 1;
                                     let finding = store.find(&cell.id)?;
-                                    summary.missing += usize::from(finding.is_none());
+                                    count[0] += usize::from(finding.is_some());
+                                    count[1] += 1;
                                     finding
                                 }
                                 None => None,
@@ -139,9 +144,10 @@ impl Summary {
                         of_row.push(of_case);
                     }
                     found.push(of_row);
-                    planned.push(count);
+                    summary.missing += count[1] - count[0];
+                    cells.push(count);
                 }
-                summary.blocks.push(Block::new(table, views, level, &found, &planned));
+                summary.blocks.push(Block::new(table, views, level, &found, &cells));
             }
         }
         Ok(summary)
@@ -149,9 +155,14 @@ impl Summary {
 }
 
 impl Block {
-    fn new(table: &Table, views: usize, noise: &str, found: &[Vec<Vec<Option<Finding>>>], planned: &[usize]) -> Self {
-        let finished = |row: usize| found[row].iter().flatten().flatten().count();
-        let is_complete = |row: usize| finished(row) == planned[row];
+    fn new(
+        table: &Table,
+        views: usize,
+        noise: &str,
+        found: &[Vec<Vec<Option<Finding>>>],
+        cells: &[[usize; 2]],
+    ) -> Self {
+        let is_complete = |row: usize| cells[row][0] == cells[row][1];
         let full = table.rows.iter().position(|row| row.name == table.full).expect("a row of the table");
         let mut figures: Vec<Vec<Figure>> = vec![Vec::new(); table.rows.len()];
         for metric in &table.metrics {
@@ -169,7 +180,7 @@ impl Block {
                 let difference = if is_comparable { estimate(&pairs.collect::<Vec<_>>()) } else { None };
                 figures[number].push(Figure {
                     ours: estimate(&values),
-                    cells: [finished(number), planned[number]],
+                    cells: cells[number],
                     difference,
                     paper: table.printed(row, views, noise, metric),
                     rank: None,

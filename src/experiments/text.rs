@@ -24,7 +24,7 @@ pub(super) fn number(value: Option<f64>, metric: &str) -> String {
 pub(super) fn ours(figure: &Figure, metric: &str) -> String {
     let mean = with_interval(figure.ours, metric, false);
     let [finished, all] = figure.cells;
-    if figure.ours.is_some() && finished < all { format!("{mean} ({finished} of {all})") } else { mean }
+    if figure.is_partial() { format!("{mean} ({finished} of {all})") } else { mean }
 }
 
 /// A mean with half the width of its interval.
@@ -72,8 +72,8 @@ impl Summary {
             1 => "; 1 cell is not finished".into(),
             n => format!("; {n} cells are not finished"),
         };
-        let is_partial = |figure: &Figure| (1..figure.cells[1]).contains(&figure.cells[0]);
-        let partial = if self.blocks.iter().flat_map(|block| block.figures.iter().flatten()).any(is_partial) {
+        let mut figures = self.blocks.iter().flat_map(|block| block.figures.iter().flatten());
+        let partial = if figures.any(Figure::is_partial) {
             "; a mean over a part of a row’s cells says of how many, and is not ranked"
         } else {
             ""

@@ -27,6 +27,12 @@ fn cells(sandbox: &Sandbox, arguments: &str, key: &str) -> Vec<String> {
     listed.as_array().unwrap().iter().map(|cell| cell[key].as_str().unwrap().to_owned()).collect()
 }
 
+/// The lines of a CSV file, by column.
+fn lines_of(sandbox: &Sandbox, path: &str) -> Vec<BTreeMap<String, String>> {
+    let text = sandbox.text(path);
+    csv::Reader::from_reader(text.as_bytes()).into_deserialize().collect::<Result<_, _>>().unwrap()
+}
+
 #[test]
 fn a_table_is_filled_and_set_beside_the_papers_figures() {
     let sandbox = Sandbox::new();
@@ -34,9 +40,7 @@ fn a_table_is_filled_and_set_beside_the_papers_figures() {
     let table = &found["tables"][0];
     // 2 cases, 3 numbers of views, 2 seeds; SAX-NeRF has no cells, the other six rows have one each.
     assert_eq!((&table["cells"], &table["missing"]), (&72.into(), &0.into()), "{found}");
-    let lines = sandbox.text("out/volume.csv");
-    let mut reader = csv::Reader::from_reader(lines.as_bytes());
-    let lines: Vec<BTreeMap<String, String>> = reader.deserialize().collect::<Result<_, _>>().unwrap();
+    let lines = lines_of(&sandbox, "out/volume.csv");
     assert_eq!(lines.len(), 3 * 7 * 2);
     for line in &lines {
         let [ours, low, high, paper] = ["ours", "low", "high", "paper"].map(|column| line[column].parse::<f64>());
@@ -84,9 +88,7 @@ fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
         let text = sandbox.text(&format!("out/{page}"));
         assert_eq!(["(1 of 2)", " of 3 pairs)"].map(|part| text.matches(part).count()), [4, 4], "{text}");
     }
-    let lines = sandbox.text("out/threshold.csv");
-    let mut reader = csv::Reader::from_reader(lines.as_bytes());
-    let lines: Vec<BTreeMap<String, String>> = reader.deserialize().collect::<Result<_, _>>().unwrap();
+    let lines = lines_of(&sandbox, "out/threshold.csv");
     assert_eq!(lines.iter().filter(|line| line["ours"].is_empty()).count(), 4, "{lines:?}");
 }
 
