@@ -11,7 +11,7 @@
 //! # fn main() -> trgs::Result<()> {
 //! let scan = trgs::Dataset::read("scan")?;
 //! let result = trgs::reconstruct(&scan, &trgs::Config::default())?;
-//! trgs::write_volume("volume.nii.gz", &result.volume)?;
+//! trgs::write_volume("volume.nii.gz", &result.volume, &scan.frame)?;
 //! # Ok(())
 //! # }
 //! ```
@@ -125,6 +125,7 @@ pub mod provenance;
 pub mod reconstruction;
 pub mod report;
 pub mod scene;
+mod sealed;
 pub mod setting;
 pub mod train;
 pub mod wavelet;

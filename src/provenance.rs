@@ -4,6 +4,7 @@
 //! record therefore holds no time and no machine name.
 
 use crate::error::{Error, Result};
+use crate::words;
 use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -176,7 +177,7 @@ fn hex(hasher: Sha256) -> String {
 /// A folder that cannot be listed is an error.
 fn add(digests: &mut BTreeMap<String, String>, path: &Path) -> Result<()> {
     if !path.is_dir() {
-        digests.insert(path.display().to_string(), digest_file(path)?);
+        digests.insert(words::name(path), digest_file(path)?);
         return Ok(());
     }
     let entries = path.read_dir().and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());

@@ -82,7 +82,7 @@ pub struct Evaluation {
 /// ```no_run
 /// let scan = trgs::Dataset::read("scan")?;
 /// let result = trgs::reconstruct(&scan, &trgs::Config::default())?;
-/// trgs::write_volume("volume.nii.gz", &result.volume)?;
+/// trgs::write_volume("volume.nii.gz", &result.volume, &scan.frame)?;
 /// # Ok::<(), trgs::Error>(())
 /// ```
 ///

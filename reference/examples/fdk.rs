@@ -30,7 +30,7 @@ fn main() -> trgs::Result<()> {
         }
     }
     let volume = fdk(&scan.scanner, &scan.train, Window::Hann, Turn::Measured)?;
-    arguments.next().map_or(Ok(()), |path| trgs::write_volume(path, &volume))
+    arguments.next().map_or(Ok(()), |path| trgs::write_volume(path, &volume, &scan.frame))
 }
 
 /// Ninety noisy views of a torso in 64³ voxels.

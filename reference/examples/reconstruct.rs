@@ -42,7 +42,7 @@ fn main() -> trgs::Result<()> {
         println!("{} {:.4}", metric.definition, metric.value);
     }
     // The format follows from the name: .nii.gz, .mha, .nrrd, .tif, .npy, .raw.
-    arguments.get(1).map_or(Ok(()), |path| trgs::write_volume(path, &result.volume))
+    arguments.get(1).map_or(Ok(()), |path| trgs::write_volume(path, &result.volume, &scan.frame))
 }
 
 /// Twelve noisy views of a torso in 32³ voxels.

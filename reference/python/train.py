@@ -30,7 +30,7 @@ def starting_points(scan, count):
 
 def train(scan, count, iterations):
     """The volume of primitives that were fitted to a scan."""
-    raw, angles, measured = starting_points(scan, count), list(scan.angles), torch.as_tensor(scan.projections)
+    raw, angles, measured = starting_points(scan, count), list(scan.angles), torch.tensor(scan.projections)
     rates = 1e-3, 2e-2, 5e-3, 4e-2, 2e-2
     adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(raw, rates)], eps=1e-15)
     decay = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / iterations))

@@ -16,7 +16,7 @@ HERE = Path(__file__).resolve().parent
 VERDICTS = ["holds", "holds only if", "does not hold", "cannot be tested here"]
 # Colours of Okabe and Ito, which colour-blind readers can tell apart.
 COLOURS = {"paper": "#0072B2", "ours": "#D55E00"}
-BADGES = {"holds": "#009E73", "holds only if": "#E69F00", "does not hold": "#D55E00", "cannot be tested here": "#777777"}
+BADGES = {"holds": "#007A58", "holds only if": "#8A6D00", "does not hold": "#B34700", "cannot be tested here": "#666666"}
 
 
 def verdict_of(claim):
@@ -82,7 +82,8 @@ h2{font-size:1.05rem;margin:.2rem 0}.badge{color:#fff;padding:.1rem .5rem;border
 code{font-size:.85em;background:#f2f2f2;overflow-wrap:anywhere}svg{width:100%}svg text{font:11px system-ui}.title{font-weight:600}
 dl{margin:.3rem 0}dt{font-weight:600;float:left;margin-right:.5rem}dd{margin:0 0 .3rem}
 @media(max-width:60rem){article{grid-template-columns:minmax(0,1fr)}}"""
-    parts = ["<!doctype html>", '<html lang="en"><head><meta charset="utf-8"><title>What holds of the paper</title>',
+    parts = ["<!doctype html>", '<html lang="en"><head><meta charset="utf-8">',
+             '<meta name="viewport" content="width=device-width, initial-scale=1"><title>What holds of the paper</title>',
              f"<style>{style}</style></head><body><h1>What holds of the paper</h1>"]
     parts += [f"<p>{inline(paragraph)}</p>" for paragraph in table["summary"].strip().split("\n\n")]
     legend = " ".join(f'<span style="color:{colour}">■</span> {name}' for name, colour in COLOURS.items())

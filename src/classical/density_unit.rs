@@ -57,6 +57,7 @@ pub(crate) fn in_unit(dataset: &Dataset, unit: f64) -> Cow<'_, Dataset> {
         name: dataset.name.clone(),
         scanner: dataset.scanner,
         scale: dataset.scale,
+        frame: dataset.frame,
         noise: dataset.noise,
         train,
         test: None,

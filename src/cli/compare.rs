@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use trgs::Result;
 use trgs::oracle::Format;
 use trgs::oracle::compare::{Comparison, compare};
+use trgs::oracle::report::ulps;
 
 /// Compare two files of arrays: norms, worst element, and the mistake that explains the difference
 #[derive(Args)]
@@ -48,11 +49,11 @@ fn describe(array: &Comparison) -> Vec<String> {
     lines.extend(array.message.as_ref().map(|message| format!("  {message}")));
     if let Some(d) = &array.difference {
         lines.push(format!(
-            "  largest error / peak {:.3e}   L2 {:.3e}   1 - cosine {:.3e}   bias {:+.3e}   wrong zeros {:.1} %   significant elements {:.1} ulp",
-            d.peak, d.l2, d.cosine, d.bias, 100.0 * d.zeros, d.ulp
+            "  largest error / peak {:.3e}   L2 {:.3e}   1 - cosine {:.3e}   bias {:+.3e}   wrong zeros {:.1} %   significant elements {} ulp",
+            d.peak, d.l2, d.cosine, d.bias, 100.0 * d.zeros, ulps(d.ulp)
         ));
         if let Some(worst) = &d.worst {
-            lines.push(format!("  worst at {:?}: {:e} for {:e}", worst.index, worst.got, worst.expected));
+            lines.push(format!("  worst at {:?}: expected {:e}, got {:e}", worst.index, worst.expected, worst.got));
         }
     }
     lines.extend(array.looks_like.as_ref().map(|name| format!("  looks like {name}")));

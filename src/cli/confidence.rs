@@ -61,6 +61,7 @@ pub(super) struct Confidence {
 /// The result of the command.
 #[derive(Serialize)]
 struct Found<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     out: &'a Path,
     primitives: usize,
     views: usize,

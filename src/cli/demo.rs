@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::{Config, Method};
-use trgs::evaluation::Metrics;
+use trgs::evaluation::{Metric, Metrics};
 use trgs::experiments::{Matching, Scale};
 use trgs::reconstruction::Evaluation;
 use trgs::scene::simulate::{Object, Plan, simulate};
@@ -37,7 +37,9 @@ pub(super) struct Demo {
 /// The result of the command.
 #[derive(Serialize)]
 struct Found<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     dataset: &'a Path,
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     report: &'a Path,
     #[serde(rename = "tr-gs")]
     ours: &'a Evaluation,
@@ -71,7 +73,15 @@ impl Demo {
         let rows = (Metrics::NAMES.into_iter().zip(ours.metrics.row()).zip(fdk.metrics.row()))
             .map(|((name, ours), fdk)| [name.into(), ours, fdk]);
         let found = Found { dataset: &source, report: &report, ours: &ours, fdk: &fdk };
-        Ok(Output::table(&found, ["metric", "TR-GS", "FDK"], rows))
+        let lead = |(ours, fdk): (&Metric, &Metric)| {
+            format!(
+                "TR-GS is {:.1} dB above FDK, the usual reconstruction, from the same projections.",
+                ours.value - fdk.value
+            )
+        };
+        let lead: Vec<String> =
+            ours.metrics.psnr_3d.as_ref().zip(fdk.metrics.psnr_3d.as_ref()).map(lead).into_iter().collect();
+        Ok(Output::judged_table(&found, ["metric", "TR-GS", "FDK"], rows, &lead, true))
     }
 
     fn scan(&self) -> Result<Dataset> {

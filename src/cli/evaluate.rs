@@ -1,15 +1,17 @@
 //! `trgs evaluate`: the quality of a reconstruction.
 
 use super::Output;
+use super::messages::warning;
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::primitives::model;
 use trgs::reconstruction::{Evaluation, evaluate};
 use trgs::scene::{Dataset, Volume, volume_file};
+use trgs::words;
+use trgs::{Error, Result};
 
 /// Compare a reconstruction with the truth and the test views of a dataset
 #[derive(Args)]
@@ -17,7 +19,7 @@ use trgs::scene::{Dataset, Volume, volume_file};
   trgs evaluate out/torso --against data/torso
   trgs evaluate volume.npy --against data/torso --json
 
-Projections of a run with a model are computed from its primitives, with the projection of the run. Projections of
+Projections of a run with a model are computed from its primitives, with the projection of the run. Projections of \
 a volume are exact line integrals of its trilinear interpolation.")]
 pub(super) struct Evaluate {
     /// Folder of a run, or a volume [x, y, z] on the dataset's grid
@@ -30,6 +32,12 @@ pub(super) struct Evaluate {
 
 impl Evaluate {
     pub(super) fn run(&self) -> Result<Output> {
+        if self.against.is_file() && volume_file::is_volume(&self.against) {
+            let got = format!("{}, a volume", self.against.display());
+            let expected = "the folder of a scan, in which the true volume is vol_gt.npy";
+            let remedy = "give that folder, or compare two volumes with trgs compare A.npy B.npy";
+            return Err(Error::invalid("--against", got, expected, remedy));
+        }
         let dataset = Dataset::read(&self.against)?;
         for note in &dataset.notes {
             tracing::info!("{}: {note}", self.against.display());
@@ -43,12 +51,16 @@ impl Evaluate {
         } else {
             evaluate(&dataset, &read_volume(&self.result, &dataset)?, None, &Config::default())?
         };
-        Ok(answer(&evaluation, json!({ "result": self.result, "against": self.against })))
+        Ok(answer(&evaluation, json!({ "result": words::name(&self.result), "against": words::name(&self.against) })))
     }
 }
 
+/// A volume on the dataset's grid; a file that states other axes is turned to those of the dataset.
 fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
-    Volume::new(dataset.scanner.grid, volume_file::read(path)?.values).map_err(|error| error.in_file(path))
+    let arranged = dataset.frame.arrange(volume_file::read(path)?, &dataset.scanner.grid);
+    let (volume, remarks) = arranged.map_err(|error| error.in_file(path))?;
+    remarks.iter().for_each(|remark| warning(path, remark));
+    Ok(volume)
 }
 
 /// The metrics in a table, and in JSON together with the object `context`.

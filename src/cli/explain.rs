@@ -15,6 +15,7 @@ const LINES: usize = 20;
 /// The files that a command wrote.
 #[derive(Serialize)]
 pub(super) struct Written<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     pub(super) out: &'a Path,
     pub(super) shape: Vec<usize>,
     pub(super) precision: Precision,
@@ -25,7 +26,7 @@ pub(super) struct Written<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) truncation_bound: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) grad_out: Option<&'a Path>,
+    pub(super) grad_out: Option<String>,
 }
 
 /// The contributions, and the files written by the same command.

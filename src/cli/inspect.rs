@@ -16,7 +16,7 @@ use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
 use trgs::scene::stack::RtkGeometry;
-use trgs::scene::{Beam, Dataset, Projections, Volume, array_path, plausibility, volume_file};
+use trgs::scene::{Beam, Dataset, Frame, Projections, Scanner, Volume, array_path, plausibility, volume_file};
 use trgs::words::{counted, verb};
 use trgs::{Error, Result};
 
@@ -79,7 +79,7 @@ impl Inspect {
 fn dataset(path: &Path) -> Result<Value> {
     let dataset = Dataset::read(path)?;
     let implausible: Vec<_> = plausibility::remarks(&dataset).iter().map(|remark| with_flags(remark)).collect();
-    let Dataset { name, scanner, scale, noise, train, test, truth, initial_points, notes, mut oddities } = dataset;
+    let Dataset { name, scanner, frame, noise, train, test, truth, initial_points, notes, mut oddities, .. } = dataset;
     oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
     let poses = trajectory_words(&scanner, &train);
@@ -101,7 +101,9 @@ fn dataset(path: &Path) -> Result<Value> {
         "detector": { "rows": d.rows, "columns": d.columns, "pitch_v": d.pitch_v, "pitch_u": d.pitch_u,
                       "offset_v": d.offset_v, "offset_u": d.offset_u },
         "grid": { "shape": grid.shape, "min": grid.min.to_array(), "max": grid.max().to_array() },
-        "scene_units_per_unit_of_the_files": scale,
+        "scene_units_per_unit_of_the_files": frame.scale,
+        "unit_of_the_files": frame.unit_words(),
+        "in_unit_of_the_files": lengths(&scanner, &frame),
         "noise": noise.to_string(),
         "train": views(&train),
         "test": test.as_ref().map(views),
@@ -114,6 +116,26 @@ fn dataset(path: &Path) -> Result<Value> {
         found.insert("poses".into(), json!(poses));
     }
     Ok(found)
+}
+
+/// The lengths of a scan in the unit of its files, and the place of its volume.
+fn lengths(scanner: &Scanner, frame: &Frame) -> Value {
+    let (d, (spacing, origin)) = (scanner.detector, frame.place(&scanner.grid));
+    let length = |scene: f64| frame.length(scene);
+    let mut found = match scanner.beam {
+        Beam::Cone { dso, dsd } => json!({ "dso": length(dso), "dsd": length(dsd) }),
+        Beam::Parallel { .. } => json!({}),
+    };
+    let rest = json!({
+        "pixel": [length(d.pitch_v), length(d.pitch_u)],
+        "voxel": spacing.to_array(),
+        "first_voxel": origin.to_array(),
+        "directions": (frame.directions != volume_file::STRAIGHT).then(|| frame.directions.to_cols_array()),
+    });
+    if let (Some(found), Value::Object(rest)) = (found.as_object_mut(), rest) {
+        found.extend(rest);
+    }
+    found
 }
 
 /// A geometry file of RTK.

@@ -1,4 +1,6 @@
-//! Ctrl-C and the termination signal: the program ends at once, but never leaves partial output.
+//! Ctrl-C, the termination signal and a closed terminal: the program ends at once, but never leaves partial output.
+//!
+//! A signal that the parent process had ignored stays ignored, as `nohup` and the `&` of a script require.
 
 use super::INTERRUPTED;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
@@ -9,15 +11,40 @@ static SHIELDS: AtomicUsize = AtomicUsize::new(0);
 
 /// Installs the signal handler.
 pub(super) fn install() {
-    let handler = || {
-        REQUESTED.store(true, SeqCst);
-        if SHIELDS.load(SeqCst) == 0 {
-            tracing::error!("interrupted; no partial output was left behind");
-            std::process::exit(INTERRUPTED.into());
-        }
-    };
-    if let Err(error) = ctrlc::set_handler(handler) {
+    if let Err(error) = listen() {
         tracing::warn!("an interrupt will end the program without cleaning up: {error}");
+    }
+}
+
+#[cfg(unix)]
+fn listen() -> std::io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let handled = [SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal));
+    let mut signals = signal_hook::iterator::Signals::new(handled)?;
+    let wait = move || signals.forever().for_each(|_| end());
+    std::thread::Builder::new().name("signals".into()).spawn(wait).map(drop)
+}
+
+/// Whether the signal was ignored when the program began. Only Linux tells it without unsafe code.
+#[cfg(unix)]
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+#[cfg(not(unix))]
+fn listen() -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(end)
+}
+
+/// Ends the program, or asks shielded work to end it.
+fn end() {
+    REQUESTED.store(true, SeqCst);
+    if SHIELDS.load(SeqCst) == 0 {
+        tracing::error!("interrupted; no partial output was left behind");
+        std::process::exit(INTERRUPTED.into());
     }
 }
 

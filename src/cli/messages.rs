@@ -20,6 +20,7 @@ use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::scene::hounsfield;
 use trgs::train::Record;
+use trgs::words;
 
 /// Sends all tracing events to standard error, in the requested format.
 pub(super) fn install(global: &Global) {
@@ -155,9 +156,10 @@ impl ProgressBar {
     /// [`Self::observe`] for the choice of a setting.
     pub(super) fn trial(&mut self, key: &str, trial: Option<&Trial>) -> ControlFlow<()> {
         if let Some(Trial { value, error }) = trial {
+            let shown = words::value(*value);
             match &self.bar {
-                Some(bar) => bar.set_message(format!("{key} {value:.3e}: held-out error {error:.5}, ")),
-                None => tracing::info!(key, value, error, "{key} {value:.3e}: held-out error {error:.5}"),
+                Some(bar) => bar.set_message(format!("{key} {shown}: held-out error {error:.5}, ")),
+                None => tracing::info!(key, value, error, "{key} {shown}: held-out error {error:.5}"),
             }
         }
         go_on()

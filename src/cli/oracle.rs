@@ -152,6 +152,7 @@ impl List {
 /// The files written.
 #[derive(Serialize)]
 struct Written<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     folder: &'a Path,
     cases: usize,
     files: usize,

@@ -86,7 +86,7 @@ fn table<const N: usize>(header: &[&str], rows: impl IntoIterator<Item = [String
     table
 }
 
-/// Dotted names and values of everything that is no object. Long lists appear only with `--json`.
+/// Dotted names and values of everything that is no object. Long lists and lists of objects appear only with `--json`.
 fn flatten(name: &str, value: &Value, lines: &mut Vec<[String; 2]>) {
     let mut line = |text: String| lines.push([name.to_owned(), text]);
     match value {
@@ -98,7 +98,9 @@ fn flatten(name: &str, value: &Value, lines: &mut Vec<[String; 2]>) {
         }
         Value::Array(values) if values.is_empty() => line("none".into()),
         Value::Array(values) if values.iter().any(Value::is_string) => values.iter().for_each(|v| line(plain(v))),
-        Value::Array(values) if values.len() > LONGEST_LIST => line(format!("{} values", values.len())),
+        Value::Array(values) if values.len() > LONGEST_LIST || values.iter().any(Value::is_object) => {
+            line(format!("{} values", values.len()))
+        }
         value => line(plain(value)),
     }
 }

@@ -20,6 +20,7 @@ use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Ru
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume, plausibility};
 use trgs::train::{primitives_of_model, with_points_of_model};
+use trgs::words;
 use trgs::{Error, Result};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
@@ -42,11 +43,11 @@ const AUTO: usize = 10;
   trgs reconstruct data/torso --out out/torso --resume --iterations 5000
   trgs reconstruct data/torso --out out/again --set initialisation.from=model --set initialisation.model=out/torso/model.npz
 
-A value given by --set overrides a flag, a flag overrides FILE.toml, and FILE.toml overrides the method's default.
+A value given by --set overrides a flag, a flag overrides FILE.toml, and FILE.toml overrides the method's default. \
 The config.toml of any run lists and documents all keys.
 
---resume with more --iterations continues a run beyond its end. Other methods end with the bits
-of a run of so many iterations. tr-gs and r2-gaussian follow the schedule of the longer run (learning rates, sampler,
+--resume with more --iterations continues a run beyond its end. Other methods end with the bits \
+of a run of so many iterations. tr-gs and r2-gaussian follow the schedule of the longer run (learning rates, sampler, \
 density control) from the iteration reached; this is deterministic, but differs from the longer run from its start."
 )]
 pub(super) struct Reconstruct {
@@ -132,7 +133,7 @@ impl Reconstruct {
         let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
         tracing::info!("wrote {}: open it in a browser", report.display());
-        let context = json!({ "run": self.out, "method": config.method, "seconds": outcome.seconds, "report": report });
+        let context = json!({ "run": words::name(&self.out), "method": config.method, "seconds": outcome.seconds, "report": words::name(&report) });
         Ok(answer(&outcome.evaluation, context))
     }
 

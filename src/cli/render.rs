@@ -14,6 +14,7 @@ use trgs::primitives::{Parameters, Primitives, model};
 use trgs::projector::{Field, Kernels, Projection, forward, vjp};
 use trgs::scene::npy;
 use trgs::scene::npy::Element;
+use trgs::words;
 use trgs::{Error, Result};
 
 /// Compute projections of a model, and the gradient of a function of the projections
@@ -122,7 +123,7 @@ impl Render {
             projection: Some(projection),
             cutoff,
             truncation_bound: (cutoff > 0.0).then(|| self.truncation_bound::<R>(primitives, views)),
-            grad_out: self.kernel.grad_out.as_deref(),
+            grad_out: self.kernel.grad_out.as_ref().map(words::name),
         })
     }
 

@@ -6,6 +6,7 @@ use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
 use trgs::Result;
+use trgs::words;
 
 /// Rewrite the pages of tables from the cells finished so far, or print the path of a run's page
 #[derive(Args)]
@@ -22,7 +23,7 @@ impl Report {
     pub(super) fn run(&self) -> Result<Output> {
         let page = self.folder.join("report.html");
         if page.exists() {
-            return Ok(Output::list(&json!({ "report": page })));
+            return Ok(Output::list(&json!({ "report": words::name(&page) })));
         }
         let requests = requests(&self.folder)?;
         let of = |(name, what): (&String, &What)| {

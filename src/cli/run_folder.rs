@@ -15,19 +15,23 @@ use trgs::provenance::{Provenance, digest_file};
 use trgs::reconstruction::Evaluation;
 use trgs::reconstruction::Sampled;
 use trgs::report::{self, Curve, Report};
+use trgs::scene::volume_file::NpySide;
 use trgs::scene::{Dataset, Volume, npy};
 use trgs::train::Record;
-use trgs::words::counted;
+use trgs::words::{self, counted};
 use trgs::{Error, Result};
 
 /// Folder with the state of an iterative run.
 const CHECKPOINTS: &str = "checkpoints";
 /// Files of every run.
-const FILES: [&str; 5] = ["config.toml", "volume.npy", "metrics.json", "report.html", "provenance.json"];
+const FILES: [&str; 6] = ["config.toml", VOLUME, PLACE, "metrics.json", "report.html", "provenance.json"];
+/// The volume, and its place beside it: spacing, origin, directions and unit.
+const VOLUME: &str = "volume.npy";
+const PLACE: &str = "volume.npy.json";
 /// Additional files of a run that fits primitives.
 const MODEL_FILES: [&str; 3] = ["model.npz", "log.jsonl", CHECKPOINTS];
 /// Files that contain no time, so that equal runs have equal digests.
-const TIMELESS: [&str; 4] = ["config.toml", "model.npz", "volume.npy", "metrics.json"];
+const TIMELESS: [&str; 5] = ["config.toml", "model.npz", VOLUME, PLACE, "metrics.json"];
 
 /// The result of a run.
 pub(super) struct Outcome {
@@ -119,7 +123,7 @@ impl RunFolder {
     /// An older run of the same kind will be replaced. Any other content is rejected now, not after hours of work.
     pub(super) fn begin(folder: &Path, source: &Path, config: &Config, memory: u64) -> Result<Self> {
         check_replaceable(folder, config.method)?;
-        let mut provenance = Provenance::new(threads::count(), std::env::args());
+        let mut provenance = Provenance::new(threads::count(), std::env::args_os().map(words::name));
         provenance.seeds.insert("reconstruct".into(), config.seed);
         provenance.memory = Some(memory);
         provenance.add_input(match source.parent() {
@@ -151,7 +155,8 @@ impl RunFolder {
         let staged = stage_folder(&self.folder)?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
-        npy::write(&at("volume.npy"), outcome.volume.values.view())?;
+        npy::write(&at(VOLUME), outcome.volume.values.view())?;
+        NpySide::write(&at(VOLUME), &dataset.frame.file(&outcome.volume))?;
         let results = Results {
             evaluation: &outcome.evaluation,
             choice: outcome.choice.as_ref(),
@@ -214,6 +219,7 @@ fn page(
         ("Training views".into(), dataset.train.len().to_string()),
         ("Detector, rows × columns".into(), format!("{} × {}", detector.rows, detector.columns)),
         ("Volume".into(), dataset.scanner.grid.shape.map(|n| n.to_string()).join(" × ")),
+        ("Voxel".into(), voxel(dataset)),
         ("Noise".into(), dataset.noise.to_string()),
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
@@ -234,7 +240,7 @@ fn page(
             _ => format!("chosen on held-out views at the cost of {:.0} iterations over all views", choice.cost),
         };
         let iterations = choice.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
-        facts.push((choice.key.clone(), format!("{:.3e}{iterations}, {how}", choice.value)));
+        facts.push((choice.key.clone(), format!("{}{iterations}, {how}", words::value(choice.value))));
     }
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));
@@ -258,6 +264,16 @@ fn page(
         facts,
         provenance: Some(provenance),
     })
+}
+
+/// The size of a voxel in the unit of the scan's files.
+fn voxel(dataset: &Dataset) -> String {
+    let (spacing, _) = dataset.frame.place(&dataset.scanner.grid);
+    let sides = spacing.to_array().map(|side| side.to_string()).join(" × ");
+    match dataset.frame.unit {
+        Some(unit) => format!("{sides} {unit}; attenuation is per {unit}"),
+        None => format!("{sides}, in the unit of the scan's files, which is not stated"),
+    }
 }
 
 /// The confidence of the primitives, where the method uses it.

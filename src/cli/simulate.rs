@@ -4,15 +4,14 @@ use super::arguments::{finite, pair, seed};
 use super::messages::{hounsfield_to_attenuation, warning};
 use super::{Output, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
-use glam::DVec3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::scene::hounsfield;
 use trgs::scene::phantom::{Group, PHANTOMS};
 use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Scanner, Volume};
+use trgs::scene::volume_file;
+use trgs::scene::{Beam, Dataset, Detector, Frame, Grid, Noise, Phantom, Scanner, Volume};
 
 /// Simulate a scan of a phantom or a volume and write the dataset
 #[derive(Args)]
@@ -96,6 +95,7 @@ enum BeamName {
 /// The result of the command.
 #[derive(Serialize)]
 struct Simulated<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     dataset: &'a Path,
     volume: [usize; 3],
     detector: [usize; 2],
@@ -152,9 +152,10 @@ impl Simulate {
             }
             (None, path) => {
                 let path = path.as_deref().expect("one of the two is required");
-                let volume = read_volume(path, self.mu_water)?;
+                let (volume, frame) = read_volume(path, self.mu_water)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                simulate_on(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan, &orbit)
+                let scan = simulate_on(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan, &orbit)?;
+                Ok(Dataset { frame, ..scan })
             }
         }
     }
@@ -173,17 +174,16 @@ impl Simulate {
 }
 
 /// A volume centred at the origin, its longest side 2; voxels are cubes unless the file says otherwise.
-fn read_volume(path: &Path, mu_water: Option<f64>) -> Result<Volume> {
-    let VolumeFile { mut values, spacing, oddities, .. } = volume_file::read(path)?;
+fn read_volume(path: &Path, mu_water: Option<f64>) -> Result<(Volume, Frame)> {
+    let mut file = volume_file::read(path)?;
     let hounsfield = match mu_water {
-        Some(mu_water) => hounsfield_to_attenuation(path, &mut values, mu_water).map(|()| None)?,
-        None => hounsfield::remark("volume", &values),
+        Some(mu_water) => hounsfield_to_attenuation(path, &mut file.values, mu_water).map(|()| None)?,
+        None => hounsfield::remark("volume", &file.values),
     };
-    for oddity in oddities.iter().chain(&hounsfield) {
+    for oddity in file.oddities.iter().chain(&hounsfield) {
         warning(path, oddity);
     }
-    let shape: [usize; 3] = values.dim().into();
-    let sides = DVec3::from_array(shape.map(|n| n as f64)) * spacing.unwrap_or(DVec3::ONE);
-    let corner = sides / sides.max_element();
-    Grid::new(shape, -corner, corner).and_then(|grid| Volume::new(grid, values)).map_err(|error| error.in_file(path))
+    let (frame, grid) = Frame::around(&file).map_err(|error| error.in_file(path))?;
+    let volume = Volume::new(grid, file.values).map_err(|error| error.in_file(path))?;
+    Ok((volume, frame))
 }

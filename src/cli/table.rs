@@ -16,6 +16,7 @@ use trgs::config::Method;
 use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, Summary};
 use trgs::numeric::threads;
 use trgs::output::write_atomically;
+use trgs::words;
 use trgs::{Error, Result};
 
 /// File with the arguments of a table, so that its page can be rewritten.
@@ -184,6 +185,7 @@ impl What {
 #[derive(Clone, Serialize)]
 pub(super) struct Written {
     table: &'static str,
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     page: PathBuf,
     cells: usize,
     missing: usize,
@@ -199,6 +201,10 @@ impl Table {
             return Ok(list());
         }
         let tables = self.what.tables(&self.name)?;
+        if let Some(folder) = self.what.data.as_deref().filter(|folder| folder.to_str().is_none()) {
+            let remedy = "rename the folder, or give a link to it: trgs report reads its name from the table's folder";
+            return Err(Error::invalid("--data", words::name(folder), "a name in UTF-8", remedy));
+        }
         let cases = self.what.cases()?;
         let cells_of = |table: &experiments::Table| table.cells(&cases, self.what.scale(), self.what.seeds);
         if self.list_cells {
@@ -217,7 +223,7 @@ impl Table {
         interrupt::shielded(|| run(&cells, &store, global))?;
         if !self.cell.is_empty() {
             let found = cells.iter().filter_map(|cell| store.find(&cell.id).transpose()).collect::<Result<Vec<_>>>()?;
-            return Ok(Output::list(&json!({ "out": out, "cells": found })));
+            return Ok(Output::list(&json!({ "out": words::name(out), "cells": found })));
         }
         remember(&tables, &self.what, out)?;
         let written = tables.iter().map(|table| self.what.write(table, &cases, out)).collect::<Result<Vec<_>>>()?;
@@ -243,7 +249,7 @@ pub(super) fn answer(out: &Path, written: &[Written]) -> Output {
         [w.table.into(), w.cells.to_string(), of(w.pairs), of(w.signs), w.page.display().to_string()]
     });
     Output::table(
-        &json!({ "out": out, "tables": written }),
+        &json!({ "out": words::name(out), "tables": written }),
         ["table", "cells", "order as in the paper", "signs", "page"],
         rows,
     )

@@ -16,6 +16,7 @@ use trgs::projector::{Field, Kernels, voxelize, voxelize_vjp};
 use trgs::scene::Grid;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
+use trgs::words;
 
 /// Sample a model on a grid, and compute the gradient of a function of the volume
 #[derive(Args)]
@@ -113,7 +114,7 @@ impl Voxelize {
             projection: None,
             cutoff,
             truncation_bound: None,
-            grad_out: self.kernel.grad_out.as_deref(),
+            grad_out: self.kernel.grad_out.as_ref().map(words::name),
         })
     }
 

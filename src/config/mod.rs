@@ -146,7 +146,7 @@ pub enum DensityControl {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault, Documented, DocumentedFields)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// How the volume is found: tr-gs, r2-gaussian or fdk.
+    /// How the volume is found.
     #[default(Method::TrGs)]
     pub method: Method,
     /// Training steps, one view each; 0: 140 a view.

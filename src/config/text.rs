@@ -104,8 +104,9 @@ impl Config {
             }
             for (key, docs) in keys.iter().zip(key_docs) {
                 // A key without a value is a table and has its own turn.
+                let names = if dotted(name, key) == "method" { methods() } else { String::new() };
                 if let Some(value) = values.get(&dotted(name, key)) {
-                    text += &format!("{}{key} = {value}\n", comment(docs));
+                    text += &format!("{}{key} = {value}\n", comment(&format!("{docs}{names}")));
                 }
             }
             text += "\n";
@@ -172,6 +173,13 @@ fn nearest<'a>(key: &str, candidates: impl Iterator<Item = &'a str>) -> &'a str 
     candidates.min_by_key(|candidate| distance(candidate)).unwrap_or_default()
 }
 
+/// The names of all methods, in a sentence.
+fn methods() -> String {
+    let names = Method::ALL.map(|method| Value::try_from(method).expect("a method is a name"));
+    let names: Vec<&str> = names.iter().filter_map(Value::as_str).collect();
+    format!(" One of {}.", names.join(", "))
+}
+
 fn comment(docs: &str) -> String {
     docs.lines().map(|line| format!("# {line}\n")).collect()
 }
@@ -197,6 +205,13 @@ mod tests {
         }
         assert_eq!(read(&config.to_toml()).unwrap(), config);
         assert_eq!(read("").unwrap(), Config::default());
+        let text = config.to_toml();
+        let line = text.lines().find(|line| line.starts_with("# How the volume is found.")).unwrap();
+        assert!(
+            line.ends_with(
+                "One of tr-gs, r2-gaussian, fdk, sart, os-sart, asd-pocs, cgls, tv, naf, sax-nerf, intratomo."
+            )
+        );
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::numeric::threads::{self, Pool};
 use crate::numeric::{Lanes, Real, WIDEST, real, reduce};
 use crate::optim::Adam;
 use crate::scene::{Grid, Projections, Scanner, View, Volume};
+use crate::sealed::require;
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3, ArrayD};
 use rand::RngExt;
@@ -326,9 +327,11 @@ impl<'a, R: Real> NeuralRun<'a, R> {
                 let table = run.model.table;
                 let n = table + run.model.network.parameters();
                 let ([steps], [parameters, first, second]) = state.get::<f64, 1, 3>([n; 3])?;
+                let done = state.iteration();
+                require(steps == done as f64, "steps of the optimiser", steps, "one for each iteration done")?;
                 run.adam = [0..table, table..n]
                     .map(|own| Adam::continued(BETA, EPSILON, steps as u32, &first[own.clone()], &second[own]));
-                (run.parameters, run.iteration) = (parameters, state.iteration());
+                (run.parameters, run.iteration) = (parameters, done);
             }
             None => run.parameters = run.model.begin(settings.seed),
         }

@@ -40,6 +40,14 @@ impl Adam {
         (self.steps, of(0), of(1))
     }
 
+    /// Whether this is a state of `n` numbers after at most `most` steps.
+    pub(crate) fn fits(&self, n: usize, beta: [f64; 2], epsilon: f64, most: usize) -> bool {
+        let are_moments = |[m, v]: &[f64; 2]| m.is_finite() && v.is_finite() && *v >= 0.0;
+        (self.moments.len(), self.beta, self.epsilon) == (n, beta, epsilon)
+            && self.steps as usize <= most
+            && self.moments.iter().all(are_moments)
+    }
+
     /// `θ -= rate · m̂ / (√v̂ + ε)`.
     ///
     /// # Panics

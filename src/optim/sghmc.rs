@@ -73,6 +73,11 @@ impl Sghmc {
         Self { momentum: vec![[0.0; 3]; m], burnt_in: false }
     }
 
+    /// Whether this is a state of `m` positions.
+    pub(crate) fn fits(&self, m: usize) -> bool {
+        self.momentum.len() == m && self.momentum.as_flattened().iter().all(|x| x.is_finite())
+    }
+
     /// One step of `[SGHMC]` with the rate η, against `direction` ĝ; `noise_for(i)` is called once per position.
     ///
     /// | phase | |

@@ -103,12 +103,15 @@ impl Question {
     }
 
     /// Replaces the parameters of the model.
-    pub(super) fn set_model(&mut self, parameters: &Parameters) {
-        let arrays = self.arrays.get_mut("model").expect("only a question with a model gets another");
+    pub(super) fn set_model(&mut self, parameters: &Parameters) -> Result<()> {
+        let mut missing = None;
         for group in Group::ALL {
-            let array = arrays.get_mut(group.key()).expect("a model has all groups");
-            array.iter_mut().zip(parameters.group(group)).for_each(|(old, new)| *old = *new);
+            match self.arrays.get_mut("model").and_then(|arrays| arrays.get_mut(group.key())) {
+                Some(array) => array.iter_mut().zip(parameters.group(group)).for_each(|(old, new)| *old = *new),
+                None => missing = Some(group.key()),
+            }
         }
+        missing.map_or(Ok(()), |key| Err(self.missing(&format!("input model with {key}"))))
     }
 
     pub(super) fn setting(&self, key: &str) -> Result<f64> {

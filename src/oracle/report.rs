@@ -96,7 +96,7 @@ fn stage_rows(report: &Report) -> Vec<[String; 6]> {
             results().count().to_string(),
             results().filter(|r| r.status == Status::Passed).count().to_string(),
             peak.map_or_else(|| "–".into(), |(_, d)| format!("{:.1e}", d.peak)),
-            ulp.map_or_else(|| "–".into(), short),
+            ulp.map_or_else(|| "–".into(), ulps),
             peak.map_or_else(String::new, |(id, _)| id.rsplit('/').next().unwrap_or_default().to_owned()),
         ]
     };
@@ -104,7 +104,7 @@ fn stage_rows(report: &Report) -> Vec<[String; 6]> {
 }
 
 /// A number of ulp for display.
-fn short(ulp: f64) -> String {
+pub fn ulps(ulp: f64) -> String {
     if ulp < 1e4 { format!("{ulp:.1}") } else { format!("{ulp:.1e}") }
 }
 
@@ -118,7 +118,7 @@ fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
         worst.map_or_else(String::new, |w| format!("{:?}", w.index)),
         number(worst.map(|w| w.expected)),
         number(worst.map(|w| w.got)),
-        worst.map_or_else(String::new, |w| short(w.ulp)),
+        worst.map_or_else(String::new, |w| ulps(w.ulp)),
         part.looks_like.clone().unwrap_or_default(),
     ]
 }

@@ -1,18 +1,16 @@
 //! What a stopped or finished run goes on from: primitives of training, or voxels.
 
 use crate::classical::algebraic::{Choice, Pass, VoxelState};
-use crate::config::Config;
+use crate::config::{Config, Method};
 use crate::error::{Error, Result, start_again};
-use crate::output::{create_folder, write_atomically};
+use crate::output::create_folder;
 use crate::provenance::digest_parts;
 use crate::scene::Dataset;
+use crate::sealed::{self, Kind, are_finite, require};
 use crate::train;
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-
-/// Changes with the meaning of the file.
-const FORMAT: u32 = 2;
 
 /// Where a run keeps its state, and what it goes on from.
 #[derive(Debug)]
@@ -52,7 +50,6 @@ pub enum Checkpoint {
 /// The state of a run on voxels, with what it belongs to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct VoxelCheckpoint {
-    format: u32,
     /// All keys, TOML.
     config: String,
     /// Digest of scanner, angles and training projections.
@@ -67,16 +64,16 @@ impl Checkpoint {
     /// Reads the one or the other.
     ///
     /// # Errors
-    /// [`Error::Read`], or [`Error::Format`] for what is none.
+    /// [`Error::Read`], or [`Error::Format`] for a file that is none, is damaged or does not fit itself.
     pub fn read(path: &Path) -> Result<Self> {
-        let refused = match train::Checkpoint::read(path) {
-            Ok(checkpoint) => return Ok(Self::Primitives(Box::new(checkpoint))),
-            Err(error) => error,
-        };
-        let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        match rmp_serde::from_slice::<VoxelCheckpoint>(&bytes) {
-            Ok(checkpoint) if checkpoint.format == FORMAT => Ok(Self::Voxels(Box::new(checkpoint))),
-            _ => Err(refused),
+        let file = sealed::open(path)?;
+        match file.kind {
+            Kind::Primitives => train::Checkpoint::decode(&file, path).map(|found| Self::Primitives(Box::new(found))),
+            Kind::Voxels => {
+                let found: VoxelCheckpoint = file.decode(path)?;
+                found.check_content().map_err(|error| error.in_file(path))?;
+                Ok(Self::Voxels(Box::new(found)))
+            }
         }
     }
 
@@ -130,15 +127,14 @@ impl VoxelCheckpoint {
     /// Without a state yet.
     pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>) -> Self {
         let (config, data) = (config.to_toml(), digest(dataset));
-        Self { format: FORMAT, config, data, choice, passes: Vec::new(), state: VoxelState::default() }
+        Self { config, data, choice, passes: Vec::new(), state: VoxelState::default() }
     }
 
     /// Writes it with a state, which is not kept, as a whole or not at all.
     pub(super) fn write(&mut self, path: &Path, state: VoxelState) -> Result<()> {
         path.parent().map_or(Ok(()), create_folder)?;
         self.state = state;
-        let written =
-            write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other));
+        let written = sealed::write(path, Kind::Voxels, self);
         self.state = VoxelState::default();
         written
     }
@@ -148,6 +144,28 @@ impl VoxelCheckpoint {
             let remedy = "use the version of trgs that wrote it";
             Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
         })
+    }
+
+    /// Rejects what no run has, as far as it does not depend on the dataset: the method checks its numbers and arrays.
+    fn check_content(&self) -> Result<()> {
+        let config = self.config()?;
+        config.validate()?;
+        let is_iterative = !config.method.fits_primitives() && config.method != Method::Fdk;
+        require(is_iterative, "method of the checkpoint", "another", "one on voxels, or a network")?;
+        let done = self.state.iteration();
+        require(done <= config.iterations, "iterations done", done, "no more than the run has")?;
+        let of = |(k, pass): (usize, &Pass)| {
+            let numbers = [Some(pass.residual), pass.objective, pass.change];
+            pass.iteration == k + 1 && pass.iterations <= config.iterations && are_finite(numbers.iter().flatten())
+        };
+        let passes = self.passes.len() == done && self.passes.iter().enumerate().all(of);
+        require(passes, "residuals", "others", "a finite one for each iteration done")?;
+        let chosen = self.choice.as_ref().map(|choice| choice.key.as_str());
+        require(chosen == chooses(&config), "choice", format!("{chosen:?}"), "that of the method's settings")?;
+        let most = if chosen == Some("passes") { config.iterations as f64 } else { f64::INFINITY };
+        let ranged = self.choice.as_ref().is_none_or(|choice| choice.is_valid() && choice.value <= most);
+        require(ranged, "choice", "another", "positive numbers with their errors")?;
+        require(self.state.is_finite(), "state", "another", "finite numbers")
     }
 
     fn extend(&mut self, iterations: usize) -> Result<()> {
@@ -181,6 +199,15 @@ impl VoxelCheckpoint {
     }
 }
 
+/// The setting that a method on voxels chooses by views held out.
+pub(super) fn chooses(config: &Config) -> Option<&'static str> {
+    match config.method {
+        Method::Tv if config.tv.weight.fixed().is_none() => Some("tv.weight"),
+        Method::Cgls | Method::Sart | Method::OsSart if config.algebraic.auto => Some("passes"),
+        _ => None,
+    }
+}
+
 /// Digest of all that a run takes from its dataset.
 fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
@@ -188,3 +215,6 @@ fn digest(dataset: &Dataset) -> String {
         format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
     digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }
+
+#[cfg(test)]
+mod tests;

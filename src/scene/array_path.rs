@@ -16,14 +16,18 @@ pub(super) fn parts(path: &Path) -> (PathBuf, Option<String>) {
 }
 
 fn split(path: &Path) -> Option<(PathBuf, Option<String>)> {
-    let text = path.to_string_lossy();
-    let lower = text.to_ascii_lowercase();
-    if ENDINGS.iter().any(|ending| lower.ends_with(ending)) {
+    let ends = |path: &Path, with: &str| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        ENDINGS.iter().any(|ending| name.ends_with(&format!("{ending}{with}")))
+    };
+    if ends(path, "") {
         return Some((path.to_owned(), None));
     }
-    let colons = ENDINGS.iter().filter_map(|ending| Some(lower.find(&format!("{ending}:/"))? + ending.len()));
-    let colon = colons.min()?;
-    Some((PathBuf::from(&text[..colon]), Some(text[colon + 1..].to_owned())))
+    // The folder-like part that ends with a colon; a name that is not UTF-8 stays as it is.
+    let file = path.ancestors().filter(|part| ends(part, ":") && *part != path).last()?;
+    let array = path.strip_prefix(file).ok()?.to_str()?;
+    let ending = file.extension()?.to_str()?.strip_suffix(':')?;
+    Some((file.with_extension(ending), Some(format!("/{array}"))))
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ pub fn describe(dataset: &Dataset) -> Result<Vec<DescriptionLine>> {
     let mut rows = vec![line("name", &dataset.name, "")];
     rows.extend(scanner_rows(&dataset.scanner));
     rows.extend(pose_row(&dataset.scanner, &dataset.train));
-    rows.push(line("unit", format!("1 of the files is {} scene units", short(dataset.scale)), ""));
+    rows.push(line("unit", dataset.frame.words(), ""));
     rows.extend(view_rows("training", &dataset.train));
     if let Some(test) = &dataset.test {
         rows.extend(view_rows("test", test));

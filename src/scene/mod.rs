@@ -5,6 +5,7 @@ pub mod arrays;
 pub mod borders;
 pub mod dataset;
 pub mod describe;
+pub mod frame;
 pub mod geometry;
 // Test builds include it without the feature, so that one test build covers it.
 #[cfg(any(feature = "hdf5", test))]
@@ -26,6 +27,7 @@ pub mod volume_file;
 
 pub use arrays::{Projections, Volume};
 pub use dataset::Dataset;
+pub use frame::{Frame, Unit};
 pub use geometry::{Beam, Detector, Deviation, Grid, Pose, Ray, Scanner, Trajectory, View};
 pub use interpolant::interpolant;
 pub use noise::Noise;

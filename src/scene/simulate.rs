@@ -2,6 +2,7 @@
 
 use super::arrays::{Projections, Volume};
 use super::dataset::Dataset;
+use super::frame::Frame;
 use super::geometry::{Deviation, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::phantom::Phantom;
@@ -146,6 +147,7 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
         name: name.into(),
         scanner: *scanner,
         scale: 1.0,
+        frame: Frame::default(),
         noise: plan.noise,
         train,
         test,

@@ -14,6 +14,7 @@
 use super::arrays::Projections;
 use super::borders::{Borders, Side};
 use super::geometry::{Beam, Scanner, View};
+use super::plausibility::Evidence;
 use glam::DVec3;
 use ndarray::Axis;
 use std::f64::consts::TAU;
@@ -80,8 +81,17 @@ impl Displacement {
     }
 }
 
+/// Remarks on an object that is larger than the detector.
+pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
+    if scan.are_readings {
+        return Vec::new();
+    }
+    let (scanner, train) = (&scan.dataset.scanner, &scan.dataset.train);
+    [wider(scanner, train, &scan.borders), taller(scanner, train, &scan.borders)].into_iter().flatten().collect()
+}
+
 /// A remark on an object that is wider than the detector, where no opposite view sees the rest.
-pub(super) fn wider(scanner: &Scanner, train: &Projections, borders: &Borders) -> Option<String> {
+fn wider(scanner: &Scanner, train: &Projections, borders: &Borders) -> Option<String> {
     let displacement = Displacement::of_view(scanner, &train.trajectory().view(scanner, 0));
     // On a full turn, the far side of a displaced detector sees what its near side lacks.
     let turns = widest_gap(&train.angles) <= GAP;
@@ -100,7 +110,7 @@ pub(super) fn wider(scanner: &Scanner, train: &Projections, borders: &Borders) -
 }
 
 /// A remark on an object that is taller than the detector, where the volume reaches beyond the detector.
-pub(super) fn taller(scanner: &Scanner, train: &Projections, borders: &Borders) -> Option<String> {
+fn taller(scanner: &Scanner, train: &Projections, borders: &Borders) -> Option<String> {
     let ends = [Side::Top, Side::Bottom];
     if !ends.iter().any(|&side| borders.at(side).is_cut()) {
         return None;

@@ -9,6 +9,7 @@
 //!          every few steps: density control (clone, split, prune); recompute c  ←  SGHMC, Adam  ←──┘
 //! ```
 
+mod checkpoint;
 mod losses;
 mod optimiser;
 mod record;
@@ -16,10 +17,10 @@ mod start;
 mod state;
 mod views;
 
+pub(crate) use checkpoint::check_extension;
+pub use checkpoint::{Checkpoint, Checkpoints};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model, with_points_of_model};
-pub(crate) use state::check_extension;
-pub use state::{Checkpoint, Checkpoints};
 
 use crate::classical::density_unit::{density_unit, in_unit};
 use crate::confidence::{Coverage, nu_target, spearman};
@@ -34,12 +35,13 @@ use crate::primitives::{Activation, Primitives};
 use crate::projector::{Field, Kernels};
 use crate::scene::dataset::Dataset;
 use crate::scene::{Grid, Volume};
+use checkpoint::digest;
 use losses::{DataTerm, IterationState, LossInputs};
 use optimiser::Step;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use record::Losses;
-use state::{State, digest};
+use state::State;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;

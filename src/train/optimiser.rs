@@ -1,12 +1,14 @@
 //! One optimiser for each group of parameters, with its learning rate.
 
 use crate::config::{Config, OptimiserConfig, PositionOptimiser};
+use crate::error::Result;
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::threads;
 use crate::optim::schedule::pace;
 use crate::optim::sghmc::{NoiseInput, Phase, gate};
 use crate::optim::{Adam, Exponential, Sghmc};
 use crate::primitives::{Group, Parameters, Primitives};
+use crate::sealed::require;
 use glam::{DMat3, DVec3};
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -36,6 +38,15 @@ impl Optimiser {
         let o = &config.optimiser;
         let adam = Group::ALL.map(|group| Adam::new(m * group.width(), o.beta, o.epsilon));
         Self { adam, sghmc: Sghmc::new(m) }
+    }
+
+    /// Rejects the state of other optimisers than those of `m` primitives after `done` iterations of `config`.
+    pub(super) fn check(&self, m: usize, done: usize, config: &Config) -> Result<()> {
+        let o = &config.optimiser;
+        let mut pairs = Group::ALL.into_iter().zip(&self.adam);
+        let fits = pairs.all(|(group, adam)| adam.fits(m * group.width(), o.beta, o.epsilon, done));
+        let expected = "finite moments of each parameter, in at most as many steps as iterations are done";
+        require(fits && self.sghmc.fits(m), "state of the optimisers", "another", expected)
     }
 
     /// One step of all parameters; `direction` is scratch.

@@ -1,5 +1,6 @@
 //! Reports on the state of a run.
 
+use crate::sealed::are_finite;
 use serde::{Deserialize, Serialize};
 
 /// A report on the state of a run: means over the iterations since the last report.
@@ -33,6 +34,13 @@ pub struct Record {
     pub seconds: f64,
 }
 
+impl Record {
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { loss, l1, d_ssim, tv, nu, wavelet, confidence, spearman, seconds, .. } = self;
+        are_finite([loss, l1, d_ssim, tv, nu, wavelet, seconds].into_iter().chain(confidence).chain(spearman))
+    }
+}
+
 /// The loss terms of one iteration, or their sums over several.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Losses {
@@ -47,6 +55,11 @@ pub(super) struct Losses {
 }
 
 impl Losses {
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { total, l1, d_ssim, tv, nu, wavelet, .. } = self;
+        are_finite([total, l1, d_ssim, tv, nu, wavelet])
+    }
+
     pub(super) fn add(&mut self, other: &Self) {
         self.total += other.total;
         self.l1 += other.l1;

@@ -1,20 +1,14 @@
-//! The state that a run needs to resume with the same bits, and its checkpoint file.
+//! The state that a run needs to resume with the same bits.
 
 use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
 use crate::config::Config;
 use crate::density::{NextPrimitive, next_parameters};
-use crate::error::{Error, Result, start_again};
-use crate::output::{create_folder, write_atomically};
-use crate::primitives::{Activation, Parameters};
-use crate::provenance::digest_parts;
-use crate::scene::Dataset;
-use bytemuck::cast_slice;
+use crate::error::Result;
+use crate::primitives::rotation::is_usable;
+use crate::primitives::{Activation, Group, Parameters};
+use crate::sealed::{are_finite, require};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
-
-/// Version of the file format.
-const FORMAT: u32 = 2;
 
 /// The state of a run after an iteration.
 ///
@@ -88,6 +82,44 @@ impl State {
         }
     }
 
+    /// Rejects a state that no run of `config` has: lengths and ranges of what was read from a file.
+    pub(super) fn check(&self, config: &Config) -> Result<()> {
+        let Self { iteration, raw, ids, next_id, optimiser, confidence, gradient_stats, .. } = self;
+        let (m, done) = (raw.len(), *iteration);
+        require(done <= config.iterations, "iterations done", done, "no more than the run has")?;
+        let rows = Group::ALL.map(|group| raw.group(group).len() / group.width());
+        let expected = "one row for each of one primitive or more";
+        require(m > 0 && rows == [m; 5], "rows of the parameters", format!("{rows:?}"), expected)?;
+        let finite = Group::ALL.iter().all(|group| are_finite(raw.group(*group)));
+        require(finite && raw.quaternion.iter().all(|q| is_usable(*q)), "parameters", "others", "finite numbers")?;
+        let mut sorted = ids.clone();
+        sorted.sort_unstable();
+        let unique = sorted.is_sorted_by(|a, b| a < b) && sorted.last().is_none_or(|last| last < next_id);
+        // Each iteration adds fewer ids than this.
+        let few = *next_id <= u64::MAX / 2;
+        require(ids.len() == m && unique && few, "ids", "others", "a unique one for each primitive")?;
+        optimiser.check(m, done, config)?;
+        let is_confident = config.confidence.enabled || config.wavelet.enabled;
+        let whole = confidence.len() == if is_confident { m } else { 0 };
+        let ranged = confidence.iter().all(|c| (0.0..=1.0).contains(c));
+        require(whole && ranged, "confidence", "others", "a number from 0 to 1 for each primitive")?;
+        let GradientStats { sum, views } = gradient_stats;
+        let seen = sum.iter().all(|sum| sum.is_finite() && *sum >= 0.0) && views.iter().all(|&n| n as usize <= done);
+        require([sum.len(), views.len()] == [m; 2] && seen, "gradients of the views", "others", "those of the views")?;
+        self.check_log()
+    }
+
+    fn check_log(&self) -> Result<()> {
+        let Self { iteration, log, sums, summed, seconds, continued, .. } = self;
+        let records = log.is_sorted_by(|a, b| a.iteration < b.iteration)
+            && log.iter().all(|record| (1..=*iteration).contains(&record.iteration) && record.is_finite());
+        require(records, "log", "others", "finite records of the iterations done")?;
+        let few = *summed <= *iteration && sums.blocks <= *summed;
+        require(few && sums.is_finite() && seconds.is_finite(), "sums of the losses", "others", "finite sums")?;
+        let continues = continued.is_sorted() && continued.iter().all(|at| at <= iteration);
+        require(continues, "iterations of a continuation", "others", "iterations done, in their order")
+    }
+
     /// Replaces the population. Unchanged values keep their raw values to the bit.
     pub(super) fn replace_population(
         &mut self,
@@ -125,146 +157,6 @@ impl State {
         self.optimiser.remap_rows(&rows);
         self.gradient_stats = GradientStats::new(next.len());
     }
-}
-
-/// The state of a run, with its configuration and the digest of its data.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Checkpoint {
-    format: u32,
-    /// All keys, TOML.
-    config: String,
-    /// Digest of scanner, angles and training projections.
-    data: String,
-    pub(super) state: State,
-}
-
-/// The file of a run's checkpoints, and the checkpoint to resume from.
-#[derive(Debug)]
-pub struct Checkpoints {
-    /// The file; its folder is created.
-    pub file: PathBuf,
-    /// The checkpoint to resume from.
-    pub from: Option<Checkpoint>,
-}
-
-impl Checkpoint {
-    /// `data` is the [`digest`] of the run's dataset.
-    pub(super) fn new(config: &Config, data: String, state: State) -> Self {
-        Self { format: FORMAT, config: config.to_toml(), data, state }
-    }
-
-    /// Reads a checkpoint.
-    ///
-    /// # Errors
-    /// [`Error::Read`], or [`Error::Format`] for what is none.
-    pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        let checkpoint: Self = rmp_serde::from_slice(&bytes)
-            .map_err(|error| Error::format(path, "content", error, "a checkpoint of trgs", start_again()))?;
-        if checkpoint.format != FORMAT {
-            return Err(Error::format(path, "format", checkpoint.format, FORMAT.to_string(), start_again()));
-        }
-        Ok(checkpoint)
-    }
-
-    /// Writes it as a whole or not at all; missing folders are created, and removed again if it cannot be written.
-    ///
-    /// # Errors
-    /// [`Error::Write`].
-    pub fn write(&self, path: &Path) -> Result<()> {
-        let folders = path.ancestors().skip(1).take_while(|folder| !folder.as_os_str().is_empty());
-        let missing: Vec<&Path> = folders.take_while(|folder| !folder.exists()).collect();
-        let written = path.parent().map_or(Ok(()), create_folder).and_then(|()| {
-            write_atomically(path, |file| rmp_serde::encode::write(file, self).map_err(std::io::Error::other))
-        });
-        if written.is_err() {
-            // Only empty folders are removed: others are in use by now.
-            missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
-        }
-        written
-    }
-
-    /// Iterations done.
-    pub fn iteration(&self) -> usize {
-        self.state.iteration
-    }
-
-    /// The configuration of its run.
-    ///
-    /// # Errors
-    /// When it is not one of this version.
-    pub fn config(&self) -> Result<Config> {
-        Config::from_toml(&self.config).map_err(|message| {
-            let remedy = "use the version of trgs that wrote it";
-            Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
-        })
-    }
-
-    /// Makes it the state of a run of `iterations`, which are more than those done.
-    ///
-    /// From here on, everything that depends on the length of the run (learning rates, the phases of the sampler and of
-    /// density control) is that of a run of `iterations`. Intervals between steps, such as `confidence.every`, stay. The
-    /// result has the same bits for any number of threads and after any interruption. It is that of a run of `iterations`
-    /// from its start, up to the rounding of rates, only where no setting depends on the length: constant rates, an
-    /// `optimiser.horizon` of 1, at most `optimiser.longest` iterations, and phases that begin at 0 and end at 1.
-    ///
-    /// # Errors
-    /// When as many iterations are done, unless the run has this number already.
-    pub fn extend(&mut self, iterations: usize) -> Result<()> {
-        let mut config = self.config()?;
-        if iterations == config.iterations {
-            return Ok(());
-        }
-        check_extension(iterations, self.iteration())?;
-        config.iterations = iterations;
-        self.config = config.to_toml();
-        self.state.continued.push(self.state.iteration);
-        Ok(())
-    }
-
-    /// Whether the run was given another number of iterations after its start.
-    pub fn is_continued(&self) -> bool {
-        !self.state.continued.is_empty()
-    }
-
-    /// Rejects another configuration. Settings of the steps after training may differ: `sampling`, `finish` and the table
-    /// `tv`.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] with the first key that differs.
-    pub fn check_config(&self, config: &Config) -> Result<()> {
-        let afterwards = (config.sampling, config.finish, config.tv.clone());
-        let mut saved = self.config()?;
-        (saved.sampling, saved.finish, saved.tv) = afterwards;
-        let Some((key, now, then)) = config.difference(&saved) else { return Ok(()) };
-        Err(Error::other_run(key, now, format!("{then}, as in the checkpoint")))
-    }
-
-    /// Rejects another configuration and other data.
-    pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
-        self.check_config(config)?;
-        if self.data != data {
-            return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
-        }
-        Ok(())
-    }
-}
-
-/// Rejects no more iterations than are done.
-pub(crate) fn check_extension(iterations: usize, done: usize) -> Result<()> {
-    if iterations > done {
-        return Ok(());
-    }
-    let remedy = format!("ask for more, such as `iterations={}`, or {}", 2 * done, start_again());
-    Err(Error::invalid("iterations", iterations, format!("more than {done}, which are done"), remedy))
-}
-
-/// Digest of the parts of a dataset that training uses.
-pub(super) fn digest(dataset: &Dataset) -> String {
-    let projections = dataset.train.images.as_standard_layout();
-    let description =
-        format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
-    digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }
 
 #[cfg(test)]
@@ -311,15 +203,5 @@ mod tests {
         gradient_stats.add([[3.0, 4.0], [1.0, 0.0], [7.0, 7.0]].into_iter(), [true, true, false].into_iter());
         gradient_stats.add([[0.0, 1.0], [5.0, 5.0], [7.0, 7.0]].into_iter(), [true, false, false].into_iter());
         assert_eq!(gradient_stats.means(), [3.0, 1.0, 0.0]);
-    }
-
-    #[test]
-    fn what_is_no_checkpoint_is_refused_with_its_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("checkpoint");
-        std::fs::write(&path, b"hello").unwrap();
-        let message = Checkpoint::read(&path).unwrap_err().to_string();
-        assert!(message.contains("checkpoint") && !message.contains('\n'), "{message}");
-        assert!(Checkpoint::read(&folder.path().join("none")).is_err());
     }
 }

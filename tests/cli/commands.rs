@@ -45,6 +45,15 @@ fn every_command_has_help_with_an_example() {
         for flag in ["--threads", "--quiet", "--log-format", "--json"] {
             assert!(help.contains(flag), "{command} has no {flag}");
         }
+        // Paragraphs are wrapped once, to 100 columns.
+        for paragraph in help.split("\n\n").filter(|paragraph| paragraph.lines().all(|line| !line.starts_with(' '))) {
+            let lines: Vec<&str> = paragraph.lines().collect();
+            let ragged = lines.windows(2).find(|pair| {
+                let next = pair[1].split(' ').next().unwrap_or_default();
+                pair[0].chars().count() + 1 + next.chars().count() <= 95
+            });
+            assert_eq!(ragged, None, "{command}: a line ends before the next word needs it to");
+        }
     }
 }
 
@@ -59,7 +68,7 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
     let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5 --set finish=none --set sampling=point");
     assert_eq!(keys(&run), BTreeSet::from_iter(["run", "method", "seconds", "report"].into_iter().chain(METRICS)));
     let mut files = vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json"];
-    files.extend(["model.npz", "provenance.json", "report.html", "volume.npy"]);
+    files.extend(["model.npz", "provenance.json", "report.html", "volume.npy", "volume.npy.json"]);
     assert_eq!(sandbox.names_in("run"), files);
     let log: Vec<Value> =
         sandbox.text("run/log.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -124,6 +133,8 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
         assert!(found["kind"].as_str().unwrap().starts_with(kind), "{path}: {found}");
     }
     assert_eq!(sandbox.done("inspect run")["oddities"], serde_json::json!([]));
+    let text = String::from_utf8(sandbox.run("inspect run").stdout).unwrap();
+    assert!(!text.contains("[{"), "JSON in a table: {text}");
     sandbox.write("run/volume.npy", sandbox.read("part.npy"));
     assert!(sandbox.done("inspect run")["oddities"][0].as_str().unwrap().contains("volume.npy"));
 }
@@ -230,7 +241,8 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
         (provenance["inputs"].clone(), provenance["outputs"].clone())
     };
     assert_eq!(digests("a"), digests("d"));
-    assert_eq!(keys(&digests("a").1), BTreeSet::from(["config.toml", "metrics.json", "model.npz", "volume.npy"]));
+    let written = ["config.toml", "metrics.json", "model.npz", "volume.npy", "volume.npy.json"];
+    assert_eq!(keys(&digests("a").1), BTreeSet::from(written));
 }
 
 #[test]
@@ -252,7 +264,7 @@ fn an_older_run_of_the_same_method_is_replaced_and_nothing_else() {
     sandbox.done("reconstruct scan --out run --method fdk");
     assert_eq!(
         sandbox.names_in("run"),
-        ["config.toml", "metrics.json", "provenance.json", "report.html", "volume.npy"]
+        ["config.toml", "metrics.json", "provenance.json", "report.html", "volume.npy", "volume.npy.json"]
     );
     let first = sandbox.read("run/volume.npy");
     sandbox.done("reconstruct scan --out run --method fdk --views 2");
@@ -271,8 +283,9 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
     let fdk = sandbox.done("reconstruct scan --out fdk --method fdk")["psnr_3d"]["value"].as_f64().unwrap();
     for (method, iterations) in [("sart", 20), ("os-sart", 20), ("asd-pocs", 10), ("cgls", 20)] {
         let run = sandbox.done(&format!("reconstruct scan --out {method} --method {method}"));
-        let files =
-            ["checkpoints", "config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html", "volume.npy"];
+        let mut files =
+            vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html"];
+        files.extend(["volume.npy", "volume.npy.json"]);
         assert_eq!(sandbox.names_in(method), files);
         let psnr = run["psnr_3d"]["value"].as_f64().unwrap();
         assert!(psnr > fdk + 1.0, "{method}: {psnr} dB, FDK {fdk} dB");
@@ -514,6 +527,45 @@ fn an_interrupt_leaves_nothing_half_written() {
         assert_eq!(sandbox.names(), ["run", "scan"]);
         assert_eq!(sandbox.names_in("run"), ["checkpoints"]);
         assert_eq!(sandbox.names_in("run/checkpoints"), ["last.msgpack"]);
+    }
+}
+
+/// As with `nohup`, and in a script's background.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_signal_that_was_ignored_before_stays_ignored() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+    let sandbox = Sandbox::with_scan();
+    let (hangup, interrupt, termination) = (1, 2, 15);
+    for (ignored, handled) in
+        [("HUP", [interrupt, termination]), ("INT", [hangup, termination]), ("TERM", [hangup, interrupt])]
+    {
+        let mut child = Command::new("sh")
+            .args(["-c", &format!("trap '' {ignored}; exec \"$0\" \"$@\"")])
+            .arg(assert_cmd::cargo::cargo_bin!("trgs"))
+            .args("reconstruct scan --out run --iterations 100000000 --set report_every=1".split(' '))
+            .current_dir(sandbox.path(""))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut messages = BufReader::new(child.stderr.take().unwrap()).lines();
+        messages.find(|line| line.as_ref().unwrap().starts_with("iteration 1 of")).unwrap().unwrap();
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap();
+        let is_in = |mask: &str, signal: u32| {
+            let mask = status.lines().find_map(|line| line.strip_prefix(mask)).unwrap();
+            u64::from_str_radix(mask.trim(), 16).unwrap() >> (signal - 1) & 1 == 1
+        };
+        let signal =
+            [("HUP", hangup), ("INT", interrupt), ("TERM", termination)].into_iter().find(|(name, _)| *name == ignored);
+        assert!(
+            is_in("SigIgn:", signal.unwrap().1) && handled.iter().all(|signal| is_in("SigCgt:", *signal)),
+            "{status}"
+        );
+        let kill = |signal: &str| Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        kill(&format!("-{ignored}"));
+        kill(&format!("-{}", handled[0]));
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{ignored} ignored");
     }
 }
 

@@ -10,7 +10,7 @@ use trgs::classical::geometry_check::{Candidate, Convention, GeometryCheck};
 use trgs::numeric::threads;
 use trgs::scene::phantom::solid::{Shape, Solid};
 use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Phantom, Projections, Scanner};
+use trgs::scene::{Beam, Dataset, Detector, Frame, Grid, Noise, Phantom, Projections, Scanner};
 
 const CONE: Beam = Beam::Cone { dso: 4.0, dsd: 6.0 };
 const PARALLEL: Beam = Beam::Parallel { dso: 4.0 };
@@ -29,6 +29,7 @@ fn scan_of(phantom: &Phantom, scanner: &Scanner, angles: &[f64]) -> Dataset {
         name: phantom.name.clone(),
         scanner: *scanner,
         scale: 1.0,
+        frame: Frame::default(),
         noise: Noise::LOW,
         train: Noise::LOW.apply(&phantom.project(scanner, angles).unwrap(), 5).unwrap(),
         test: None,

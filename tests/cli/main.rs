@@ -28,6 +28,9 @@ mod hdf5;
 mod memory;
 // `trgs oracle` and `trgs compare`.
 mod oracle_cli;
+// Names of files that are not UTF-8.
+#[cfg(target_os = "linux")]
+mod names;
 // Scans with poses.
 mod poses;
 // Frames, volumes and angles in the formats that people have.

@@ -9,7 +9,7 @@ use serde_json::Value;
 use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::Duration;
-use trgs::scene::{Beam, Dataset, Detector, Grid, Noise, Projections, Scanner, Volume};
+use trgs::scene::{Beam, Dataset, Detector, Frame, Grid, Noise, Projections, Scanner, Volume};
 
 const MIB: f64 = (1 << 20) as f64;
 /// Allowed underestimate: memory that the system gives to any program.
@@ -34,6 +34,7 @@ fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: us
         name: "ball".into(),
         scanner,
         scale: 1.0,
+        frame: Frame::default(),
         noise: Noise::None,
         train: projections(views, 0.0),
         test: (test_views > 0).then(|| projections(test_views, 0.1)),

@@ -98,6 +98,10 @@ fn compare_names_what_it_sees() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0));
     assert!(text.contains("looks like a half-pixel shift in u towards higher indices"), "{text}");
+    let worst = text.lines().find(|line| line.contains("worst at [")).unwrap();
+    assert!(worst.contains(": expected ") && worst.contains(", got "), "{worst}");
+    let ulp = text.lines().find_map(|line| line.strip_suffix(" ulp")?.rsplit(' ').next()).unwrap();
+    assert!(ulp.contains("e1") && ulp.len() < 8, "{ulp}");
     assert_eq!(sandbox.run("compare a.npy b.npy --tolerance 1e-3").status.code(), Some(1));
     assert_eq!(sandbox.run("compare a.npy c.npy --tolerance 1e-7 --precision f32").status.code(), Some(0));
     assert_eq!(sandbox.done("compare a.npy a.npy --tolerance 0")[0]["difference"]["peak"], 0.0);

@@ -135,7 +135,7 @@ fn scans_may_name_images_and_volumes_in_other_formats() {
         std::fs::remove_file(sandbox.path(&format!("scan/{view}.npy"))).unwrap();
     }
     std::fs::remove_file(sandbox.path("scan/vol_gt.npy")).unwrap();
-    trgs::write_volume(sandbox.path("scan/truth.nii.gz"), &truth).unwrap();
+    trgs::write_volume(sandbox.path("scan/truth.nii.gz"), &truth, &plain.frame).unwrap();
     npz::write(&sandbox.path("scan/truth.npz"), &[("vol", Entry::F32(truth.values.view().into_dyn()))]).unwrap();
     for truth in ["truth.nii.gz", "truth.npz"] {
         sandbox.edit("scan/meta_data.json", |meta| {
@@ -153,7 +153,7 @@ fn scans_may_name_images_and_volumes_in_other_formats() {
     volume_file::write(&sandbox.path("scan/truth.mha"), &other).unwrap();
     sandbox.edit("scan/meta_data.json", |meta| meta["vol"] = json!("truth.mha"));
     let found = sandbox.done("inspect scan");
-    assert!(found["oddities"].to_string().contains("other proportions"), "{found}");
+    assert!(found["oddities"].to_string().contains("is not that of the scan"), "{found}");
     // A file with several pages is no view.
     volume_file::write(&sandbox.path("scan/proj_train/proj_train_0000.tif"), &other).unwrap();
     assert!(sandbox.refused("inspect scan").contains("one page, [v, u]"));

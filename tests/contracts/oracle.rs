@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
-use trgs::oracle::check::Status;
+use trgs::oracle::check::{PartResult, Status};
 use trgs::oracle::tolerances::Limits;
-use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, check, report, waivers};
+use trgs::oracle::{Case, Format, Level, Options, Question, Tolerances, Vectors, answers, check, report, waivers};
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -267,6 +267,53 @@ fn nan_a_missing_file_a_missing_array_a_wrong_shape_and_rubbish_fail() {
     assert_eq!(of("nu-3").status, Status::Failed);
     assert!(!report.passed());
     assert_eq!(report.count(Status::Passed), report.results.len() - 5);
+}
+
+/// A diagnosis of a wrong answer never ends the check: all stages and outputs, wrong in five ways.
+#[test]
+fn every_wrong_output_of_every_stage_is_in_the_report() {
+    type Change = fn(f64) -> f64;
+    let vectors = vectors();
+    let size = |case: &Case| -> u64 {
+        let bytes = case.outputs.values().map(|file| vectors.bytes(file).unwrap().len() as u64);
+        bytes.sum()
+    };
+    // The smallest case of each stage, and all kernels and beams of the parametrisation.
+    let chosen = |case: &&Case| {
+        let others = vectors.manifest.cases.iter().filter(|other| other.stage == case.stage);
+        case.stage == "gradient-raw" || others.min_by_key(|other| size(other)).is_some_and(|least| least.id == case.id)
+    };
+    let chosen: Vec<&Case> = vectors.manifest.cases.iter().filter(chosen).collect();
+    assert!(chosen.len() >= answers::STAGES.len());
+    let changes: [(&str, Change); 5] = [
+        ("zeros", |_| 0.0),
+        ("NaN", |_| f64::NAN),
+        ("infinity", |_| f64::INFINITY),
+        ("a factor of 1.01", |x| 1.01 * x),
+        ("the opposite sign", |x| -x),
+    ];
+    for (name, change) in changes {
+        let folder = tempfile::tempdir().unwrap();
+        for case in &chosen {
+            let outputs = case.outputs.iter().map(|(role, file)| {
+                let arrays = vectors.arrays(file).unwrap().into_iter();
+                (role.clone(), arrays.map(|(key, array)| (key, array.mapv(change))).collect())
+            });
+            answers::write(folder.path(), case, &outputs.collect()).unwrap();
+        }
+        let report = judge(&vectors, folder.path(), Format::F64, &[]);
+        assert_eq!(report.results.len(), vectors.manifest.cases.len(), "{name}");
+        assert_eq!(report.count(Status::Missing), report.results.len() - chosen.len(), "{name}");
+        // A change leaves zeros, and infinities stay what they are; NaN is never right.
+        let failed = report.count(Status::Failed);
+        assert!(failed == chosen.len() || (name != "NaN" && failed > chosen.len() / 2), "{name}: {failed} failed");
+        assert!(report::markdown(&report).contains("gradient-raw/extreme"), "{name}");
+        if name == "the opposite sign" {
+            let of = |part: &&PartResult| part.looks_like.as_ref().is_some_and(|text| text.contains(name));
+            let raw = report.results.iter().filter(|result| result.stage == "gradient-raw");
+            assert!(raw.flat_map(|result| &result.parts).filter(of).count() >= 10);
+        }
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ use numpy::{Element, IntoPyArray, PyArray, PyArrayDescr, PyArrayDescrMethods, Py
 use numpy::{PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyList, PyTuple};
 use trgs::classical::fdk::Sample;
 use trgs::config::Precision;
 use trgs::numeric::Real;
@@ -60,10 +61,21 @@ fn names(types: &[&str]) -> String {
     types.join(" or ")
 }
 
-fn refused(value: &Bound<'_, PyAny>, what: &str, axes: &str, types: &[&str]) -> PyErr {
+fn refused(value: &Bound<'_, PyAny>, what: &str, axes: &str, types: &[&str], dimensions: Option<usize>) -> PyErr {
     let expected = format!("a C-contiguous NumPy array of {}, {axes}", names(types));
-    let remedy = format!("give np.ascontiguousarray({what}, dtype=np.{})", types[types.len() - 1]);
+    let got = value.cast::<PyUntypedArray>().ok().map(|array| array.ndim());
+    // Another type or order is no help to an array with another number of axes.
+    let remedy = match (got, dimensions) {
+        (Some(got), Some(wanted)) if got != wanted => {
+            format!("give an array with {}, {axes}", counted(wanted, "axis", "axes"))
+        }
+        _ => format!("give np.ascontiguousarray({what}, dtype=np.{})", types[types.len() - 1]),
+    };
     wrong_type(what, value, &expected, &remedy)
+}
+
+fn counted(count: usize, one: &str, more: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { more })
 }
 
 /// Borrows the array where type, number of axes, order and alignment fit.
@@ -83,7 +95,7 @@ pub(crate) fn read<'py, T: Element, D: Dimension>(
     axes: &str,
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
     let name = T::get_dtype(value.py()).to_string();
-    fitting(value)?.ok_or_else(|| refused(value, what, axes, &[&name]))
+    fitting(value)?.ok_or_else(|| refused(value, what, axes, &[&name], D::NDIM))
 }
 
 /// An array of float32 or float64.
@@ -95,7 +107,7 @@ pub(crate) fn read_float<'py, D: Dimension>(
     if let Some(array) = fitting(value)? {
         return Ok(Float::Single(array));
     }
-    let array = fitting(value)?.ok_or_else(|| refused(value, what, axes, &["float32", "float64"]))?;
+    let array = fitting(value)?.ok_or_else(|| refused(value, what, axes, &["float32", "float64"], D::NDIM))?;
     Ok(Float::Double(array))
 }
 
@@ -158,6 +170,49 @@ pub(crate) fn word<T: Copy>(what: &str, got: &str, words: &[(&str, T)]) -> PyRes
 /// Hands an array over to Python.
 pub(crate) fn give<T: Element, D: Dimension>(py: Python<'_>, array: Array<T, D>) -> Bound<'_, PyAny> {
     array.into_pyarray(py).into_any()
+}
+
+/// A copy of an object's own array, which refuses writes: they would not change the object.
+pub(crate) fn copy<'py, T: Element, D: Dimension>(py: Python<'py>, array: Array<T, D>) -> Bound<'py, PyAny> {
+    let array = array.into_pyarray(py);
+    drop(array.readwrite().make_nonwriteable());
+    array.into_any()
+}
+
+/// A tuple of `N` numbers, one for each axis.
+pub(crate) struct Axes<T, const N: usize>(pub(crate) [T; N]);
+
+/// A number of a tuple: its name in errors, and an example.
+pub(crate) trait Part: for<'a, 'py> FromPyObject<'a, 'py> {
+    const WHAT: &'static str;
+    const EXAMPLE: &'static str;
+}
+
+impl Part for usize {
+    const WHAT: &'static str = "counts";
+    const EXAMPLE: &'static str = "64";
+}
+
+impl Part for f64 {
+    const WHAT: &'static str = "numbers";
+    const EXAMPLE: &'static str = "1.0";
+}
+
+impl<T: Part, const N: usize> FromPyObject<'_, '_> for Axes<T, N> {
+    type Error = PyErr;
+
+    /// PyO3 puts the argument's name before the error.
+    fn extract(value: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
+        let is_sequence = value.is_instance_of::<PyTuple>() || value.is_instance_of::<PyList>();
+        let found = if is_sequence { value.extract::<Vec<T>>().ok() } else { None };
+        found.and_then(|found| found.try_into().ok()).map(Self).ok_or_else(|| {
+            let got = value.repr().map_or_else(|_| "an object".into(), |text| text.to_string());
+            let got: String = got.chars().take(60).collect();
+            let example = [T::EXAMPLE; N].join(", ");
+            let expected = format!("a tuple of {N} {}", T::WHAT);
+            PyTypeError::new_err(format!("got {got}, expected {expected}; give ({example}), for example"))
+        })
+    }
 }
 
 /// Rows of `N` numbers `[M, N]`; float32 is widened, which is exact.

@@ -1,8 +1,9 @@
 //! Grids and scanners.
 
-use crate::arrays::{named, numbers, wrong_value};
+use crate::arrays::{Axes, named, numbers, wrong_value};
 use crate::work::{raise, try_run};
 use glam::DVec3;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 use trgs::scene::dataset::{Description, read_scanner};
@@ -29,9 +30,12 @@ pub(crate) struct Grid(pub(crate) scene::Grid);
 #[pymethods]
 impl Grid {
     #[new]
-    #[pyo3(signature = (shape, low = (-1.0, -1.0, -1.0), high = (1.0, 1.0, 1.0)))]
-    fn new(shape: (usize, usize, usize), low: (f64, f64, f64), high: (f64, f64, f64)) -> PyResult<Self> {
-        scene::Grid::new(shape.into(), low.into(), high.into()).map(Self).map_err(raise)
+    #[pyo3(
+        signature = (shape, low = Axes([-1.0; 3]), high = Axes([1.0; 3])),
+        text_signature = "(shape, low=(-1.0, -1.0, -1.0), high=(1.0, 1.0, 1.0))"
+    )]
+    fn new(shape: Axes<usize, 3>, low: Axes<f64, 3>, high: Axes<f64, 3>) -> PyResult<Self> {
+        scene::Grid::new(shape.0, low.0.into(), high.0.into()).map(Self).map_err(raise)
     }
 
     /// Voxels along x, y and z.
@@ -68,12 +72,13 @@ impl Grid {
     /// Returns
     /// -------
     /// Grid
-    fn block(&self, start: (usize, usize, usize), shape: (usize, usize, usize)) -> PyResult<Self> {
-        if [shape.0, shape.1, shape.2].contains(&0) {
+    fn block(&self, start: Axes<usize, 3>, shape: Axes<usize, 3>) -> PyResult<Self> {
+        let (Axes(start), Axes(shape)) = (start, shape);
+        if shape.contains(&0) {
             let remedy = "give at least one voxel on each axis";
             return Err(wrong_value("shape", format!("{shape:?}"), "at least one voxel on each axis", remedy));
         }
-        Ok(Self(self.0.block(start.into(), shape.into())))
+        Ok(Self(self.0.block(start, shape)))
     }
 
     fn __reduce__(slf: &Bound<'_, Self>) -> (Py<PyAny>, Corners) {
@@ -99,8 +104,25 @@ type ScannerParts = (Option<f64>, Option<f64>, (usize, usize), (f64, f64), Grid,
 #[derive(Clone, PartialEq)]
 pub(crate) struct Scanner(pub(crate) scene::Scanner);
 
-fn made(beam: Beam, detector: (usize, usize), pitch: (f64, f64), offset: (f64, f64), grid: &Grid) -> PyResult<Scanner> {
-    let ((rows, columns), (pitch_v, pitch_u), (offset_v, offset_u)) = (detector, pitch, offset);
+/// Counts, lengths or shifts [v, u].
+type Pair<T> = Axes<T, 2>;
+
+/// The volume of a scanner.
+struct Space(scene::Grid);
+
+impl FromPyObject<'_, '_> for Space {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
+        value.cast::<Grid>().map(|grid| Self(grid.get().0)).map_err(|_| {
+            let got = value.get_type().name().map_or_else(|_| "an object".into(), |name| name.to_string());
+            PyTypeError::new_err(format!("got an object of type {got}, expected a Grid; give trgs.Grid((64, 64, 64))"))
+        })
+    }
+}
+
+fn made(beam: Beam, detector: Pair<usize>, pitch: Pair<f64>, offset: Pair<f64>, grid: Space) -> PyResult<Scanner> {
+    let (Axes([rows, columns]), Axes([pitch_v, pitch_u]), Axes([offset_v, offset_u])) = (detector, pitch, offset);
     let detector = Detector { rows, columns, pitch_v, pitch_u, offset_u, offset_v };
     let scanner = scene::Scanner { beam, detector, grid: grid.0 };
     scanner.validate().map_err(raise)?;
@@ -133,14 +155,17 @@ impl Scanner {
     /// ValueError
     ///     For sizes that are not positive, a source in the volume, or a detector that does not see the volume.
     #[staticmethod]
-    #[pyo3(signature = (dso, dsd, *, detector, pitch, grid, offset = (0.0, 0.0)))]
+    #[pyo3(
+        signature = (dso, dsd, *, detector, pitch, grid, offset = Axes([0.0; 2])),
+        text_signature = "(dso, dsd, *, detector, pitch, grid, offset=(0.0, 0.0))"
+    )]
     fn cone(
         dso: f64,
         dsd: f64,
-        detector: (usize, usize),
-        pitch: (f64, f64),
-        grid: &Grid,
-        offset: (f64, f64),
+        detector: Pair<usize>,
+        pitch: Pair<f64>,
+        grid: Space,
+        offset: Pair<f64>,
     ) -> PyResult<Self> {
         made(Beam::Cone { dso, dsd }, detector, pitch, offset, grid)
     }
@@ -162,8 +187,11 @@ impl Scanner {
     /// -------
     /// Scanner
     #[staticmethod]
-    #[pyo3(signature = (*, detector, pitch, grid, offset = (0.0, 0.0)))]
-    fn parallel(detector: (usize, usize), pitch: (f64, f64), grid: &Grid, offset: (f64, f64)) -> PyResult<Self> {
+    #[pyo3(
+        signature = (*, detector, pitch, grid, offset = Axes([0.0; 2])),
+        text_signature = "(*, detector, pitch, grid, offset=(0.0, 0.0))"
+    )]
+    fn parallel(detector: Pair<usize>, pitch: Pair<f64>, grid: Space, offset: Pair<f64>) -> PyResult<Self> {
         made(Beam::Parallel { dso: 5.0 }, detector, pitch, offset, grid)
     }
 

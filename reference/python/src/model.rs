@@ -1,6 +1,6 @@
 //! Models: primitives, and the map between raw and physical parameters.
 
-use crate::arrays::{self, give, give_parameters, numbers, parameters, precision, word, wrong_value};
+use crate::arrays::{self, copy, give, give_parameters, numbers, parameters, precision, word, wrong_value};
 use crate::geometry::Scanner;
 use crate::work::{raise, run, try_run};
 use ndarray::{Array1, Array3};
@@ -41,6 +41,16 @@ const KERNELS: [(&str, KernelKind); 2] = [("student-t", KernelKind::StudentT), (
 #[pyclass(frozen, module = "trgs")]
 pub(crate) struct Model(pub(crate) Primitives);
 
+/// The error about a value of a model that comes from arguments, and not from a file.
+fn of_arguments(error: trgs::Error) -> PyErr {
+    raise(match error {
+        trgs::Error::Invalid { what, got, expected, .. } => {
+            trgs::Error::invalid(what, got, expected, "correct the array; a model holds physical values, not raw ones")
+        }
+        error => error,
+    })
+}
+
 #[pymethods]
 impl Model {
     #[new]
@@ -52,7 +62,7 @@ impl Model {
         nu: Bound<'_, PyAny>,
     ) -> PyResult<Self> {
         let parameters = parameters(&[mean, scale, quaternion, density, nu])?;
-        Primitives::new(parameters).map(Self).map_err(raise)
+        Primitives::new(parameters).map(Self).map_err(of_arguments)
     }
 
     /// Reads a model.
@@ -101,34 +111,34 @@ impl Model {
         })
     }
 
-    /// Centres, scene units: a new float64 array [M, 3].
+    /// Centres, scene units: a read-only float64 copy [M, 3].
     #[getter]
     fn mean<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, ndarray::Array2::from(self.0.parameters.mean.clone()))
+        copy(py, ndarray::Array2::from(self.0.parameters.mean.clone()))
     }
 
-    /// Standard deviations along the principal axes, scene units: a new float64 array [M, 3].
+    /// Standard deviations along the principal axes, scene units: a read-only float64 copy [M, 3].
     #[getter]
     fn scale<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, ndarray::Array2::from(self.0.parameters.scale.clone()))
+        copy(py, ndarray::Array2::from(self.0.parameters.scale.clone()))
     }
 
-    /// Rotations (w, x, y, z): a new float64 array [M, 4].
+    /// Rotations (w, x, y, z): a read-only float64 copy [M, 4].
     #[getter]
     fn quaternion<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, ndarray::Array2::from(self.0.parameters.quaternion.clone()))
+        copy(py, ndarray::Array2::from(self.0.parameters.quaternion.clone()))
     }
 
-    /// Densities at the centres, attenuation per scene unit: a new float64 array [M].
+    /// Densities at the centres, attenuation per scene unit: a read-only float64 copy [M].
     #[getter]
     fn density<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, Array1::from(self.0.parameters.density.clone()))
+        copy(py, Array1::from(self.0.parameters.density.clone()))
     }
 
-    /// Degrees of freedom: a new float64 array [M].
+    /// Degrees of freedom: a read-only float64 copy [M].
     #[getter]
     fn nu<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, Array1::from(self.0.parameters.nu.clone()))
+        copy(py, Array1::from(self.0.parameters.nu.clone()))
     }
 
     /// "student-t" or "gaussian".

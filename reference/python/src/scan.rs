@@ -1,12 +1,11 @@
 //! Scans: reading, simulation, evaluation, and reconstruction by any method.
 
-use crate::arrays::{self, give, named, read, wrong_type, wrong_value};
+use crate::arrays::{self, copy, give, named, read, wrong_type, wrong_value};
 use crate::classical::{measured, pass_event};
 use crate::geometry::{Grid, Scanner};
 use crate::model::Model;
 use crate::work::{Event, Watch, python, raise, run, try_run};
-use ndarray::{Array1, Array3, Ix3};
-use numpy::PyArray3;
+use ndarray::{Array1, Ix3};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyList, PyString, PyTuple};
@@ -16,12 +15,13 @@ use std::path::PathBuf;
 use trgs::reconstruction::{self, Checkpoints, Progress};
 use trgs::scene::phantom::{PHANTOMS, Phantom};
 use trgs::scene::simulate::{self, Object, Plan};
-use trgs::scene::{Noise, volume_file};
+use trgs::scene::{Frame, Noise, Unit, plausibility, volume_file};
 use trgs::{Config, Dataset, Method, Projections, Run, Volume};
 
 /// Projections with their geometry, and the true volume if it is known.
 ///
-/// Read by `load_scan`, made by `simulate`, or from arrays. An attribute that is an array is a copy.
+/// Read by `load_scan`, made by `simulate`, or from arrays. An attribute that is an array is a read-only copy. What is
+/// implausible about the values that are given is a warning.
 ///
 /// Parameters
 /// ----------
@@ -59,16 +59,13 @@ fn volume(grid: trgs::Grid, values: &Bound<'_, PyAny>, what: &str) -> PyResult<V
     Volume::new(grid, values.as_array().to_owned()).map_err(raise)
 }
 
-fn copy<'py>(py: Python<'py>, values: &Array3<f32>) -> Bound<'py, PyAny> {
-    PyArray3::from_array(py, values).into_any()
-}
-
 #[pymethods]
 impl Scan {
     #[new]
     #[pyo3(signature = (scanner, angles, projections, *, truth = None, test_angles = None, test_projections = None,
         name = "scan"))]
     fn new(
+        py: Python<'_>,
         scanner: &Scanner,
         angles: &Bound<'_, PyAny>,
         projections: &Bound<'_, PyAny>,
@@ -85,10 +82,11 @@ impl Scan {
                 return Err(wrong_value("test views", "one of angles and projections", "both", remedy));
             }
         };
-        Ok(Self(Dataset {
+        let scan = Self(Dataset {
             name: name.into(),
             scanner: scanner.0,
             scale: 1.0,
+            frame: Frame::default(),
             noise: Noise::None,
             train: views(scanner, projections, angles)?,
             test,
@@ -96,7 +94,9 @@ impl Scan {
             initial_points: None,
             notes: Vec::new(),
             oddities: Vec::new(),
-        }))
+        });
+        scan.remarks(py)?.iter().try_for_each(|remark| warn(py, remark))?;
+        Ok(scan)
     }
 
     /// The name: of a scan that was read, its folder's.
@@ -111,40 +111,54 @@ impl Scan {
         Scanner(self.0.scanner)
     }
 
-    /// Scene units per unit of length of the files.
+    /// Scene units per unit of length of the files; attenuation is per this unit.
     #[getter]
     fn scale(&self) -> f64 {
-        self.0.scale
+        self.0.frame.scale
+    }
+
+    /// The unit of length of the files, such as "mm", or None if they do not state it.
+    #[getter]
+    fn unit(&self) -> Option<&'static str> {
+        self.0.frame.unit.map(Unit::symbol)
+    }
+
+    /// The place of the volume in the unit of length: spacing, origin (the centre of the first voxel) and directions (a
+    /// unit vector for each axis), in the coordinates of ITK.
+    #[getter]
+    fn place(&self) -> ([f64; 3], [f64; 3], [[f64; 3]; 3]) {
+        let (spacing, origin) = self.0.frame.place(&self.0.scanner.grid);
+        (spacing.to_array(), origin.to_array(), self.0.frame.directions.to_cols_array_2d())
     }
 
     /// Of the training views, radians: float64 [view].
     #[getter]
     fn angles<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        give(py, Array1::from(self.0.train.angles.clone()))
+        copy(py, Array1::from(self.0.train.angles.clone()))
     }
 
     /// Training views: float32 [view, v, u], scene units of length times density.
     #[getter]
     fn projections<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        copy(py, &self.0.train.images)
+        copy(py, self.0.train.images.clone())
     }
 
     /// Of the test views, radians: float64 [view], or None.
     #[getter]
     fn test_angles<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
-        self.0.test.as_ref().map(|test| give(py, Array1::from(test.angles.clone())))
+        self.0.test.as_ref().map(|test| copy(py, Array1::from(test.angles.clone())))
     }
 
     /// Test views: float32 [view, v, u], or None.
     #[getter]
     fn test_projections<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
-        self.0.test.as_ref().map(|test| copy(py, &test.images))
+        self.0.test.as_ref().map(|test| copy(py, test.images.clone()))
     }
 
     /// The true volume: float32 [x, y, z], attenuation per scene unit, or None.
     #[getter]
     fn truth<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
-        self.0.truth.as_ref().map(|truth| copy(py, &truth.values))
+        self.0.truth.as_ref().map(|truth| copy(py, truth.values.clone()))
     }
 
     /// Facts needed to judge results on this scan, one sentence each.
@@ -157,6 +171,12 @@ impl Scan {
     #[getter]
     fn oddities(&self) -> Vec<String> {
         self.0.oddities.clone()
+    }
+
+    /// What is implausible about the values, one sentence each, with the remedy.
+    #[getter]
+    fn remarks(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        try_run(py, || Ok(plausibility::remarks(&self.0)))
     }
 
     /// Writes the scan as a folder in the format of R²-Gaussian, as a whole or not at all.
@@ -232,7 +252,7 @@ impl Scan {
     }
 }
 
-/// Reads a scan. Every oddity of its files is a warning.
+/// Reads a scan. Every oddity of its files, and every remark on its values, is a warning.
 ///
 /// Parameters
 /// ----------
@@ -253,12 +273,16 @@ impl Scan {
 #[pyfunction]
 pub(crate) fn load_scan(py: Python<'_>, path: PathBuf) -> PyResult<Scan> {
     let scan = Scan(try_run(py, || Dataset::read(&path))?);
-    let category = py.get_type::<PyUserWarning>();
-    for oddity in &scan.0.oddities {
-        let text = CString::new(format!("{}: {oddity}", path.display()).replace('\0', " "))?;
-        PyErr::warn(py, &category, &text, 1)?;
+    for oddity in scan.0.oddities.iter().chain(&scan.remarks(py)?) {
+        warn(py, &format!("{}: {oddity}", path.display()))?;
     }
     Ok(scan)
+}
+
+/// Warns of unusual data.
+fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    let text = CString::new(text.replace('\0', " "))?;
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
 }
 
 /// Simulates a scan of a phantom, whose projections are exact, or of a volume.
@@ -338,22 +362,23 @@ pub(crate) fn phantoms() -> Vec<&'static str> {
 #[pyfunction]
 pub(crate) fn load_volume(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let file = try_run(py, || volume_file::read(&path))?;
-    let category = py.get_type::<PyUserWarning>();
     for oddity in &file.oddities {
-        let text = CString::new(format!("{}: {oddity}", path.display()).replace('\0', " "))?;
-        PyErr::warn(py, &category, &text, 1)?;
+        warn(py, &format!("{}: {oddity}", path.display()))?;
     }
     Ok(give(py, file.values))
 }
 
 /// Writes a volume with the spacing and the origin of its grid, as a whole or not at all.
 ///
+/// With the scan, lengths are those of its files (in millimetres if their unit is known) at the place of the volume that
+/// was scanned; with a grid or scanner, they are scene units.
+///
 /// Parameters
 /// ----------
 /// path : str or os.PathLike
 ///     Its ending is the format: `.npy`, `.nii.gz`, `.mha`, `.nrrd`, `.tif`, `.raw`.
 /// volume : ndarray [x, y, z], float32
-/// grid : Grid or Scanner
+/// grid : Scan, Grid or Scanner
 ///
 /// Raises
 /// ------
@@ -368,8 +393,12 @@ pub(crate) fn save_volume(
     volume: &Bound<'_, PyAny>,
     grid: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
-    let volume = self::volume(crate::geometry::grid_of(grid)?, volume, "volume")?;
-    try_run(py, || trgs::write_volume(&path, &volume))
+    let (grid, frame) = match grid.cast::<Scan>() {
+        Ok(scan) => (scan.get().0.scanner.grid, scan.get().0.frame),
+        Err(_) => (crate::geometry::grid_of(grid)?, Frame::default()),
+    };
+    let volume = self::volume(grid, volume, "volume")?;
+    try_run(py, || trgs::write_volume(&path, &volume, &frame))
 }
 
 /// What a method found.
@@ -397,6 +426,7 @@ pub(crate) struct Reconstruction {
     #[pyo3(get)]
     settings: String,
     grid: trgs::Grid,
+    frame: Frame,
     name: &'static str,
 }
 
@@ -422,7 +452,7 @@ impl Reconstruction {
     ///     For an unknown ending.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let volume = self::volume(self.grid, self.volume.bind(py), "volume")?;
-        try_run(py, || trgs::write_volume(&path, &volume))
+        try_run(py, || trgs::write_volume(&path, &volume, &self.frame))
     }
 
     fn __repr__(&self) -> String {
@@ -560,6 +590,7 @@ pub(crate) fn reconstruct(
         unit: found.unit,
         settings: config.to_toml(),
         grid: scan.0.scanner.grid,
+        frame: scan.0.frame,
         name,
     })
 }

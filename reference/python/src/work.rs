@@ -5,6 +5,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::exceptions::{PyArithmeticError, PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
 use serde_json::Value;
+use std::hint::black_box;
 use std::io::ErrorKind;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
@@ -17,6 +18,20 @@ const LOOK: Duration = Duration::from_millis(100);
 /// The process whose threads compute.
 static PROCESS: OnceLock<u32> = OnceLock::new();
 
+/// Refuses to compute where subnormal numbers count as zeros: the bits would be others.
+///
+/// Worker threads take the mode of the thread that starts them, so this comes before each call that may start them.
+fn check_mode() -> PyResult<()> {
+    let smallest = black_box(f32::from_bits(1));
+    if smallest * black_box(1.0) != 0.0 {
+        return Ok(());
+    }
+    Err(PyRuntimeError::new_err(
+        "floating-point mode: got one that flushes subnormal numbers to zero, as libraries compiled with -ffast-math set it, \
+         expected that of IEEE 754; call torch.set_flush_denormal(False), or load that library in another process",
+    ))
+}
+
 /// Runs `work` without the GIL.
 ///
 /// A forked process has none of its parent's threads and would wait for them forever: that is an error.
@@ -28,6 +43,7 @@ pub(crate) fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> P
              give multiprocessing.get_context(\"spawn\")",
         ));
     }
+    check_mode()?;
     Ok(py.detach(work))
 }
 
@@ -63,6 +79,7 @@ pub(crate) fn raise(error: Error) -> PyErr {
 ///     When threads have been started already, by an earlier call or a computation.
 #[pyfunction]
 pub(crate) fn set_threads(n: usize) -> PyResult<()> {
+    check_mode()?;
     rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|error| {
         PyRuntimeError::new_err(format!(
             "threads: got {n} ({error}), expected a call before the first computation; call trgs.set_threads right after \
@@ -77,8 +94,9 @@ pub(crate) fn set_threads(n: usize) -> PyResult<()> {
 /// -------
 /// int
 #[pyfunction]
-pub(crate) fn threads() -> usize {
-    trgs::numeric::threads::count()
+pub(crate) fn threads() -> PyResult<usize> {
+    check_mode()?;
+    Ok(trgs::numeric::threads::count())
 }
 
 /// Version, target and instruction sets, beyond the baseline, that the extension module was compiled for.

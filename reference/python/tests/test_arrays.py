@@ -109,8 +109,50 @@ def test_a_model_has_arrays_of_its_own():
     mean = np.zeros((1, 3))
     model = trgs.Model(mean, np.ones((1, 3)), np.ones((1, 4)), np.ones(1), np.ones(1))
     mean[:] = 1.0
-    model.mean[:] = 2.0
     assert np.array_equal(model.mean, np.zeros((1, 3)))
+
+
+def test_copies_of_an_objects_arrays_refuse_writes(model, scan):
+    for array in [model.mean, model.scale, model.quaternion, model.density, model.nu]:
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 2.0
+    for array in [scan.angles, scan.projections, scan.test_angles, scan.test_projections, scan.truth]:
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: trgs.Grid(64), r"argument 'shape': got 64, expected a tuple of 3 counts; give \(64, 64, 64\)"),
+        (lambda: trgs.Grid((4, 4)), r"argument 'shape': got \(4, 4\), expected a tuple of 3 counts"),
+        (lambda: trgs.Grid((4, -4, 4)), r"argument 'shape': got \(4, -4, 4\), expected a tuple of 3 counts"),
+        (lambda: trgs.Grid((4, 4, 10**40)), r"argument 'shape': got .*, expected a tuple of 3 counts"),
+        (lambda: trgs.Grid((4, 4, 4), low=0), r"argument 'low': got 0, expected a tuple of 3 numbers"),
+        (
+            lambda: trgs.Scanner.cone(5, 7, detector=(8, 8), pitch=(1, 1), grid=(4, 4, 4)),
+            r"argument 'grid': got an object of type tuple, expected a Grid; give trgs.Grid\(",
+        ),
+        (
+            lambda: trgs.Scanner.parallel(detector=8, pitch=(1, 1), grid=trgs.Grid([4, 4, 4])),
+            r"argument 'detector': got 8, expected a tuple of 2 counts",
+        ),
+    ],
+)
+def test_wrong_tuples_are_named_with_a_remedy(call, message):
+    with pytest.raises(TypeError, match=message):
+        call()
+
+
+def test_remedies_are_those_of_arguments():
+    with pytest.raises(ValueError, match="scale of primitive 0: got .* correct the array"):
+        trgs.Model(np.zeros((1, 3)), np.zeros((1, 3)), np.ones((1, 4)), np.ones(1), np.ones(1))
+    stack = np.zeros((2, 8, 8), dtype=np.float32)
+    with pytest.raises(TypeError, match=r"give an array with 2 axes, \[v, u\]"):
+        trgs.losses.image_loss(stack, stack)
+    with pytest.raises(ValueError, match="file to write: got volume.vtk, expected a name that ends with .npy") as caught:
+        trgs.save_volume("volume.vtk", np.zeros((2, 2, 2), dtype=np.float32), trgs.Grid((2, 2, 2)))
+    assert ".png" not in str(caught.value) and ".h5" not in str(caught.value)
 
 
 def test_the_kernel_follows_from_nu(model):

@@ -5,6 +5,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -50,6 +51,55 @@ def fresh(code, **environment):
 def test_the_import_takes_a_fifth_of_a_second_at_most():
     code = "import numpy, time; began = time.perf_counter(); import trgs; print(time.perf_counter() - began)"
     assert min(float(fresh(code)) for _ in range(5)) <= 0.2
+
+
+def test_help_works_without_the_frameworks():
+    code = """
+import sys
+sys.modules["torch"] = sys.modules["jax"] = None
+import inspect, pydoc, trgs
+assert {"torch", "jax"}.isdisjoint(name for name, _ in inspect.getmembers(trgs))
+assert not hasattr(trgs, "torch")
+try:
+    trgs.jax
+except AttributeError as error:
+    assert "pip install jax" in str(error)
+print(pydoc.plain(pydoc.render_doc(trgs)))
+"""
+    text = fresh(code)
+    assert "class Grid" in text and "reconstruct(scan, method='tr-gs'" in text
+
+
+def test_the_stubs_have_all_methods(scan):
+    stub = importlib.util.find_spec("trgs").submodule_search_locations[0] + "/_core.pyi"
+    with open(stub, encoding="utf-8") as file:
+        listed = re.search(r"_Method: TypeAlias = Literal\[(.*?)\]", file.read(), re.DOTALL)
+    with pytest.raises(ValueError) as caught:
+        trgs.reconstruct(scan, "none")
+    assert re.findall('"(.*?)"', listed[1]) == re.findall('"(.*?)"', str(caught.value).split("expected")[1].split(";")[0])
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="sets the mode of an x86-64")
+def test_a_mode_that_flushes_subnormal_numbers_is_refused():
+    code = """
+import ctypes, mmap, numpy as np, trgs
+# ldmxcsr [rdi]; ret
+page = mmap.mmap(-1, 4096, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+page.write(bytes([0x0F, 0xAE, 0x17, 0xC3]))
+address = ctypes.addressof(ctypes.c_char.from_buffer(page))
+load = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_uint32))(address)
+standard, flush = 0x1F80, 1 << 15
+for mode in (standard, standard | flush, standard):
+    load(ctypes.byref(ctypes.c_uint32(mode)))
+    try:
+        found = trgs.haar(np.zeros((2, 2, 2), dtype=np.float32)), trgs.threads()
+        print("computed")
+    except RuntimeError as error:
+        print(error)
+"""
+    first, second, third = fresh(code).splitlines()
+    assert first == third == "computed"
+    assert second.startswith("floating-point mode: got one that flushes subnormal numbers")
 
 
 def test_the_version_is_that_of_the_library():

@@ -14,7 +14,7 @@ ANGLES = [0.2, 1.9]
 
 def tensors(model, dtype=torch.float64):
     arrays = (getattr(model, name) for name in trgs.Parameters._fields)
-    return [torch.from_numpy(array).to(dtype).requires_grad_() for array in arrays]
+    return [torch.tensor(array).to(dtype).requires_grad_() for array in arrays]
 
 
 @pytest.mark.parametrize("projection", ["exact", "affine"])
@@ -75,7 +75,7 @@ def test_what_cannot_be_read_is_refused(scanner):
 def test_twenty_lines_train():
     scanner = trgs.Scanner.synthetic(16, 24)
     scan = trgs.simulate("torso", scanner, views=8)
-    angles, target = scan.angles, torch.from_numpy(scan.projections)
+    angles, target = scan.angles, torch.tensor(scan.projections)
     draw = np.random.default_rng(0)
     mean = torch.tensor(draw.uniform(-0.6, 0.6, (150, 3)), dtype=torch.float32, requires_grad=True)
     log_scale = torch.full((150, 3), -1.8, requires_grad=True)

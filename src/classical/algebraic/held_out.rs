@@ -66,6 +66,15 @@ pub struct Choice {
 }
 
 impl Choice {
+    /// Whether it can be a choice: what was read from a file is checked by this.
+    pub(crate) fn is_valid(&self) -> bool {
+        let is_trial =
+            |trial: &Trial| trial.value > 0.0 && trial.value.is_finite() && (0.0..f64::INFINITY).contains(&trial.error);
+        self.value > 0.0
+            && [self.value, self.cost].iter().all(|value| value.is_finite())
+            && self.curve.iter().all(is_trial)
+    }
+
     /// The given value, where there are too few views to hold any out.
     fn without_folds(key: &str, value: f64) -> Self {
         Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None }

@@ -56,6 +56,13 @@ impl Numbers {
         }
     }
 
+    fn are_finite(&self) -> bool {
+        match self {
+            Self::Single(values) => values.iter().all(|value| value.is_finite()),
+            Self::Double(values) => values.iter().all(|value| value.is_finite()),
+        }
+    }
+
     fn get<R: Real>(&self) -> Vec<R> {
         match self {
             Self::Single(values) => values.iter().map(|&value| real(f64::from(value))).collect(),
@@ -68,6 +75,11 @@ impl VoxelState {
     /// Iterations done.
     pub fn iteration(&self) -> usize {
         self.iteration
+    }
+
+    /// Whether no array has a value that is not finite, and no number of the method is NaN: residuals begin at infinity.
+    pub(crate) fn is_finite(&self) -> bool {
+        self.arrays.iter().all(Numbers::are_finite) && !self.scalars.iter().any(|scalar| scalar.is_nan())
     }
 
     /// A state of numbers and arrays in double precision.

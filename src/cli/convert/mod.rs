@@ -28,29 +28,29 @@ use trgs::{Error, Result};
   trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
 
-Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif and .raw; read only are .npz with one array of three
-axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, a folder with a DICOM series, and a
-DICOM file with several frames (in builds with --features dicom). Builds with --features hdf5 also read HDF5, NeXus
-and MATLAB 7.3; FILE.h5:/group/name names an array, [z, y, x] or [view, v, u], and a scan in the layout of Data
-Exchange or NXtomo brings its fields and angles. A .raw states size and type in its name
-(name_256x256x256_uint8.raw, name_256x256_uint16be.raw for a slice), in that of its folder, or in a side file
-name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5,
-0.5, 1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32
-with axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu),
-R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a
+Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif and .raw; read only are .npz with one array of three \
+axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, a folder with a DICOM series, and a \
+DICOM file with several frames (in builds with --features dicom). Builds with --features hdf5 also read HDF5, NeXus \
+and MATLAB 7.3; FILE.h5:/group/name names an array, [z, y, x] or [view, v, u], and a scan in the layout of Data \
+Exchange or NXtomo brings its fields and angles. A .raw states size and type in its name \
+(name_256x256x256_uint8.raw, name_256x256_uint16be.raw for a slice), in that of its folder, or in a side file \
+name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, \
+0.5, 1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32 \
+with axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu), \
+R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a \
 folder, written as a folder in scene units.
 
-A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v,
-x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D))
-with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam,
-detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or
-evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose
-heading has angle, theta, phi, deg or rad. Frames that are flat or dark fields, by path, content or name, are left out.
+A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, \
+x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D)) \
+with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam, \
+detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or \
+evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose \
+heading has angle, theta, phi, deg or rad. Frames that are flat or dark fields, by path, content or name, are left out. \
 Gaps in the numbers of the names, several patterns of names and different types of numbers are warned of.
 
-Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the
-detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no
-volume explains them all. Without a flat field, one value is therefore used for all frames. --air, a region that sees
+Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the \
+detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no \
+volume explains them all. Without a flat field, one value is therefore used for all frames. --air, a region that sees \
 air in every frame, corrects a drifting source.")]
 pub(super) struct Convert {
     /// File or folder to read: a volume, model, scan or stack of projections
@@ -87,6 +87,7 @@ enum Kind {
 /// The result of the command.
 #[derive(Serialize)]
 struct Converted<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     out: &'a Path,
     kind: &'static str,
     shape: [usize; 3],
@@ -94,6 +95,9 @@ struct Converted<'a> {
     spacing: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
+    /// Of spacing and origin.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<&'static str>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
 }

@@ -12,6 +12,7 @@ use trgs::{Error, Result};
 /// The result of the command.
 #[derive(Serialize)]
 struct Converted<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     out: &'a Path,
     kind: &'static str,
     kernel: &'static str,

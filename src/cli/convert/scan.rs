@@ -16,6 +16,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     warn(source, &plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(out))?;
-    let (shape, notes) = (dataset.scanner.grid.shape, dataset.notes);
-    Ok(Output::list(&Converted { out, kind: "dataset", shape, spacing: None, origin: None, notes }))
+    let Dataset { scanner, frame, notes, .. } = dataset;
+    let (shape, (spacing, origin)) = (scanner.grid.shape, frame.place(&scanner.grid));
+    let [spacing, origin] = [spacing, origin].map(|vector| Some(vector.to_array()));
+    Ok(Output::list(&Converted { out, kind: "dataset", shape, spacing, origin, unit: Some(frame.unit_words()), notes }))
 }

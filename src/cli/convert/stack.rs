@@ -70,6 +70,7 @@ enum Normalise {
 /// The result of the command.
 #[derive(Serialize)]
 struct Measured<'a> {
+    #[serde(serialize_with = "trgs::words::serialize_name")]
     out: &'a Path,
     kind: &'static str,
     views: usize,
@@ -77,6 +78,7 @@ struct Measured<'a> {
     shape: [usize; 3],
     /// Scene units per unit of length of the description.
     scale: f64,
+    unit: &'static str,
     #[serde(flatten)]
     correction: Option<Summary>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -219,7 +221,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         views: dataset.train.len(),
         detector: [detector.rows, detector.columns],
         shape: dataset.scanner.grid.shape,
-        scale: dataset.scale,
+        scale: dataset.frame.scale,
+        unit: dataset.frame.unit_words(),
         correction,
         notes: dataset.notes,
     }))

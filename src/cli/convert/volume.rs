@@ -1,31 +1,66 @@
 //! Conversion of volumes.
 
-use super::{Convert, Converted, warn};
+use super::{Convert, Converted, extension, warn};
 use crate::cli::Output;
 use crate::cli::messages::hounsfield_to_attenuation;
-use trgs::scene::dataset::read_scanner;
-use trgs::scene::volume_file;
+use trgs::scene::dataset::Description;
+use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scene::{Unit, Volume};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
     let (source, out) = (&command.source, &command.out);
     let mut volume = volume_file::read(source)?;
-    warn(source, &volume.oddities);
-    if let Some(mu_water) = command.mu_water {
-        hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
-    }
-    let shape: [usize; 3] = volume.values.dim().into();
+    let mut notes = Vec::new();
     if let Some(path) = &command.scanner {
-        let grid = read_scanner(path)?.grid;
+        let Description { scanner, frame, .. } = Description::read(path)?;
+        let (shape, grid): ([usize; 3], _) = (volume.values.dim().into(), scanner.grid);
         if grid.shape != shape {
             let expected = format!("{:?}, the grid of {}", grid.shape, path.display());
             let remedy = "give the scan that the volume was reconstructed from";
             return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
         }
-        (volume.spacing, volume.origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
-        volume.directions = volume_file::STRAIGHT;
+        let oddities = volume.oddities;
+        volume = VolumeFile { oddities, ..frame.file(&Volume { grid, values: volume.values }) };
+    }
+    warn(source, &volume.oddities);
+    if let Some(mu_water) = command.mu_water {
+        hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
     }
     volume_file::write(out, &volume)?;
-    let [spacing, origin] = [volume.spacing, volume.origin].map(|vector| vector.map(|vector| vector.to_array()));
-    Ok(Output::list(&Converted { out, kind: "volume", shape, spacing, origin, notes: Vec::new() }))
+    let is_of_a_scan = command.scanner.is_some() || extension(source) == "npy";
+    notes.extend(note(&volume, extension(out), is_of_a_scan));
+    let shape: [usize; 3] = volume.values.dim().into();
+    // The place as it is written.
+    let factor = volume.unit.map_or(1.0, Unit::millimetres);
+    let [spacing, origin] =
+        [volume.spacing, volume.origin].map(|vector| vector.map(|vector| (vector * factor).to_array()));
+    let unit = volume.spacing.map(|_| if volume.unit.is_some() { "mm" } else { "not stated" });
+    Ok(Output::list(&Converted { out, kind: "volume", shape, spacing, origin, unit, notes }))
+}
+
+/// What the written file does not keep, or the place that it states without knowing it.
+fn note(volume: &VolumeFile, ending: &str, is_of_a_scan: bool) -> Option<String> {
+    let is_tiff = ending.starts_with("tif");
+    let drops = ["npy", "raw"].contains(&ending) || is_tiff && volume.unit.is_none();
+    match (volume.spacing, volume.unit) {
+        (None, _) if !drops => {
+            Some("no spacing is known: 1 is written; --scanner SCAN gives that of a scan".into())
+        }
+        (None, _) => None,
+        (Some(_), _) if drops => {
+            Some(format!(".{ending} keeps no spacing, origin and directions: .nii.gz, .mha and .nrrd do"))
+        }
+        (Some(_), None) if is_of_a_scan => Some(
+            "the scan states no unit of length: lengths are those of its files; \"unit\": \"mm\" in its meta_data.json \
+             states it"
+                .into(),
+        ),
+        (Some(_), None) => Some("the unit of length is not stated: lengths are those of the source".into()),
+        (Some(_), Some(Unit::Millimetre)) => None,
+        (Some(_), Some(unit)) => {
+            let factor = unit.millimetres();
+            Some(format!("lengths in {unit} are written in mm, and values per {unit} divided by {factor}, per mm"))
+        }
+    }
 }

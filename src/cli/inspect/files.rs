@@ -7,8 +7,8 @@ use std::path::Path;
 use trgs::Result;
 #[cfg(feature = "hdf5")]
 use trgs::scene::hdf5::Hdf5;
-use trgs::scene::stack;
 use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scene::{Unit, stack};
 
 /// Angles beyond two turns are probably degrees.
 const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
@@ -26,7 +26,7 @@ pub(super) fn volume(path: &Path) -> Result<Value> {
             Err(_) => return Err(error),
         },
     };
-    let VolumeFile { values, spacing, origin, directions, mut oddities } = volume;
+    let VolumeFile { values, spacing, origin, directions, unit, mut oddities } = volume;
     let not_finite = values.iter().filter(|value| !value.is_finite()).count();
     if not_finite > 0 {
         oddities.push(format!("{not_finite} values are not finite"));
@@ -40,6 +40,7 @@ pub(super) fn volume(path: &Path) -> Result<Value> {
         "kind": kind,
         "shape": <[usize; 3]>::from(values.dim()),
         "values": ends,
+        "unit": spacing.map(|_| unit.map_or("not stated", Unit::symbol)),
         "spacing": spacing.map(|spacing| spacing.to_array()),
         "origin": origin.map(|origin| origin.to_array()),
         "directions": (!is_straight).then(|| directions.to_cols_array()),

@@ -74,8 +74,11 @@ pub(super) fn of_part(
     limit: f64,
 ) -> Option<String> {
     let accuracy = Accuracy::of_tolerance(limit.max(format.ulp(1.0)));
-    let mut suspects = arrays::suspects(expected, got, axes(role), accuracy);
-    suspects.extend(scenes::suspects(question, role, part, expected, format));
+    let suspects = || {
+        let mut all = arrays::suspects(expected, got, axes(role), accuracy);
+        all.extend(scenes::suspects(question, role, part, expected, format));
+        all
+    };
     most_likely(expected, got, suspects, accuracy)
 }
 
@@ -84,8 +87,11 @@ pub(super) fn of_part(
 /// `axes` names the axes, outermost first; `format` is the one in which the arrays were computed.
 pub fn of_array(expected: &ArrayD<f64>, got: &ArrayD<f64>, axes: &[&str], format: Format) -> Option<String> {
     let accuracy = Accuracy::of_format(format);
-    let mut suspects = arrays::suspects(expected, got, axes, accuracy);
-    suspects.extend(arrays::half_shifts(expected, got, axes));
+    let suspects = || {
+        let mut all = arrays::suspects(expected, got, axes, accuracy);
+        all.extend(arrays::half_shifts(expected, got, axes));
+        all
+    };
     most_likely(expected, got, suspects, accuracy)
 }
 

@@ -6,6 +6,7 @@ use crate::numeric::elementary::{exp, log1p};
 use crate::oracle::format::Format;
 use crate::oracle::question::Question;
 use crate::primitives::{Group, Parameters, student_t};
+use crate::projector::Projection;
 use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Array2, Array3, Array4, ArrayD, Axis, IxDyn};
@@ -174,10 +175,15 @@ pub(super) struct Plain {
 impl Plain {
     /// Reads a question with a model and a scanner; without views for stages of the field.
     pub(super) fn new(q: &Question) -> Result<Self> {
+        Self::with_model(q, &q.parameters("model")?)
+    }
+
+    /// [`Self::new`] with other parameters.
+    pub(super) fn with_model(q: &Question, model: &Parameters) -> Result<Self> {
         let scanner = q.scanner()?;
         let views = q.angles().map(|angles| angles.iter().map(|&angle| scanner.view(angle)).collect());
-        let exact = !q.stage.ends_with("affine");
-        Ok(Self { model: numbers(&q.parameters("model")?), scanner, views: views.unwrap_or_default(), exact })
+        let exact = q.projection()? == Projection::Exact;
+        Ok(Self { model: numbers(model), scanner, views: views.unwrap_or_default(), exact })
     }
 
     /// The contributions of one primitive, in the shape of the image or volume.

@@ -8,7 +8,7 @@ use crate::oracle::answers::answer;
 use crate::oracle::format::Format;
 use crate::oracle::outputs::Outputs;
 use crate::oracle::question::Question;
-use crate::primitives::{KernelKind, Parameters, Primitives, gaussian, student_t};
+use crate::primitives::{Group, KernelKind, Parameters, Primitives, gaussian, student_t};
 use crate::scene::{Beam, Detector, Scanner};
 use ndarray::{Array1, Array4, ArrayD, Axis};
 use serde_json::json;
@@ -134,8 +134,7 @@ fn angles(q: &mut Question, change: impl Fn(f64) -> f64) -> Result<()> {
 fn model(q: &mut Question, change: impl Fn(&mut Parameters)) -> Result<()> {
     let mut parameters = q.parameters("model")?;
     change(&mut parameters);
-    q.set_model(&parameters);
-    Ok(())
+    q.set_model(&parameters)
 }
 
 /// Mistakes in geometry, kernels, parameters and optimisers, as far as they apply to the stage.
@@ -258,75 +257,92 @@ fn images(
     if q.stage.starts_with("projected-kernel") { kernels.into_dyn() } else { kernels.sum_axis(Axis(0)).into_dyn() }
 }
 
-/// Gradients with respect to other parametrisations than the model file's.
+/// Gradients with respect to other parametrisations than the model file's, or than the raw parameters.
 fn parametrisations(q: &Question, part: &str, expected: &ArrayD<f64>) -> Result<Vec<Suspect>> {
-    let role = if q.stage == "gradient-raw" { "raw" } else { "model" };
-    let p = q.parameters(role)?;
-    let times = |values: Vec<f64>| {
-        let factors = ArrayD::from_shape_vec(expected.raw_dim(), values).expect("as many as parameters");
-        expected * &factors
+    let raw = q.stage == "gradient-raw";
+    let p = if raw { q.activation()?.forward(&q.parameters("raw")?).parameters } else { q.parameters("model")? };
+    let times = |name: &str, values: Vec<f64>| {
+        let factors = ArrayD::from_shape_vec(expected.raw_dim(), values).ok()?;
+        Some(Suspect::new(name, expected * &factors))
     };
-    let outputs = || answer(q, Precision::F64);
-    Ok(match part {
+    let all = match part {
+        "quaternion" if expected.ndim() == 2 => quaternions(q, &p, expected),
+        _ if raw => vec![times("the gradient to the physical value", slopes(q, part)?)],
         "scale" => {
-            let scales = p.scale.as_flattened();
+            let of = |change: fn(&f64) -> f64| p.scale.as_flattened().iter().map(change).collect();
             vec![
-                Suspect::new("the gradient to the scale's inverse", times(scales.iter().map(|s| -s * s).collect())),
-                Suspect::new("the gradient to the scale's logarithm", times(scales.to_vec())),
-                Suspect::new("the gradient to the variance", times(scales.iter().map(|s| 0.5 / s).collect())),
+                times("the gradient to the scale's inverse", of(|s| -s * s)),
+                times("the gradient to the scale's logarithm", of(|s| *s)),
+                times("the gradient to the variance", of(|s| 0.5 / s)),
             ]
         }
-        "quaternion" => {
-            let norm = |q: &[f64; 4]| q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let norms: Vec<f64> = p.quaternion.iter().flat_map(|q| [norm(q); 4]).collect();
-            let order = [1, 2, 3, 0].map(|k| expected.index_axis(Axis(1), k).insert_axis(Axis(1)));
-            let order = ndarray::concatenate(Axis(1), &order).expect("columns of one array");
-            let mut all = vec![
-                Suspect::new("the gradient to the normalised quaternion", times(norms.clone())),
-                Suspect::new("the quaternion's order (x, y, z, w)", order),
-            ];
-            let mut signs = expected.clone();
-            signs.index_axis_mut(Axis(1), 0).mapv_inplace(|x| -x);
-            all.push(Suspect::new("the opposite sign of the gradient to w", signs.clone()));
-            all.push(Suspect::new("the opposite sign of the gradient to x, y, z", -signs));
-            let norms = ArrayD::from_shape_vec(expected.raw_dim(), norms).expect("as many as parameters");
-            for unit in without_normalisation(q, &p).unwrap_or_default() {
-                // The formula for a unit quaternion, and the derivative with a constant norm.
-                let name = "the gradient not through the quaternion's normalisation";
-                all.push(Suspect::new(name, &unit / &norms));
-                all.push(Suspect::new(name, unit));
-            }
-            all
+        "density" => vec![times("the gradient to the density's logarithm", p.density.clone())],
+        "nu" => {
+            let constant = if q.stage.starts_with("gradient-image") { constant_factor(q, &p, expected)? } else { None };
+            vec![times("the gradient to the logarithm of ν", p.nu.clone()), constant]
         }
-        "density" => vec![Suspect::new("the gradient to the density's logarithm", times(p.density.clone()))],
-        "nu" if q.stage.starts_with("gradient-image") => {
-            let Some(d_density) = take(outputs()?, "grad", "density") else { return Ok(Vec::new()) };
-            let constant = |i: usize| {
-                let (line, slope) = student_t::line_integral(p.nu[i]);
-                expected[[i]] - slope / line * p.density[i] * d_density[[i]]
-            };
-            let values: Array1<f64> = (0..p.len()).map(constant).collect();
-            vec![
-                Suspect::new("the gradient to the logarithm of ν", times(p.nu.clone())),
-                Suspect::new("∂C/∂ν of the integral factor left out [Eq. 5]", values.into_dyn()),
-            ]
-        }
-        "nu" => vec![Suspect::new("the gradient to the logarithm of ν", times(p.nu.clone()))],
         _ => Vec::new(),
-    })
+    };
+    Ok(all.into_iter().flatten().collect())
+}
+
+/// The inverse slopes of the activation of a group.
+fn slopes(q: &Question, part: &str) -> Result<Vec<f64>> {
+    let physical = q.activation()?.forward(&q.parameters("raw")?);
+    let mut slopes = Parameters::zeros(physical.len());
+    Group::ALL.into_iter().for_each(|group| slopes.group_mut(group).fill(1.0));
+    q.activation()?.vjp(&physical, &mut slopes);
+    let group = Group::ALL.into_iter().find(|group| group.key() == part);
+    Ok(group.map_or_else(Vec::new, |group| slopes.group(group).iter().map(|slope| 1.0 / slope).collect()))
+}
+
+/// The gradient to ν with the derivative of the integral factor left out.
+fn constant_factor(q: &Question, p: &Parameters, expected: &ArrayD<f64>) -> Result<Option<Suspect>> {
+    let d_density = take(answer(q, Precision::F64)?, "grad", "density");
+    let Some(d_density) = d_density.filter(|array| array.shape() == expected.shape()) else { return Ok(None) };
+    let constant = |((expected, d_density), (nu, density)): ((&f64, &f64), (&f64, &f64))| {
+        let (line, slope) = student_t::line_integral(*nu);
+        expected - slope / line * density * d_density
+    };
+    let values: Array1<f64> = expected.iter().zip(&d_density).zip(p.nu.iter().zip(&p.density)).map(constant).collect();
+    Ok(Some(Suspect::new("∂C/∂ν of the integral factor left out [Eq. 5]", values.into_dyn())))
+}
+
+/// Gradients to quaternions in another order, of another sign, or without the normalisation.
+fn quaternions(q: &Question, p: &Parameters, expected: &ArrayD<f64>) -> Vec<Option<Suspect>> {
+    let norm = |q: &[f64; 4]| q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let norms: Vec<f64> = p.quaternion.iter().flat_map(|q| [norm(q); 4]).collect();
+    let (Ok(norms), 4) = (ArrayD::from_shape_vec(expected.raw_dim(), norms), expected.len_of(Axis(1))) else {
+        return Vec::new();
+    };
+    let mut signs = expected.clone();
+    signs.index_axis_mut(Axis(1), 0).mapv_inplace(|x| -x);
+    let mut all = vec![
+        Suspect::new("the gradient to the normalised quaternion", expected * &norms),
+        Suspect::new("the quaternion's order (x, y, z, w)", expected.select(Axis(1), &[1, 2, 3, 0])),
+        Suspect::new("the opposite sign of the gradient to w", signs.clone()),
+        Suspect::new("the opposite sign of the gradient to x, y, z", -signs),
+    ];
+    for unit in without_normalisation(q, p).unwrap_or_default() {
+        // The formula for a unit quaternion, and the derivative with a constant norm.
+        let name = "the gradient not through the quaternion's normalisation";
+        if unit.shape() == expected.shape() {
+            all.push(Suspect::new(name, &unit / &norms));
+            all.push(Suspect::new(name, unit));
+        }
+    }
+    all.into_iter().map(Some).collect()
 }
 
 /// The gradient to the normalised quaternion, by the rotation's formula for a unit quaternion.
 fn without_normalisation(q: &Question, p: &Parameters) -> Result<Vec<ArrayD<f64>>> {
-    let mut changed = q.clone();
     let mut unit = p.clone();
     for quaternion in &mut unit.quaternion {
         let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
         quaternion.iter_mut().for_each(|x| *x /= norm);
     }
-    changed.set_model(&unit);
     let cotangent = q.array::<ndarray::Ix3>("cotangent")?;
-    let plain = plain::Plain::new(&changed)?;
+    let plain = plain::Plain::with_model(q, &unit)?;
     let faults = [plain::Fault::Unnormalised, plain::Fault::UnnormalisedRay];
     Ok(faults.into_iter().filter_map(|fault| plain.gradient(&cotangent, "quaternion", Some(fault))).collect())
 }
@@ -384,5 +400,30 @@ mod tests {
         assert!(tried > 90, "{tried} mistakes");
         assert_eq!(total[3], 0, "wrong names: {total:?}");
         assert!(10 * total[0] >= 9 * tried, "right, among candidates, none, wrong: {total:?}");
+    }
+
+    #[test]
+    fn mistakes_in_gradients_to_raw_parameters_are_named() {
+        let vectors = Vectors::embedded().unwrap();
+        let case = vectors.manifest.cases.iter().find(|case| case.id == "gradient-raw/cone").unwrap();
+        let q = Question::new(&vectors, case).unwrap();
+        let right = answer(&q, Precision::F64).unwrap().remove("grad").unwrap();
+        let found = |part: &str, wrong: &ArrayD<f64>| {
+            of_part(&q, ("grad", part), &right[part], wrong, Format::F64, 1e-13).unwrap_or_default()
+        };
+        let physical = q.activation().unwrap().forward(&q.parameters("raw").unwrap()).parameters;
+        for unit in without_normalisation(&q, &physical).unwrap() {
+            let name = found("quaternion", &unit);
+            assert!(name.contains("normalis"), "{name:?}");
+        }
+        let mut changed = q.clone();
+        changed.stage = "gradient-image-exact".into();
+        assert!(changed.set_model(&physical).is_err(), "a question of raw parameters has no model");
+        changed.scanner = None;
+        assert!(suspects(&changed, "grad", "quaternion", &right["quaternion"], Format::F64).is_empty());
+        for part in ["scale", "density", "nu"] {
+            let factors = ArrayD::from_shape_vec(right[part].raw_dim(), slopes(&q, part).unwrap()).unwrap();
+            assert_eq!(found(part, &(&right[part] * &factors)), "the gradient to the physical value");
+        }
     }
 }

@@ -1,14 +1,12 @@
 //! Projections and volumes that a description names, in any format of images and volumes.
 
 use crate::error::{Error, Result};
+use crate::scene::frame::Frame;
 use crate::scene::geometry::Grid;
 use crate::scene::npy;
 use crate::scene::volume_file::{self, VolumeFile};
 use ndarray::{Array2, Array3, Axis, Ix2, Ix3};
 use std::path::Path;
-
-/// Relative difference of proportions from which on a spacing disagrees with the description.
-const DIFFERS: f64 = 1e-3;
 
 /// Whether a file is read as a NumPy array: one whose extension states no other format is.
 fn is_array(path: &Path) -> bool {
@@ -41,21 +39,12 @@ pub(super) fn read_image(path: &Path, oddities: &mut Vec<String>) -> Result<Arra
     Ok(values.index_axis_move(Axis(2), 0).reversed_axes().as_standard_layout().into_owned())
 }
 
-/// The values `[x, y, z]` of a volume.
-pub(super) fn read_values(path: &Path, grid: &Grid, oddities: &mut Vec<String>) -> Result<Array3<f32>> {
+/// The values `[x, y, z]` of a volume, in the order of the scan.
+pub(super) fn read_values(path: &Path, grid: &Grid, frame: &Frame, oddities: &mut Vec<String>) -> Result<Array3<f32>> {
     if is_array(path) {
         return npy::read_f32::<Ix3>(path, "[x, y, z]");
     }
-    let VolumeFile { values, spacing, oddities: found, .. } = volume_file::read(path)?;
+    let (values, found) = frame.arrange_own(volume_file::read(path)?, grid);
     add(oddities, "true volume", found);
-    // The units may differ, the proportions may not.
-    if let Some(ratios) = spacing.map(|spacing| spacing / grid.spacing)
-        && ratios.max_element() > (1.0 + DIFFERS) * ratios.min_element()
-    {
-        let stated = spacing.unwrap_or_default();
-        let remark =
-            format!("its spacing {stated} has other proportions than dVoxel of the description, which is read");
-        add(oddities, "true volume", vec![remark]);
-    }
     Ok(values)
 }

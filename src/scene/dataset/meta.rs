@@ -4,6 +4,7 @@ use super::fields::{self, Content};
 use super::poses::{self, Axes, Motion, PerView, Words};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
+use crate::scene::frame::{Frame, FrameMeta};
 use crate::scene::geometry::{Beam, Detector, Grid, Pose, Scanner};
 use crate::scene::noise::{Attenuation, Noise};
 use glam::DVec3;
@@ -39,6 +40,12 @@ pub(super) struct Meta {
     /// Facts needed to judge results, one sentence each. This project's own key.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) notes: Vec<String>,
+    /// The unit of the lengths. This project's own key.
+    #[serde(default, skip_serializing)]
+    unit: Option<String>,
+    /// Unit and place of the files that a scan in scene units came from. This project's own key.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    frame: Option<FrameMeta>,
     /// Remarks on fields that are not read.
     #[serde(skip)]
     unread: Vec<String>,
@@ -67,6 +74,9 @@ pub(super) struct ViewMeta {
 pub(super) struct ScannerMeta {
     /// `cone` or `parallel`.
     mode: String,
+    /// The unit of the lengths, another place for that of the file.
+    #[serde(default, skip_serializing)]
+    unit: Option<String>,
     /// Source to detector.
     #[serde(rename = "DSD")]
     dsd: Option<PerView<f64>>,
@@ -144,6 +154,7 @@ pub(super) struct Interpreted {
     pub(super) scanner: Scanner,
     /// Scene units per unit of the file.
     pub(super) scale: f64,
+    pub(super) frame: Frame,
     pub(super) noise: Noise,
     /// Poses of the views, if they are no circle.
     pub(super) motion: Motion,
@@ -151,7 +162,7 @@ pub(super) struct Interpreted {
 }
 
 /// The names of the fields that are read.
-const FILE_FIELDS: [&str; 7] = ["scanner", "vol", "ct", "bbox", "proj_train", "proj_test", "notes"];
+const FILE_FIELDS: [&str; 9] = ["scanner", "vol", "ct", "bbox", "proj_train", "proj_test", "notes", "unit", "frame"];
 const VIEW_FIELDS: [&str; 5] = ["file_path", "angle", "radius", "vector", "matrix"];
 pub(super) const SCANNER_FIELDS: [&str; 15] = [
     "mode",
@@ -206,8 +217,10 @@ impl Meta {
         bbox: [[f64; 3]; 2],
         [proj_train, proj_test]: [Vec<ViewMeta>; 2],
         notes: Vec<String>,
+        frame: &Frame,
     ) -> Self {
-        Self { scanner, vol, ct: None, bbox: Some(bbox), proj_train, proj_test, notes, unread: Vec::new() }
+        let (bbox, frame) = (Some(bbox), FrameMeta::of(frame));
+        Self { scanner, vol, ct: None, bbox, proj_train, proj_test, notes, unit: None, frame, unread: Vec::new() }
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<()> {
@@ -217,6 +230,9 @@ impl Meta {
     /// The scanner in scene units, checked; errors name `path`.
     pub(super) fn interpret(&self, path: &Path) -> Result<Interpreted> {
         let mut interpreted = self.scanner.interpret().map_err(|error| error.in_file(path))?;
+        let stated: Vec<&str> = [&self.unit, &self.scanner.unit].into_iter().flatten().map(String::as_str).collect();
+        let stated_frame = self.frame.clone().unwrap_or_default().frame(&stated, interpreted.scale);
+        interpreted.frame = stated_frame.map_err(|error| error.in_file(path))?;
         let Interpreted { scanner, scale, motion, oddities, .. } = &mut interpreted;
         if !self.proj_train.is_empty() {
             motion.fits(self.proj_train.len(), self.proj_test.len()).map_err(|error| error.in_file(path))?;
@@ -308,7 +324,11 @@ fn unread(file: &Value) -> Result<Vec<String>> {
         fields::unread(place, fields.iter().map(|(name, content)| (name.as_str(), *content)), read)
     };
     let mut remarks = of("the file", file, &FILE_FIELDS)?;
-    remarks.extend(of("scanner", &file["scanner"], &[&SCANNER_FIELDS[..], &fields::OF_GENERATORS].concat())?);
+    remarks.extend(of(
+        "scanner",
+        &file["scanner"],
+        &[&SCANNER_FIELDS[..], &fields::OF_GENERATORS, &["unit"]].concat(),
+    )?);
     for list in ["proj_train", "proj_test"] {
         for view in file[list].as_array().into_iter().flatten() {
             for remark in of(list, view, &VIEW_FIELDS)? {
@@ -348,6 +368,7 @@ impl ScannerMeta {
         };
         Self {
             mode: mode.into(),
+            unit: None,
             dsd: Some(PerView::Same(dsd)),
             dso: Some(PerView::Same(beam.dso())),
             n_detector: vec![d.rows as f64, d.columns as f64],
@@ -468,7 +489,7 @@ impl ScannerMeta {
                 return Err(Error::invalid("poses", got, "one statement of the poses", remedy));
             }
         };
-        Ok(Interpreted { scanner, scale, noise: self.noise(), motion, oddities })
+        Ok(Interpreted { scanner, scale, frame: Frame::scaled(scale), noise: self.noise(), motion, oddities })
     }
 
     /// The poses of the lists of vectors or matrices.

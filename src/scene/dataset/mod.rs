@@ -11,7 +11,9 @@
 //! Projections may also be images with one page (such as `.tif`), and the true volume any file of
 //! [`volume_file`](super::volume_file) (such as `.nii.gz`).
 //!
-//! A key of our own, `notes`, holds facts needed to judge results: that the truth is a pseudo truth, for instance.
+//! Keys of our own: `notes` holds facts needed to judge results (that the truth is a pseudo truth, for instance), `unit`
+//! the unit of the lengths, and `frame` the unit and place of the files that a scan in scene units was converted from:
+//! see [`frame`](super::frame).
 //!
 //! The files may use any one unit of length. Reading multiplies lengths and projections by `scale = 2/max(sVoxel)`,
 //! which makes the longest side of the volume 2. The volume is not scaled: densities remain per unit of the file.
@@ -40,6 +42,7 @@ mod subsample;
 pub use info::DatasetInfo;
 
 use super::arrays::{Projections, Volume};
+use super::frame::Frame;
 use super::geometry::{Beam, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::npy;
@@ -61,8 +64,10 @@ pub struct Dataset {
     pub name: String,
     /// The scanner, scene units.
     pub scanner: Scanner,
-    /// Scene units per unit of length of the files.
+    /// Scene units per unit of length of the description; that of the data is in `frame`.
     pub scale: f64,
+    /// Unit and place of the data. Densities are per its unit of length.
+    pub frame: Frame,
     /// Noise of the training views, as far as the files tell.
     pub noise: Noise,
     /// Projections to reconstruct from.
@@ -84,8 +89,10 @@ pub struct Dataset {
 pub struct Description {
     /// The scanner, scene units.
     pub scanner: Scanner,
-    /// Scene units per unit of length of the files.
+    /// Scene units per unit of length of the description.
     pub scale: f64,
+    /// Unit and place of the scan.
+    pub frame: Frame,
     /// Angles of the training views that the file lists, radians.
     pub listed: Vec<f64>,
     /// First view and span of all views, radians.
@@ -103,9 +110,9 @@ impl Description {
     /// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
     pub fn read(path: &Path) -> Result<Self> {
         if naf::is_pickle(path) {
-            let Dataset { scanner, scale, train, oddities, .. } = naf::read(path)?;
+            let Dataset { scanner, scale, frame, train, oddities, .. } = naf::read(path)?;
             let motion = train.poses.map_or(Motion::Circle, Motion::Poses);
-            return Ok(Self { scanner, scale, listed: train.angles, arc: None, oddities, motion });
+            return Ok(Self { scanner, scale, frame, listed: train.angles, arc: None, oddities, motion });
         }
         let path = meta_path(path);
         Self::of(&Meta::read(&path)?, &path)
@@ -120,20 +127,21 @@ impl Description {
     }
 
     fn of(meta: &Meta, path: &Path) -> Result<Self> {
-        let meta::Interpreted { scanner, scale, motion, oddities, .. } = meta.interpret(path)?;
+        let meta::Interpreted { scanner, scale, frame, motion, oddities, .. } = meta.interpret(path)?;
         let mut listed = angles(&meta.proj_train, &motion, 0);
         if let (true, Motion::Poses(poses)) = (listed.is_empty(), &motion) {
             listed = poses.iter().map(Pose::angle).collect();
         }
-        Ok(Self { scanner, scale, listed, arc: meta.scanner.arc(), oddities, motion })
+        Ok(Self { scanner, scale, frame, listed, arc: meta.scanner.arc(), oddities, motion })
     }
 
     /// A description of plain numbers, without a file.
     pub fn new(scanner: Scanner, scale: f64, arc: Option<(f64, f64)>) -> Self {
-        Self { scanner, scale, listed: Vec::new(), arc, oddities: Vec::new(), motion: Motion::Circle }
+        let frame = Frame::scaled(scale);
+        Self { scanner, scale, frame, listed: Vec::new(), arc, oddities: Vec::new(), motion: Motion::Circle }
     }
 
-    /// The description with these poses for the views, in the unit of its file.
+    /// The description with these poses for the views, in the unit of its [`Frame`].
     ///
     /// # Errors
     /// [`Error::Invalid`] in a parallel beam, and if the file states other poses.
@@ -142,7 +150,8 @@ impl Description {
             let got = if self.motion == Motion::Circle { "a parallel beam" } else { "other poses in the description" };
             return Err(Error::invalid("poses", got, "a cone beam without other poses", "correct the description"));
         }
-        let scaled = |pose: &Pose| Pose { source: pose.source * self.scale, centre: pose.centre * self.scale, ..*pose };
+        let scale = self.frame.scale;
+        let scaled = |pose: &Pose| Pose { source: pose.source * scale, centre: pose.centre * scale, ..*pose };
         let poses: Vec<Pose> = poses.iter().map(scaled).collect();
         let listed = poses.iter().map(Pose::angle).collect();
         Ok(Self { listed, arc: None, motion: Motion::Poses(poses), ..self })
@@ -227,6 +236,7 @@ impl Dataset {
             name: self.name.clone(),
             scanner: self.scanner,
             scale: self.scale,
+            frame: self.frame,
             noise: self.noise,
             train: self.train.select(views),
             test: None,
@@ -252,7 +262,7 @@ impl Dataset {
         }
         let meta_path = meta_path(path);
         let meta = Meta::read(&meta_path)?;
-        let meta::Interpreted { scanner, scale, noise, motion, mut oddities } = meta.interpret(&meta_path)?;
+        let meta::Interpreted { scanner, scale, frame, noise, motion, mut oddities } = meta.interpret(&meta_path)?;
         let folder = meta_path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = folder.canonicalize().ok().and_then(|f| Some(f.file_name()?.to_string_lossy().into_owned()));
         let name = name.unwrap_or_else(|| "scan".into());
@@ -282,12 +292,13 @@ impl Dataset {
             views => Some(read(views, meta.proj_train.len())?),
         };
         let truth = meta.vol.as_ref().or(meta.ct.as_ref());
-        let truth = truth.map(|file| read_volume(&folder.join(file), &scanner, &mut oddities));
+        let truth = truth.map(|file| read_volume(&folder.join(file), &scanner, &frame, &mut oddities));
         let initial_points = find_points(folder, &name, &mut oddities)?.map(|path| read_points(&path));
         Ok(Self {
             name,
             scanner,
             scale,
+            frame,
             noise,
             train,
             test,
@@ -344,6 +355,7 @@ impl Dataset {
             [self.scanner.grid.min.to_array(), self.scanner.grid.max().to_array()],
             [views("proj_train", Some(&self.train))?, views("proj_test", self.test.as_ref())?],
             self.notes.clone(),
+            &self.frame,
         );
         meta.write(&at("meta_data.json"))?;
         staged.commit()
@@ -408,8 +420,8 @@ fn read_views(
     Projections::along(trajectory, images).map_err(|error| error.in_file(meta))
 }
 
-fn read_volume(path: &Path, scanner: &Scanner, oddities: &mut Vec<String>) -> Result<Volume> {
-    let values = files::read_values(path, &scanner.grid, oddities)?;
+fn read_volume(path: &Path, scanner: &Scanner, frame: &Frame, oddities: &mut Vec<String>) -> Result<Volume> {
+    let values = files::read_values(path, &scanner.grid, frame, oddities)?;
     check_finite(path, "volume", values.view())?;
     Volume::new(scanner.grid, values).map_err(|error| error.in_file(path))
 }

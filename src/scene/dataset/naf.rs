@@ -10,6 +10,7 @@ use super::poses::Motion;
 use super::{Dataset, check_finite, look_like_degrees};
 use crate::error::{Error, Result};
 use crate::scene::arrays::{Projections, Volume};
+use crate::scene::frame::{Frame, Unit};
 use crate::scene::geometry::{Scanner, Trajectory};
 use crate::scene::noise::Noise;
 use ndarray::Array3;
@@ -69,7 +70,20 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
         oddities.push("the test views have the noise of the training views".into());
     }
     let name = path.file_stem().map_or_else(|| "scan".into(), |stem| stem.to_string_lossy().into_owned());
-    Ok(Dataset { name, scanner, scale, noise, train, test, truth, initial_points: None, notes: Vec::new(), oddities })
+    let frame = Frame { unit: Some(Unit::Metre), ..Frame::scaled(scale) };
+    Ok(Dataset {
+        name,
+        scanner,
+        scale,
+        frame,
+        noise,
+        train,
+        test,
+        truth,
+        initial_points: None,
+        notes: Vec::new(),
+        oddities,
+    })
 }
 
 /// The scanner's fields in metres, with the total sizes that the format leaves out.

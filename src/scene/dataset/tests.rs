@@ -22,6 +22,7 @@ pub(super) fn sample() -> Dataset {
         name: "sample".into(),
         scanner,
         scale: 1.0,
+        frame: Frame::default(),
         noise: Noise::MEDIUM,
         train: Projections::new(vec![0.1, 3.7, 2.2], images(3, 0.9)).unwrap(),
         test: Some(Projections::new(vec![0.3, 0.1], images(2, 0.77)).unwrap()),
@@ -93,7 +94,7 @@ fn a_cube_of_any_resolution_is_read_again_exactly() {
         scanner.grid = Grid::cube(n);
         let meta = ScannerMeta::describe(&scanner, &[0.0], Noise::None);
         let bbox = [scanner.grid.min.to_array(), scanner.grid.max().to_array()];
-        let meta = Meta::new(meta, None, bbox, Default::default(), Vec::new());
+        let meta = Meta::new(meta, None, bbox, Default::default(), Vec::new(), &Frame::default());
         assert_eq!(meta.interpret(Path::new("meta_data.json")).unwrap().scanner, scanner, "{n} voxels");
     }
 }

@@ -100,7 +100,7 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
 /// A scan from a stack of dimensionless line integrals `[view, v, u]` and its angles (radians).
 ///
 /// Lengths of the description are converted to scene units, and line integrals with them: densities remain per unit of
-/// length of the description.
+/// length of its [`Frame`](super::Frame).
 ///
 /// # Errors
 /// When frames have another shape than the detector, the numbers of angles and frames differ, or a value is not finite.
@@ -111,7 +111,8 @@ pub fn scan(
     angles: Vec<f64>,
     orientation: Orientation,
 ) -> Result<Dataset> {
-    let Description { scanner, scale, .. } = description;
+    let Description { scanner, scale, frame, .. } = description;
+    let line_scale = frame.scale;
     let (views, rows, columns) = line_integrals.dim();
     if (rows, columns) != (scanner.detector.rows, scanner.detector.columns) {
         let expected = format!("{} × {} = nDetector = [v, u]", scanner.detector.rows, scanner.detector.columns);
@@ -127,7 +128,7 @@ pub fn scan(
         ));
     }
     // Rounding once, from f64, keeps a scale of 1 exact.
-    let mut images = line_integrals.mapv_into(|value| (f64::from(value) * scale) as f32);
+    let mut images = line_integrals.mapv_into(|value| (f64::from(value) * line_scale) as f32);
     for (flip, axis) in [(orientation.flip_rows, Axis(1)), (orientation.flip_columns, Axis(2))] {
         if flip {
             images.invert_axis(axis);
@@ -142,6 +143,7 @@ pub fn scan(
         name: name.into(),
         scanner: *scanner,
         scale: *scale,
+        frame: *frame,
         noise: Noise::None,
         train,
         test: None,

@@ -1,5 +1,6 @@
 //! Parts that the headers of several formats share: text, numbers, units, and remarks on fields.
 
+use crate::scene::frame::Unit;
 use glam::DVec3;
 use std::borrow::Cow;
 
@@ -42,32 +43,15 @@ pub(super) fn three_axes(sides: &[usize]) -> Option<[usize; 3]> {
     is_volume.then(|| [0, 1, 2].map(|i| sides.get(i).copied().unwrap_or(1)))
 }
 
-/// Millimetres of a unit of length, if the name is known.
-pub(super) fn millimetres(unit: &str) -> Option<f64> {
-    Some(match unit.trim().trim_matches('"').to_lowercase().as_str() {
-        "nm" | "nanometer" | "nanometre" | "nanometers" => 1e-6,
-        "um" | "µm" | "μm" | "\\u00b5m" | "micron" | "microns" | "micrometer" | "micrometre" | "micrometers" => 1e-3,
-        "mm" | "millimeter" | "millimetre" | "millimeters" => 1.0,
-        "cm" | "centimeter" | "centimetre" | "centimeters" => 10.0,
-        "m" | "meter" | "metre" | "meters" => 1000.0,
-        "in" | "inch" | "inches" => 25.4,
-        _ => return None,
-    })
-}
-
-/// A remark on a unit that is not millimetres, and the factor that makes millimetres of it.
-pub(super) fn converted(field: &str, unit: &str, oddities: &mut Vec<String>) -> f64 {
-    match millimetres(unit) {
-        Some(1.0) => 1.0,
-        Some(factor) => {
-            oddities.push(format!("{field} is {}: lengths are converted to millimetres", shown(unit)));
-            factor
-        }
-        None => {
-            oddities.push(format!("{field} is {}, which is not understood: lengths are kept", shown(unit)));
-            1.0
-        }
+/// The unit that a field names, and a remark unless it is the millimetre: lengths are converted to millimetres.
+pub(super) fn converted(field: &str, unit: &str, oddities: &mut Vec<String>) -> Option<Unit> {
+    let known = Unit::named(unit);
+    match known {
+        Some(Unit::Millimetre) => {}
+        Some(_) => oddities.push(format!("{field} is {}: lengths are converted to millimetres", shown(unit))),
+        None => oddities.push(format!("{field} is {}, which is not understood: lengths are kept", shown(unit))),
     }
+    known
 }
 
 /// Fields of a header that are not read, for a remark.

@@ -3,9 +3,10 @@
 use super::detached::Source;
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::header::{Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector, without_bom};
-use super::{VolumeFile, damaged, unsupported};
+use super::{Place, VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
-use glam::{DMat3, DVec3};
+use crate::scene::frame::Unit;
+use glam::DVec3;
 use std::path::Path;
 
 /// Longest header accepted, bytes.
@@ -135,7 +136,8 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let mut oddities = Vec::new();
     let (shape, axes, element) = numbers_of(&header)?;
     let unit = header.get("DistanceUnits").filter(|unit| *unit != "?");
-    let unit = unit.map_or(1.0, |unit| converted("DistanceUnits", unit, &mut oddities));
+    let stated = unit.and_then(|unit| converted("DistanceUnits", unit, &mut oddities));
+    let unit = stated.map_or(1.0, Unit::millimetres);
 
     let vector_of = |(key, value): (&str, &str), default| {
         vector(value, axes, default).ok_or_else(|| header.wrong(key, value, &format!("{axes} lengths")))
@@ -172,7 +174,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let mut unknown = Unknown::default();
     header.fields.iter().filter(|(key, _)| !KNOWN.contains(&key.as_str())).for_each(|(key, _)| unknown.add(key));
 
-    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions);
+    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(stated.is_some());
     volume.oddities.extend(oddities.into_iter().chain(unknown.remark()).chain(surplus(voxels.has_more)));
     Ok(volume)
 }
@@ -249,9 +251,7 @@ fn read_numbers(
 pub(super) fn header(
     path: &Path,
     shape: [usize; 3],
-    spacing: DVec3,
-    origin: DVec3,
-    directions: DMat3,
+    Place { spacing, origin, directions, in_millimetres }: Place,
 ) -> Result<Vec<u8>> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mhd")) {
         return Err(Error::invalid("file to write", path.display(), "one file", "end it with .mha"));
@@ -259,9 +259,10 @@ pub(super) fn header(
     let [x, y, z] = shape;
     let (s, o) = (spacing, origin);
     let axes = directions.to_cols_array().map(|x| x.to_string()).join(" ");
+    let unit = if in_millimetres { "DistanceUnits = mm\n" } else { "" };
     Ok(format!(
         "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n\
-         TransformMatrix = {axes}\nOffset = {} {} {}\nElementSpacing = {} {} {}\nDimSize = {x} {y} {z}\n\
+         TransformMatrix = {axes}\nOffset = {} {} {}\n{unit}ElementSpacing = {} {} {}\nDimSize = {x} {y} {z}\n\
          ElementType = MET_FLOAT\nElementDataFile = LOCAL\n",
         o.x, o.y, o.z, s.x, s.y, s.z
     )

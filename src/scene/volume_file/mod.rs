@@ -2,13 +2,13 @@
 //!
 //! | extension | format | metadata besides the values |
 //! |---|---|---|
-//! | `.npy` | NumPy, `[x, y, z]` | nothing |
+//! | `.npy` | NumPy, `[x, y, z]` | nothing, unless `name.npy.json` is beside it: see [`NpySide`] |
 //! | `.mha`, `.mhd` | MetaImage, x fastest | spacing, origin |
 //! | `.nrrd`, `.nhdr` | NRRD, x fastest | spacing, origin |
 //! | `.nii`, `.nii.gz` | NIfTI-1 and NIfTI-2, x fastest | spacing, origin |
 //! | `.h5`, `.hdf5`, `.hdf`, `.nxs`, `.nx`, `.mat` | an array `[z, y, x]` of HDF5 or MATLAB 7.3, `FILE.h5:/group/name`; read only; needs the feature `hdf5` | nothing |
 //! | `.npz` | the one array with three axes, `[x, y, z]`; read only | nothing |
-//! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | spacing, if ImageJ or OME states it |
+//! | `.tif`, `.tiff` | TIFF of grey pages: page z, row y, column x | spacing, if ImageJ or OME states it; it is written as ImageJ does where the unit is known |
 //! | `.png`, `.jpg`, `.jpeg` | one grey slice: row y, column x; read only | nothing |
 //! | `.raw` | numbers, x fastest | size and type by name: `name_256x256x256_uint8.raw`, `_uint16be` for big-endian |
 //! | `.raw`, `.raw.json` | the same, described by a side file: see [`SideFile`] | size, type, spacing, origin |
@@ -18,8 +18,12 @@
 //! # Axes
 //!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or rotated. Spacing and origin
-//! (the centre of the first voxel) are in the file's unit, or in millimetres where it states its unit. Directions of the axes stated by a file are reported and
-//! copied to a written file, but do not rotate the array.
+//! (the centre of the first voxel) are in the file's unit, or in millimetres where it states its unit. Directions of the
+//! axes stated by a file are reported and copied to a written file, but do not rotate the array; [`Frame::arrange`] turns
+//! it to the axes of a scan.
+//!
+//! Where the unit is known, lengths are written in millimetres, and attenuation with them: a volume per micrometre becomes
+//! one per millimetre. `.npy` and `.raw` state no lengths; their values are kept.
 //!
 //! Positions are in the coordinates of ITK: x grows to the patient's left, y to the back, z to the head (LPS). A
 //! MetaImage, and a NRRD whose space is LPS or unnamed, are stored in these coordinates. NIfTI uses coordinates that
@@ -42,6 +46,7 @@ mod header;
 mod images;
 mod meta_image;
 mod nifti;
+mod npy_side;
 mod nrrd;
 mod pages;
 mod raw;
@@ -49,13 +54,16 @@ mod tiff;
 
 pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub(super) use header::without_bom;
+pub use npy_side::NpySide;
 pub use raw::SideFile;
 
+use super::frame::{Frame, Unit};
 use super::{Volume, array_path, npy};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
 use ndarray::{Array3, Ix3};
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::Write;
 use std::path::Path;
@@ -78,6 +86,8 @@ pub struct VolumeFile {
     pub origin: Option<DVec3>,
     /// Unit vectors along the axes of the array, one per column; by default the identity.
     pub directions: DMat3,
+    /// Unit of spacing and origin, if the file states it; attenuation is taken as per this unit.
+    pub unit: Option<Unit>,
     /// Unusual properties of the file, one sentence each.
     pub oddities: Vec<String>,
 }
@@ -88,6 +98,11 @@ impl VolumeFile {
         Self { values, ..Self::default() }
     }
 
+    /// Whether lengths are in millimetres, rather than in a unit that is not stated.
+    fn in_millimetres(self, is_stated: bool) -> Self {
+        Self { unit: is_stated.then_some(Unit::Millimetre), ..self }
+    }
+
     /// The volume with z fastest in memory.
     fn in_order(self) -> Self {
         let values =
@@ -96,7 +111,7 @@ impl VolumeFile {
     }
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Format {
     Npy,
     Npz,
@@ -202,7 +217,7 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
         return folder::read(path);
     }
     match Format::of(path)? {
-        Format::Npy => return npy::read_f32::<Ix3>(path, "[x, y, z]").map(VolumeFile::bare),
+        Format::Npy => return NpySide::beside(path, VolumeFile::bare(npy::read_f32::<Ix3>(path, "[x, y, z]")?)),
         #[cfg(any(feature = "hdf5", test))]
         Format::Hdf5 => return super::hdf5::read(path),
         _ => {}
@@ -226,7 +241,7 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
     match Format::of(path)? {
         Format::Npy => {
             let values = npy::parse(content, path)?.numbers.into_f32();
-            npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]").map(VolumeFile::bare)
+            NpySide::beside(path, VolumeFile::bare(npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]")?))
         }
         Format::Npz => archive::parse(content, path),
         #[cfg(any(feature = "hdf5", test))]
@@ -248,21 +263,25 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
 
 /// Writes a volume as f32; the format follows from the name.
 ///
-/// Unknown spacing is written as 1, unknown origin as 0.
+/// Unknown spacing is written as 1, unknown origin as 0. Lengths of a known unit are written in millimetres, and the values
+/// as attenuation per millimetre.
 ///
 /// # Errors
 /// [`Error::Write`], or [`Error::Invalid`] for an unknown extension or a `.raw` whose name states another size or type.
 pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
-    let format = Format::of(path)?;
+    let format = Format::of(path).map_err(|_| not_written(path))?;
     let shape: [usize; 3] = volume.values.dim().into();
-    let spacing = volume.spacing.unwrap_or(DVec3::ONE);
-    let origin = volume.origin.unwrap_or(DVec3::ZERO);
+    let place = Place::of(volume);
+    let values = match format {
+        Format::Npy | Format::Raw => Cow::Borrowed(&volume.values),
+        _ => per_millimetre(volume),
+    };
     let header = match format {
         Format::Npy => return npy::write(path, volume.values.view()),
-        Format::MetaImage => meta_image::header(path, shape, spacing, origin, volume.directions)?,
-        Format::Nrrd => nrrd::header(path, shape, spacing, origin, volume.directions)?,
-        Format::Nifti => return nifti::write(path, volume, spacing, origin),
-        Format::Tiff => return tiff::write(path, &volume.values),
+        Format::MetaImage => meta_image::header(path, shape, place)?,
+        Format::Nrrd => nrrd::header(path, shape, place)?,
+        Format::Nifti => return nifti::write(path, &values, place),
+        Format::Tiff => return tiff::write(path, &values, place),
         Format::Dicom | Format::Image | Format::Npz | Format::Hdf5 => {
             let expected = "another format: DICOM, HDF5, PNG, JPEG and volumes as .npz are read but not written";
             return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
@@ -274,18 +293,58 @@ pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
     };
     write_atomically(path, |file| {
         file.write_all(&header)?;
-        file.write_all(&elements::x_fastest(&volume.values))
+        file.write_all(&elements::x_fastest(&values))
     })
 }
 
-/// Writes a volume with the spacing and the origin of its grid; the format follows from the name.
+/// The error for a name to write whose ending is of no format: it lists those that are written, of one file each.
+fn not_written(path: &Path) -> Error {
+    let read_only = [Format::Dicom, Format::Image, Format::Npz, Format::Hdf5];
+    let written =
+        |(ending, format): &(&str, Format)| !read_only.contains(format) && !["mhd", "nhdr"].contains(&&ending[1..]);
+    let endings: Vec<_> = ENDINGS.into_iter().filter(written).map(|(ending, _)| ending).collect();
+    let expected = format!("a name that ends with {}", endings.join(", "));
+    Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha")
+}
+
+/// Writes a volume of a scan in the scan's unit of length, and at its place; the format follows from the name.
+///
+/// `frame` is that of the [`Dataset`](super::Dataset); `Frame::default()` writes scene units.
 ///
 /// # Errors
 /// Those of [`write()`].
-pub fn write_volume(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
-    let Volume { grid, values } = volume;
-    let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
-    write(path.as_ref(), &VolumeFile { values: values.clone(), spacing, origin, ..VolumeFile::default() })
+pub fn write_volume(path: impl AsRef<Path>, volume: &Volume, frame: &Frame) -> Result<()> {
+    write(path.as_ref(), &frame.file(volume))
+}
+
+/// The place of a volume as headers state it.
+#[derive(Clone, Copy)]
+struct Place {
+    spacing: DVec3,
+    origin: DVec3,
+    directions: DMat3,
+    /// Whether lengths are in millimetres, rather than in a unit that is not known.
+    in_millimetres: bool,
+}
+
+impl Place {
+    fn of(volume: &VolumeFile) -> Self {
+        let factor = volume.unit.map_or(1.0, Unit::millimetres);
+        Self {
+            spacing: volume.spacing.map_or(DVec3::ONE, |spacing| spacing * factor),
+            origin: volume.origin.map_or(DVec3::ZERO, |origin| origin * factor),
+            directions: volume.directions,
+            in_millimetres: volume.unit.is_some(),
+        }
+    }
+}
+
+/// The attenuation of a volume per millimetre; its own where it states no unit.
+fn per_millimetre(volume: &VolumeFile) -> Cow<'_, Array3<f32>> {
+    match volume.unit.map_or(1.0, Unit::millimetres) {
+        1.0 => Cow::Borrowed(&volume.values),
+        factor => Cow::Owned(volume.values.mapv(|value| (f64::from(value) / factor) as f32)),
+    }
 }
 
 /// The error of a build without the feature.
@@ -331,10 +390,23 @@ impl VolumeFile {
         if !directions.is_finite() {
             volume.oddities.push("its axes have no directions; they are read as x, y and z".into());
         } else if !directions.abs_diff_eq(STRAIGHT, ROUNDING) {
-            volume.oddities.push(format!("its axes have the directions {x}, {y}, {z}; they are read as x, y and z"));
             volume.directions = directions;
+            volume.oddities.extend(volume.remark_on_directions());
         }
         volume
+    }
+
+    /// The remark on axes that do not run along x, y and z.
+    fn remark_on_directions(&self) -> Option<String> {
+        let [x, y, z] = [0, 1, 2].map(|axis| self.directions.col(axis));
+        let remark = || format!("its axes have the directions {x}, {y}, {z}; they are read as x, y and z");
+        (self.directions != STRAIGHT).then(remark)
+    }
+
+    /// The unusual properties but the directions, for a reader that heeds them.
+    pub(super) fn other_oddities(&self) -> Vec<String> {
+        let directions = self.remark_on_directions();
+        self.oddities.iter().filter(|oddity| Some(*oddity) != directions.as_ref()).cloned().collect()
     }
 }
 

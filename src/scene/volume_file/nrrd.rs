@@ -5,9 +5,10 @@ use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::header::{
     Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector, without_bom,
 };
-use super::{RAS, VolumeFile, damaged, unsupported};
+use super::{Place, RAS, VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
-use glam::{DMat3, DVec3};
+use crate::scene::frame::Unit;
+use glam::DVec3;
 use std::path::Path;
 
 /// Longest header accepted, bytes.
@@ -146,7 +147,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         "block" => unsupported(path, "type", "block", "a type of one number", TO_PLAIN),
         _ => header.wrong("type", kind, "a type of one number"),
     })?;
-    let (spacing, origin, directions) = place(&header, axes, &mut oddities)?;
+    let (spacing, origin, directions, in_millimetres) = place(&header, axes, &mut oddities)?;
     let voxels = read_numbers(&header, content, shape, number, encoding, &mut oddities)?;
     for key in ["old min", "oldmin", "old max", "oldmax"].iter().filter(|key| header.get(key).is_some()) {
         oddities.push(format!("{key} states the values before quantisation; numbers are read as stored"));
@@ -154,7 +155,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let mut unknown = Unknown::default();
     let is_known = |key: &str| KNOWN.contains(&key) || key.starts_with("old");
     header.fields.iter().filter(|(key, _)| !is_known(key)).for_each(|(key, _)| unknown.add(key));
-    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions);
+    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(in_millimetres);
     volume.oddities.extend(oddities.into_iter().chain(unknown.remark()).chain(surplus(voxels.has_more)));
     Ok(volume)
 }
@@ -175,10 +176,10 @@ fn check_kinds(header: &Header<'_>, sides: &[usize], oddities: &mut Vec<String>)
     Ok(())
 }
 
-/// Spacing, origin and steps along the axes in ITK's coordinates.
-type Place = (Option<DVec3>, Option<DVec3>, Option<[DVec3; 3]>);
+/// Spacing, origin and steps along the axes in ITK's coordinates, and whether they are in millimetres.
+type Stated = (Option<DVec3>, Option<DVec3>, Option<[DVec3; 3]>, bool);
 
-fn place(header: &Header<'_>, axes: usize, oddities: &mut Vec<String>) -> Result<Place> {
+fn place(header: &Header<'_>, axes: usize, oddities: &mut Vec<String>) -> Result<Stated> {
     let signs = match header.get("space").map(str::to_lowercase).as_deref() {
         Some("right-anterior-superior" | "ras") => RAS,
         Some("left-anterior-superior" | "las") => DVec3::new(1.0, -1.0, 1.0),
@@ -192,7 +193,8 @@ fn place(header: &Header<'_>, axes: usize, oddities: &mut Vec<String>) -> Result
     };
     let units = header.get("space units").or(header.get("units")).unwrap_or_default();
     let unit = units.split('"').map(str::trim).find(|unit| !unit.is_empty() && *unit != "???" && *unit != "none");
-    let unit = unit.map_or(1.0, |unit| converted("the unit of space", unit, oddities));
+    let stated = unit.and_then(|unit| converted("the unit of space", unit, oddities));
+    let unit = stated.map_or(1.0, Unit::millimetres);
     let lengths = |key: &str, default| match header.get(key) {
         None => Ok(None),
         Some(value) => {
@@ -223,7 +225,7 @@ fn place(header: &Header<'_>, axes: usize, oddities: &mut Vec<String>) -> Result
         }
     };
     let (spacing, origin) = (spacing.map(|spacing| spacing * unit), origin.map(|origin| origin * unit * signs));
-    Ok((spacing, origin, directions.map(|axes| axes.map(|axis| axis * signs))))
+    Ok((spacing, origin, directions.map(|axes| axes.map(|axis| axis * signs)), stated.is_some()))
 }
 
 /// The numbers after the header or in other files.
@@ -283,9 +285,7 @@ fn read_numbers(
 pub(super) fn header(
     path: &Path,
     shape: [usize; 3],
-    spacing: DVec3,
-    origin: DVec3,
-    directions: DMat3,
+    Place { spacing, origin, directions, in_millimetres }: Place,
 ) -> Result<Vec<u8>> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("nhdr")) {
         return Err(Error::invalid("file to write", path.display(), "one file", "end it with .nrrd"));
@@ -293,9 +293,10 @@ pub(super) fn header(
     let [x, y, z] = shape;
     let vector = |v: DVec3| format!("({},{},{})", v.x, v.y, v.z);
     let steps = [0, 1, 2].map(|axis| vector(directions.col(axis) * spacing[axis])).join(" ");
+    let unit = if in_millimetres { "space units: \"mm\" \"mm\" \"mm\"\n" } else { "" };
     Ok(format!(
         "NRRD0004\ntype: float\ndimension: 3\nspace: left-posterior-superior\nsizes: {x} {y} {z}\n\
-         space directions: {steps}\nkinds: domain domain domain\nendian: little\nencoding: raw\n\
+         space directions: {steps}\nkinds: domain domain domain\nendian: little\nencoding: raw\n{unit}\
          space origin: {}\n\n",
         vector(origin)
     )

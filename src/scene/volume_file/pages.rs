@@ -14,6 +14,8 @@ pub(super) struct Pages {
     count: usize,
     values: Vec<f32>,
     pub(super) spacing: Option<DVec3>,
+    /// Whether the spacing is in millimetres.
+    pub(super) in_millimetres: bool,
     oddities: Vec<String>,
 }
 
@@ -62,7 +64,8 @@ impl Pages {
         let (rows, columns) = self.shape;
         let pages = Array3::from_shape_vec((self.count, rows, columns), self.values);
         let values = pages.expect("every page has the shape of the first").reversed_axes();
-        let mut volume = VolumeFile::new(values, self.spacing, None, None);
+        let is_stated = self.in_millimetres && self.spacing.is_some();
+        let mut volume = VolumeFile::new(values, self.spacing, None, None).in_millimetres(is_stated);
         volume.oddities.extend(self.oddities);
         volume
     }

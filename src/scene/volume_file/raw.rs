@@ -4,6 +4,7 @@ use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::header::without_bom;
 use super::{VolumeFile, damaged};
 use crate::error::{Error, Result};
+use crate::scene::frame::Unit;
 use glam::DVec3;
 use serde::Deserialize;
 use std::io::ErrorKind;
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 ///
 /// ```json
 /// { "shape": [256, 256, 100], "type": "uint16", "byte_order": "little",
-///   "spacing": [0.5, 0.5, 1.0], "origin": [0.0, 0.0, 0.0], "skip_bytes": 0 }
+///   "spacing": [0.5, 0.5, 1.0], "origin": [0.0, 0.0, 0.0], "unit": "mm", "skip_bytes": 0 }
 /// ```
 ///
 /// Only `shape` and `type` are required. The numbers fill the rest of the file, to its last byte.
@@ -32,6 +33,8 @@ pub struct SideFile {
     spacing: Option<[f64; 3]>,
     /// Centre of voxel (0, 0, 0).
     origin: Option<[f64; 3]>,
+    /// Unit of spacing and origin.
+    unit: Option<String>,
     /// Bytes before the first number.
     #[serde(default)]
     skip_bytes: usize,
@@ -53,7 +56,7 @@ impl SideFile {
     pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
         let wrong = |got: String| {
             let expected = "JSON with shape [x, y, z], type (uint8, int16, float32, …) and perhaps byte_order, spacing, \
-                            origin, skip_bytes";
+                            origin, unit, skip_bytes";
             Error::format(path, "side file", got, expected, "compare it with the one in `trgs help convert`")
         };
         let side: Self = serde_json::from_slice(without_bom(text)).map_err(|error| wrong(error.to_string()))?;
@@ -64,6 +67,9 @@ impl SideFile {
             && side.origin.iter().flatten().all(|position| position.is_finite());
         if !is_sound {
             return Err(wrong(format!("spacing {:?}, origin {:?}", side.spacing, side.origin)));
+        }
+        if let Some(unit) = &side.unit {
+            unit.parse::<Unit>().map_err(|error| error.in_file(path))?;
         }
         Ok(side)
     }
@@ -76,7 +82,8 @@ impl SideFile {
         let number = Number::named(&self.kind).expect("checked when it was read");
         let element = Element { number, big_endian: self.byte_order == ByteOrder::Big };
         let [spacing, origin] = [self.spacing, self.origin].map(|vector| vector.map(DVec3::from_array));
-        Ok(VolumeFile { spacing, origin, ..volume(content, self.skip_bytes, element, self.shape, path)? })
+        let unit = self.unit.as_deref().and_then(Unit::named);
+        Ok(VolumeFile { spacing, origin, unit, ..volume(content, self.skip_bytes, element, self.shape, path)? })
     }
 }
 

@@ -110,16 +110,25 @@ __all__ = [
     "wavelet_routing",
 ]
 
-_SUBMODULES = ("conformance", "density", "jax", "losses", "metrics", "networks", "optim", "torch")
+_SUBMODULES = ("conformance", "density", "losses", "metrics", "networks", "optim")
+_FRAMEWORKS = ("jax", "torch")
 
 
 def __getattr__(name: str) -> object:
-    if name in _SUBMODULES:
+    if name in _SUBMODULES + _FRAMEWORKS:
         import importlib
 
-        return importlib.import_module(f"{__name__}.{name}")
+        try:
+            return importlib.import_module(f"{__name__}.{name}")
+        except ModuleNotFoundError as error:
+            # help() and inspect expect of a missing attribute no other exception.
+            if error.name != name:
+                raise
+            raise AttributeError(f"trgs.{name}: got no module {name!r}; install it: pip install {name}") from error
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*__all__, *_SUBMODULES]
+    from importlib.util import find_spec
+
+    return [*__all__, *_SUBMODULES, *(name for name in _FRAMEWORKS if find_spec(name))]

@@ -83,7 +83,9 @@ _Projection: TypeAlias = Literal["exact", "affine"]
 _Rays: TypeAlias = Literal["joseph", "siddon"]
 _Window: TypeAlias = Literal["ram-lak", "shepp-logan", "cosine", "hamming", "hann"]
 _Order: TypeAlias = Literal["input", "random", "angular-distance"]
-_Method: TypeAlias = Literal["tr-gs", "r2-gaussian", "fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"]
+_Method: TypeAlias = Literal[
+    "tr-gs", "r2-gaussian", "fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv", "naf", "sax-nerf", "intratomo"
+]
 _Callback: TypeAlias = Callable[[Progress], object]
 _Five: TypeAlias = Parameters | Sequence[_Array]
 _Triple: TypeAlias = tuple[float, float, float]
@@ -199,6 +201,8 @@ class Scan:
     def notes(self) -> list[str]: ...
     @property
     def oddities(self) -> list[str]: ...
+    @property
+    def remarks(self) -> list[str]: ...
     def save(self, folder: _Path) -> None: ...
     def evaluate(self, volume: NDArray[np.float32], model: Model | None = None) -> dict[str, Metric]: ...
     def __len__(self) -> int: ...

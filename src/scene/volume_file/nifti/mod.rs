@@ -7,12 +7,13 @@ mod header;
 
 use super::elements::{Element, Encoding, Layout, MOST_INFLATION, Number, Start, unpack};
 use super::header::{surplus, three_axes};
-use super::{RAS, VolumeFile, damaged, unsupported};
+use super::{Place, RAS, VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use flate2::read::MultiGzDecoder;
 use glam::{DMat3, DQuat, DVec3};
 use header::{Header, SMALLEST_OFFSET};
+use ndarray::Array3;
 use nifti::NiftiHeader;
 use nifti::writer::WriterOptions;
 use std::fs::File;
@@ -21,6 +22,10 @@ use std::path::Path;
 
 /// NIfTI's code for a transformation to the coordinates of the scanner.
 const SCANNER: i16 = 1;
+/// The bits of a header's units that are for lengths; the others are for time.
+const LENGTHS: i64 = 7;
+/// NIfTI's code for millimetres.
+const MILLIMETRES: u8 = 2;
 /// Relative difference of two spacings from which on they disagree: they are stored in single precision.
 const DIFFERS: f64 = 1e-3;
 /// Remedy for content that is not one volume of one number per voxel.
@@ -91,7 +96,8 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         oddities.push(format!("intent code {}: its numbers may not be attenuation", header.intent));
     }
     let (spacing, origin, axes) = place(&header, &mut oddities);
-    let mut volume = VolumeFile::new(voxels.values, Some(spacing), origin, axes);
+    let in_millimetres = (1..=3).contains(&(header.units & LENGTHS));
+    let mut volume = VolumeFile::new(voxels.values, Some(spacing), origin, axes).in_millimetres(in_millimetres);
     volume.oddities.extend(oddities.into_iter().chain(surplus(voxels.has_more)));
     Ok(volume)
 }
@@ -130,8 +136,7 @@ fn meaning(header: &Header, oddities: &mut Vec<String>) -> impl Fn(f64) -> f64 {
 
 /// Spacing, centre of the first voxel and axes in ITK's coordinates, in millimetres.
 fn place(header: &Header, oddities: &mut Vec<String>) -> (DVec3, Option<DVec3>, Option<[DVec3; 3]>) {
-    // The lowest three bits are for space, the others for time.
-    let unit = match header.units & 7 {
+    let unit = match header.units & LENGTHS {
         0 | 2 => 1.0,
         1 => {
             oddities.push("its unit is metres: lengths are converted to millimetres".into());
@@ -184,9 +189,10 @@ fn place(header: &Header, oddities: &mut Vec<String>) -> (DVec3, Option<DVec3>, 
     (sides, None, None)
 }
 
-pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DVec3) -> Result<()> {
+pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<()> {
+    let Place { spacing, origin, directions, in_millimetres } = place;
     let origin = (origin * RAS).as_vec3();
-    let axes = [0, 1, 2].map(|axis| volume.directions.col(axis) * RAS);
+    let axes = [0, 1, 2].map(|axis| directions.col(axis) * RAS);
     let mirror = if DMat3::from_cols_array_2d(&axes.map(Into::into)).determinant() < 0.0 { -1.0 } else { 1.0 };
     let quaternion = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2] * mirror));
     // The real part is not stored; it is not negative.
@@ -195,6 +201,7 @@ pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DV
     let row = |i: usize| [0, 1, 2, 3].map(|j| if j < 3 { (axes[j][i] * spacing[j]) as f32 } else { origin[i] });
     let header = NiftiHeader {
         pixdim: [mirror as f32, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0],
+        xyzt_units: if in_millimetres { MILLIMETRES } else { 0 },
         sform_code: SCANNER,
         qform_code: SCANNER,
         srow_x: row(0),
@@ -212,7 +219,7 @@ pub(super) fn write(path: &Path, volume: &VolumeFile, spacing: DVec3, origin: DV
     let fail = |source: io::Error| Error::write(path, source);
     let folder = tempfile::tempdir().map_err(fail)?;
     let file = folder.path().join(if is_packed { "volume.nii.gz" } else { "volume.nii" });
-    let written = WriterOptions::new(&file).reference_header(&header).write_nifti(&volume.values);
+    let written = WriterOptions::new(&file).reference_header(&header).write_nifti(values);
     written.map_err(|error| fail(io::Error::other(error.to_string())))?;
     write_atomically(path, |out| io::copy(&mut File::open(&file)?, out).map(|_| ()))
 }

@@ -1,6 +1,7 @@
 //! What the programs that wrote a TIFF say in its description: number of pages, spacing, calibration.
 
 use super::super::header::{converted, shown};
+use crate::scene::frame::Unit;
 use glam::DVec3;
 use serde_json::Value;
 
@@ -15,8 +16,10 @@ pub(super) struct Description {
     pub(super) depth: f64,
     /// Distance between pixels and pages in millimetres, where the description states it.
     pub(super) spacing: Option<DVec3>,
-    /// Millimetres of the unit of the resolution, where the description states a unit of length.
+    /// Millimetres of the unit of the resolution, where the description states a unit of length; 1 for an unknown one.
     pub(super) unit: Option<f64>,
+    /// Whether the unit is known.
+    pub(super) in_millimetres: bool,
     /// Number of images at each position; they cannot be told from slices.
     pub(super) channels: u64,
     /// Offset and slope of a linear calibration.
@@ -58,7 +61,10 @@ impl Description {
         }
         match field("unit").map(str::trim) {
             None | Some("" | "pixel" | "pixels") => {}
-            Some(unit) => self.unit = Some(converted("ImageJ's unit", unit, &mut self.oddities)),
+            Some(unit) => {
+                let known = converted("ImageJ's unit", unit, &mut self.oddities);
+                (self.unit, self.in_millimetres) = (Some(known.map_or(1.0, Unit::millimetres)), known.is_some());
+            }
         }
         match (count("cf"), number("c0"), number("c1")) {
             (None, ..) => {}
@@ -108,11 +114,11 @@ impl Description {
         let mut side = |axis: &str| -> Option<f64> {
             let length = field(&format!("PhysicalSize{axis}"))?.parse::<f64>().ok()?;
             let unit = field(&format!("PhysicalSize{axis}Unit")).unwrap_or("µm").replace("&#181;", "µ");
-            Some(length * super::super::header::millimetres(&unit)?)
+            Some(length * Unit::named(&unit)?.millimetres())
         };
         let [x, y, z] = ["X", "Y", "Z"].map(&mut side);
         if let (Some(x), Some(y)) = (x, y) {
-            self.spacing = Some(DVec3::new(x, y, z.unwrap_or(1.0)));
+            (self.spacing, self.in_millimetres) = (Some(DVec3::new(x, y, z.unwrap_or(1.0))), true);
             if z.is_none() {
                 self.oddities.push("the distance between its pages is not stated: 1 mm is taken".into());
             }

@@ -11,7 +11,7 @@ mod rewrite;
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::header::lossy;
 use super::pages::Pages;
-use super::{VolumeFile, damaged, unsupported};
+use super::{Place, VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use description::Description;
@@ -22,7 +22,8 @@ use std::io::{self, Cursor, Seek, Write};
 use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::colortype::Gray32Float;
-use tiff::encoder::{TiffEncoder, TiffKind};
+use tiff::encoder::{Rational, TiffEncoder, TiffKind};
+use tiff::tags::{ResolutionUnit, Tag};
 use tiff::{ColorType, TiffError, TiffResult};
 
 /// Largest expansion of a compressed byte: twelve bits of LZW for all of its four thousand codes.
@@ -109,6 +110,7 @@ pub(super) fn add_all(content: &[u8], path: &Path, pages: &mut Pages) -> Result<
         pages.remark(oddity.clone());
     }
     pages.spacing = spacing(form, content, leader, &description, pages);
+    pages.in_millimetres = description.in_millimetres;
     let before = pages.count();
     match description.pages.filter(|stated| *stated > stored as u64) {
         None => {
@@ -293,7 +295,9 @@ fn add_contiguous(
 }
 
 /// Writes one single-precision page per z.
-pub(super) fn write(path: &Path, values: &Array3<f32>) -> Result<()> {
+/// Writes pages, with the spacing as ImageJ states it where it is in millimetres.
+pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<()> {
+    let spacing = place.in_millimetres.then_some(place.spacing);
     let (columns, rows, _) = values.dim();
     let sides = [columns, rows].map(u32::try_from);
     let [Ok(columns), Ok(rows)] = sides else {
@@ -301,9 +305,9 @@ pub(super) fn write(path: &Path, values: &Array3<f32>) -> Result<()> {
     };
     write_atomically(path, |file| {
         let written = if 4 * values.len() > LARGE {
-            TiffEncoder::new_big(file).and_then(|encoder| write_pages(encoder, values, columns, rows))
+            TiffEncoder::new_big(file).and_then(|encoder| write_pages(encoder, values, [columns, rows], spacing))
         } else {
-            TiffEncoder::new(file).and_then(|encoder| write_pages(encoder, values, columns, rows))
+            TiffEncoder::new(file).and_then(|encoder| write_pages(encoder, values, [columns, rows], spacing))
         };
         written.map_err(|error| match error {
             TiffError::IoError(error) => error,
@@ -315,12 +319,30 @@ pub(super) fn write(path: &Path, values: &Array3<f32>) -> Result<()> {
 fn write_pages<W: Write + Seek, K: TiffKind>(
     mut encoder: TiffEncoder<W, K>,
     values: &Array3<f32>,
-    columns: u32,
-    rows: u32,
+    [columns, rows]: [u32; 2],
+    spacing: Option<DVec3>,
 ) -> TiffResult<()> {
     for page in values.axis_iter(Axis(2)) {
         let page: Vec<f32> = page.t().iter().copied().collect();
-        encoder.write_image::<Gray32Float>(columns, rows, &page)?;
+        let mut image = encoder.new_image::<Gray32Float>(columns, rows)?;
+        if let Some(DVec3 { x, y, z }) = spacing {
+            // Without the number of images: where it is stated, ImageJ takes the pages for contiguous.
+            let description = format!("ImageJ=1.54f\nunit=mm\nspacing={z}\nloop=false\n");
+            image.encoder().write_tag(Tag::ImageDescription, description.as_str())?;
+            image.resolution_unit(ResolutionUnit::None);
+            image.x_resolution(per_unit(x));
+            image.y_resolution(per_unit(y));
+        }
+        image.write_data(&page)?;
     }
     Ok(())
+}
+
+/// Pixels per unit of length, with as many bits as a fraction has.
+fn per_unit(pitch: f64) -> Rational {
+    let (resolution, mut d) = (1.0 / pitch, 1_u32);
+    while d < 1 << 30 && resolution * f64::from(2 * d) < f64::from(u32::MAX) {
+        d *= 2;
+    }
+    Rational { n: (resolution * f64::from(d)).round() as u32, d }
 }

@@ -1,0 +1,66 @@
+//! The one judge of a scan's values: held against each other and against what they must be.
+//!
+//! Not in the paper. Line integrals are 0 in air, and training views, test views and the true volume have one scale.
+//! Attenuation is not far below 0. [`remarks`] says where a scan differs; it changes nothing. Each kind of remark has a
+//! file here, or one of [`super::truncation`] and [`super::hounsfield`], and a line in `JUDGES`.
+//!
+//! | remark | condition |
+//! |---|---|
+//! | readings instead of line integrals | the border of the mean view is its brightest part, and the object is darker |
+//! | whole numbers | all training values are whole numbers, and at least [`LEVELS`] differ |
+//! | another scale of the test views | the mean values differ by more than a factor of [`SCALE`] |
+//! | another scale of the true volume | its mass and that seen by the views differ by more than a factor of [`SCALE`] |
+//! | Hounsfield units | the true volume has values below [`super::hounsfield::IMPOSSIBLE`] |
+//! | an object wider than the detector | see [`super::truncation`] |
+//! | an object taller than the detector | see [`super::truncation`] |
+
+mod readings;
+mod scales;
+
+pub use readings::LEVELS;
+pub use scales::SCALE;
+
+use super::borders::Borders;
+use super::dataset::Dataset;
+use super::{hounsfield, truncation};
+
+/// A scan and what several judges need of it, measured once.
+pub(super) struct Evidence<'a> {
+    pub(super) dataset: &'a Dataset,
+    /// Those of the training views.
+    pub(super) borders: Borders,
+    /// The training views are readings of a detector: they have no air of 0, no mass and no truncation.
+    pub(super) are_readings: bool,
+    /// The true volume is in Hounsfield units.
+    pub(super) is_hounsfield: bool,
+}
+
+/// A kind of remark: one sentence each, with numbers and the remedy.
+type Judge = fn(&Evidence<'_>) -> Vec<String>;
+
+/// All kinds, in the order in which they are said.
+const JUDGES: &[Judge] = &[
+    |scan| readings::remark(scan.dataset).into_iter().collect(),
+    |scan| scales::of_test(scan.dataset).into_iter().collect(),
+    |scan| hounsfield_of_truth(scan.dataset).into_iter().collect(),
+    |scan| scales::of_truth(scan).into_iter().collect(),
+    |scan| truncation::remarks(scan),
+];
+
+/// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
+pub fn remarks(dataset: &Dataset) -> Vec<String> {
+    let evidence = Evidence {
+        dataset,
+        borders: Borders::of(dataset.train.images.view()),
+        are_readings: readings::remark(dataset).is_some(),
+        is_hounsfield: hounsfield_of_truth(dataset).is_some(),
+    };
+    JUDGES.iter().flat_map(|judge| judge(&evidence)).collect()
+}
+
+fn hounsfield_of_truth(dataset: &Dataset) -> Option<String> {
+    dataset.truth.as_ref().and_then(|truth| hounsfield::remark("true volume", &truth.values))
+}
+
+#[cfg(test)]
+mod tests;

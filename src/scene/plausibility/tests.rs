@@ -1,0 +1,69 @@
+//! Sound scans have no remark, and each kind of remark is made where it is due.
+
+use super::remarks;
+use crate::scene::dataset::Dataset;
+use crate::scene::geometry::{Beam, Scanner};
+use crate::scene::phantom::Phantom;
+use crate::scene::simulate::{Object, Plan, simulate};
+use crate::scene::{Detector, Grid, Noise};
+
+fn scanner(columns: usize, offset_u: f64) -> Scanner {
+    let detector = Detector { rows: 40, columns, pitch_v: 0.1, pitch_u: 0.09, offset_u, offset_v: 0.0 };
+    Scanner { beam: Beam::Cone { dso: 5.0, dsd: 7.0 }, detector, grid: Grid::cube(24) }
+}
+
+fn scan(columns: usize, offset_u: f64) -> Dataset {
+    let plan = Plan { views: 18, test_views: 4, noise: Noise::LOW, seed: 1 };
+    let phantom = Phantom::by_name("torso", 0).unwrap();
+    simulate("torso", Object::Phantom(&phantom), &scanner(columns, offset_u), &plan).unwrap()
+}
+
+fn only(dataset: &Dataset) -> String {
+    let found = remarks(dataset);
+    assert_eq!(found.len(), 1, "{found:?}");
+    found.into_iter().next().unwrap()
+}
+
+#[test]
+fn a_sound_scan_has_no_remark() {
+    for (columns, offset) in [(44, 0.05), (28, 0.9)] {
+        let scan = scan(columns, offset);
+        assert_eq!(remarks(&scan), [""; 0], "{columns}");
+        // Scaled counts of a file in other units are no whole numbers of the file.
+        assert_eq!(remarks(&Dataset { scale: 0.37, ..scan }), [""; 0]);
+    }
+}
+
+#[test]
+fn readings_are_told_from_line_integrals() {
+    let mut scan = scan(44, 0.0);
+    scan.test = None;
+    let line_integrals = scan.train.images.clone();
+    let transmission = |p: f32| crate::numeric::elementary::exp(-f64::from(p));
+    scan.train.images = line_integrals.mapv(|p| (60_000.0 * transmission(p)).round() as f32);
+    let found = only(&scan);
+    for part in ["all of them whole numbers", "instead of 0", "`flat` FLAT", "`white` 59990 ", "trgs convert"] {
+        assert!(found.contains(part), "{part}: {found}");
+    }
+    scan.train.images = line_integrals.mapv(|p| transmission(p) as f32);
+    let found = only(&scan);
+    assert!(found.contains("at their border, is 0.99") && !found.contains("whole"), "{found}");
+    scan.train.images = line_integrals.mapv(|p| (100.0 * p).round());
+    let found = remarks(&scan);
+    assert!(found[0].contains("whole numbers") && !found[0].contains("instead of 0"), "{found:?}");
+}
+
+#[test]
+fn scales_that_differ_are_found() {
+    let sound = scan(44, 0.0);
+    let mut other = sound.clone();
+    other.test.as_mut().unwrap().images *= 1e-3;
+    assert!(only(&other).contains("times as large as the test views"), "{}", only(&other));
+    let mut other = sound.clone();
+    other.truth.as_mut().unwrap().values *= 0.1;
+    assert!(only(&other).contains("times the mass of the true volume"), "{}", only(&other));
+    let mut other = sound;
+    other.truth.as_mut().unwrap().values.mapv_inplace(|mu| 1000.0 * (mu - 1.0));
+    let found = only(&other);
+    assert!(found.contains("Hounsfield") && found.contains("`mu_water`"), "{found}");
+}
