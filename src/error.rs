@@ -149,6 +149,7 @@ fn to_read(path: &Path, source: &io::Error) -> String {
             "its content is damaged or incomplete: copy or write it again".into()
         }
         io::ErrorKind::OutOfMemory => "it is larger than the free memory: give a part of it".into(),
+        io::ErrorKind::Unsupported => "give a regular file: write its content to one first".into(),
         _ => "copy the file again, to another disk if the disk fails, and give that path".into(),
     }
 }

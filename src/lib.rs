@@ -111,6 +111,7 @@ pub mod density;
 pub mod error;
 pub mod evaluation;
 pub mod experiments;
+pub mod input;
 pub mod loss;
 pub mod memory;
 pub mod neural;

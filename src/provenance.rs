@@ -4,14 +4,13 @@
 //! record therefore holds no time and no machine name.
 
 use crate::error::{Error, Result};
-use crate::words;
+use crate::input;
 use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The content of `provenance.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,21 +82,19 @@ impl Provenance {
         ];
         facts.into_iter().filter(|(_, value)| !value.is_empty()).map(|(label, value)| (label.into(), value)).collect()
     }
+}
 
-    /// Adds the digest of a file that was read, or of every file in a folder.
+impl Provenance {
+    /// Names of the outputs that are not in the folder as they were written.
     ///
-    /// # Errors
-    /// [`Error::Read`] for a file that cannot be read.
-    pub fn add_input(&mut self, path: &Path) -> Result<()> {
-        add(&mut self.inputs, path)
-    }
-
-    /// Adds the digest of a file that was written, or of every file in a folder.
-    ///
-    /// # Errors
-    /// [`Error::Read`] for a file that cannot be read.
-    pub fn add_output(&mut self, path: &Path) -> Result<()> {
-        add(&mut self.outputs, path)
+    /// The record may name any path, so only regular files below the folder are read.
+    pub fn changed(&self, folder: &Path) -> Vec<&str> {
+        let is_same = |name: &str, digest: &str| {
+            let (folder, file) = (folder.canonicalize().ok()?, folder.join(name).canonicalize().ok()?);
+            Some(file.starts_with(folder) && digest_file(&file).ok()? == digest)
+        };
+        let changed = self.outputs.iter().filter(|(name, digest)| is_same(name, digest) != Some(true));
+        changed.map(|(name, _)| name.as_str()).collect()
     }
 }
 
@@ -110,13 +107,13 @@ pub fn commit() -> Option<&'static str> {
     option_env!("TRGS_COMMIT")
 }
 
-/// SHA-256 of a file, 64 hexadecimal digits.
+/// SHA-256 of a regular file, 64 hexadecimal digits.
 ///
 /// # Errors
-/// [`Error::Read`] with the error of the operating system.
+/// [`Error::Read`] with the error of the operating system, and for a pipe or a device.
 pub fn digest_file(path: &Path) -> Result<String> {
     let mut hasher = Sha256::new();
-    let copied = File::open(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
+    let copied = input::open_unrecorded(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
     copied.map_err(|source| Error::read(path, source))?;
     Ok(hex(hasher))
 }
@@ -158,31 +155,8 @@ fn digest_words<const N: usize>(words: impl Iterator<Item = [u8; N]>) -> String 
     hex(hasher)
 }
 
-/// SHA-256 of a file, or of every file in a folder, keyed by path.
-///
-/// # Errors
-/// [`Error::Read`] for a file or a folder that cannot be read.
-pub fn digests(path: &Path) -> Result<BTreeMap<String, String>> {
-    let mut digests = BTreeMap::new();
-    add(&mut digests, path)?;
-    Ok(digests)
-}
-
 fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// Adds the digest of the file at `path`, or of every file below it.
-///
-/// A folder that cannot be listed is an error.
-fn add(digests: &mut BTreeMap<String, String>, path: &Path) -> Result<()> {
-    if !path.is_dir() {
-        digests.insert(words::name(path), digest_file(path)?);
-        return Ok(());
-    }
-    let entries = path.read_dir().and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());
-    let entries: Vec<PathBuf> = entries.map_err(|source| Error::read(path, source))?;
-    entries.iter().try_for_each(|entry| add(digests, entry))
 }
 
 fn target() -> String {
@@ -237,16 +211,10 @@ mod tests {
     }
 
     #[test]
-    fn json_reads_back_as_it_was_written_with_every_file_of_a_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("below")).unwrap();
-        std::fs::write(folder.path().join("below/a"), "abc").unwrap();
-        std::fs::write(folder.path().join("b"), "").unwrap();
+    fn json_reads_back_as_it_was_written() {
         let mut provenance = Provenance::new(2, ["trgs".into(), "demo".into()]);
         provenance.seeds.insert("training".into(), 7);
-        provenance.add_input(folder.path()).unwrap();
-        assert_eq!(provenance.inputs.len(), 2);
-        assert!(provenance.inputs[&folder.path().join("below/a").display().to_string()].starts_with("ba7816bf"));
+        provenance.inputs.insert("scan/meta_data.json".into(), digest_bytes(b"abc"));
         let json = serde_json::to_string_pretty(&provenance).unwrap();
         assert_eq!(serde_json::from_str::<Provenance>(&json).unwrap(), provenance);
     }

@@ -44,6 +44,8 @@ settings! {
     MaxMemory = "max_memory",
     /// The attenuation of water, which turns Hounsfield units into attenuation.
     MuWater = "mu_water",
+    /// Whether other content of an output folder is deleted.
+    Overwrite = "overwrite",
     /// Primitives at the start: the key `model.points`.
     Points = "points",
     /// Whether a model is written with the keys of R²-Gaussian.

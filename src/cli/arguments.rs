@@ -1,9 +1,26 @@
 //! Argument parsers that several commands share.
 
+use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use documented::DocumentedVariants;
 use serde::Serialize;
 use std::str::FromStr;
+
+/// What to do with an older folder.
+#[derive(Args, Clone, Copy)]
+pub(super) struct Replace {
+    /// Replace a folder whatever it holds: all of its content is deleted
+    #[arg(long)]
+    pub(super) overwrite: bool,
+}
+
+/// What to do with older files of a folder to which files are added.
+#[derive(Args, Clone, Copy)]
+pub(super) struct ReplaceFiles {
+    /// Replace files with the names of pages and tables, whoever wrote them
+    #[arg(long)]
+    pub(super) overwrite: bool,
+}
 
 /// Parses the name of one of the library's variants: the name that files have, explained by its documentation.
 pub(super) fn choice<T>(variants: &'static [T]) -> impl TypedValueParser<Value = T>

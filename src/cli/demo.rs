@@ -1,16 +1,18 @@
 //! `trgs demo`: simulates, reconstructs and evaluates a phantom, and writes a report page.
 
-use super::arguments::seed;
+use super::arguments::{Replace, seed};
 use super::reconstruct::reconstruct;
-use super::run_folder::Outcome;
+use super::run_folder::{Inputs, Outcome, RunFolder};
 use super::{Global, Output, interrupt};
 use clap::Args;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::{Metric, Metrics};
 use trgs::experiments::{Matching, Scale};
+use trgs::output::{Destination, Kind, Mark};
 use trgs::reconstruction::Evaluation;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::{Dataset, Noise, Phantom, Scanner};
@@ -29,6 +31,8 @@ pub(super) struct Demo {
     /// Folder to write
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     out: PathBuf,
+    #[command(flatten)]
+    replace: Replace,
     /// Seed of all random choices
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
@@ -51,15 +55,22 @@ impl Demo {
         let source = self.out.join("dataset");
         tracing::info!("scanning a phantom: 18 noisy projections for reconstruction, 50 for evaluation");
         let dataset = self.scan()?;
-        interrupt::shielded(|| dataset.write(&source))?;
+        let overwrite = self.replace.overwrite;
+        let destination = Destination::new(&source, Kind::Scan, "demo").overwrite(overwrite);
+        interrupt::shielded(|| dataset.write(destination))?;
+        // The mark of the folder has the digests of its files.
+        let files = Mark::read(&source).map_or_else(BTreeMap::new, |mark| mark.files);
+        let path = |file: String| source.join(file).display().to_string();
+        let inputs: Inputs = files.into_iter().filter_map(|(file, digest)| Some((path(file), digest?))).collect();
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
+            let claim = RunFolder::claim(folder, &source, overwrite)?;
             let mut config = Config { seed: self.seed, report_every: 50, ..Config::of(method) };
             if method.fits_primitives() {
                 config.iterations = ITERATIONS;
             }
             let config = config.resolved(&dataset.scanner, dataset.train.len());
-            reconstruct(&source, &dataset, &config, folder, None, beside, global)
+            reconstruct(&dataset, &config, claim, inputs.clone(), None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");
         let fdk = run(Method::Fdk, &self.out.join("fdk"), None)?;

@@ -11,7 +11,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
 use trgs::primitives::{Group, KernelKind, Primitives, model};
-use trgs::provenance::{Provenance, digest_file};
+use trgs::provenance::Provenance;
 use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
@@ -161,12 +161,8 @@ fn run_folder(path: &Path) -> Result<Value> {
     let config = Config::read(&path.join("config.toml"), Method::TrGs)?;
     let provenance: Provenance = read_json(&path.join("provenance.json"))?;
     let metrics: Value = read_json(&path.join("metrics.json"))?;
-    let mut oddities = Vec::new();
-    for (name, digest) in &provenance.outputs {
-        if digest_file(&path.join(name)).ok().as_ref() != Some(digest) {
-            oddities.push(format!("{name} is not the file that the run wrote"));
-        }
-    }
+    let changed = provenance.changed(path);
+    let oddities: Vec<_> = changed.iter().map(|name| format!("{name} is not the file that the run wrote")).collect();
     Ok(json!({
         "kind": "run",
         "method": config.method,

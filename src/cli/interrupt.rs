@@ -43,6 +43,7 @@ fn listen() -> Result<(), ctrlc::Error> {
 fn end() {
     REQUESTED.store(true, SeqCst);
     if SHIELDS.load(SeqCst) == 0 {
+        trgs::output::abandon();
         tracing::error!("interrupted; no partial output was left behind");
         std::process::exit(INTERRUPTED.into());
     }

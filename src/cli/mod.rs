@@ -113,6 +113,8 @@ pub(crate) fn main() -> ExitCode {
     messages::install(&cli.global);
     messages::unused_instructions();
     interrupt::install();
+    trgs::input::record();
+    std::env::args_os().skip(1).for_each(|argument| trgs::output::recover(argument.as_ref()));
     let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
     match answer.flatten().and_then(|answer| answer.print(cli.global.json).map(|()| answer.approves())) {
         Ok(true) => ExitCode::SUCCESS,

@@ -1,6 +1,6 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
-use super::arguments::{choice, word};
+use super::arguments::{Replace, choice, word};
 use super::{Output, interrupt};
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -10,7 +10,7 @@ use trgs::Result;
 use trgs::config::Precision;
 use trgs::oracle::check::{check, select};
 use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, report, waivers};
-use trgs::output::stage_folder;
+use trgs::output::{Destination, Kind, stage_folder};
 
 /// Check values, gradients and optimiser steps of another implementation
 #[derive(Args)]
@@ -64,12 +64,14 @@ struct List {
 #[derive(Args)]
 #[command(after_help = "Example:\n  trgs oracle export vectors --blind --level core")]
 struct Export {
-    /// Folder to create
+    /// Folder to write; older vectors in it are replaced
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Leave out the truth
     #[arg(long)]
     blind: bool,
+    #[command(flatten)]
+    replace: Replace,
     #[command(flatten)]
     selection: Selection,
 }
@@ -80,12 +82,14 @@ struct Export {
     after_help = "Example:\n  trgs oracle answer own --precision f32 && trgs oracle check own --precision f32 --level stress"
 )]
 struct AnswerArgs {
-    /// Folder to create
+    /// Folder to write; older answers in it are replaced
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Arithmetic of the answers
     #[arg(long, default_value = "f64", value_parser = choice(&Precision::ALL))]
     precision: Precision,
+    #[command(flatten)]
+    replace: Replace,
     #[command(flatten)]
     selection: Selection,
 }
@@ -135,6 +139,12 @@ impl Source {
     fn vectors(&self) -> Result<Vectors> {
         self.vectors.as_deref().map_or_else(Vectors::embedded, Vectors::open)
     }
+
+    /// A folder to write, which the vectors must not be in.
+    fn destination(&self, folder: &Path, kind: Kind, by: &str, replace: Replace) -> Destination {
+        let destination = Destination::new(folder, kind, by).overwrite(replace.overwrite);
+        self.vectors.iter().fold(destination, Destination::input)
+    }
 }
 
 impl List {
@@ -162,7 +172,8 @@ impl Export {
     fn run(&self) -> Result<Output> {
         let vectors = self.selection.source.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
-        let files = interrupt::shielded(|| vectors.export(&self.folder, self.blind, &cases))?;
+        let destination = self.selection.source.destination(&self.folder, Kind::Vectors, "oracle export", self.replace);
+        let files = interrupt::shielded(|| vectors.export(destination, self.blind, &cases))?;
         Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 2 }))
     }
 }
@@ -171,12 +182,13 @@ impl AnswerArgs {
     fn run(&self) -> Result<Output> {
         let vectors = self.selection.source.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
-        let staged = stage_folder(&self.folder)?;
+        let destination = self.selection.source.destination(&self.folder, Kind::Answers, "oracle answer", self.replace);
+        let staged = stage_folder(destination)?;
         let mut files = 0;
         for case in &cases {
             let question = Question::new(&vectors, case)?;
             let outputs = answers::answer(&question, self.precision)?;
-            answers::write(staged.path(), case, &outputs)?;
+            answers::write(&staged.path(), case, &outputs)?;
             files += case.outputs.len();
         }
         interrupt::shielded(|| staged.commit())?;

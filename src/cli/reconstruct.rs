@@ -1,20 +1,22 @@
 //! `trgs reconstruct`: reconstructs a volume from a dataset and writes the folder of a run.
 
-use super::arguments::{choice, positive, seed};
+use super::arguments::{Replace, choice, positive, seed};
 use super::evaluate::answer;
 use super::messages::{ProgressBar, warning};
 use super::pace::Pace;
-use super::run_folder::{Outcome, RunFolder, TimedPass, checkpoint_file};
+use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file};
 use super::{Global, Output, check_size, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 use trgs::config::{Config, Method, Precision, Preset, Start};
 use trgs::evaluation::Metrics;
+use trgs::input;
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
+use trgs::output::{Claim, Destination, Kind};
 use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
@@ -57,6 +59,8 @@ pub(super) struct Reconstruct {
     /// Folder to write; an older run of the same method in it is replaced at the end
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
+    #[command(flatten)]
+    replace: Replace,
     /// Reconstruction method
     #[arg(long, value_parser = choice(&Method::ALL))]
     method: Option<Method>,
@@ -100,6 +104,11 @@ pub(super) struct Reconstruct {
 
 impl Reconstruct {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
+        // A configuration in RUN would be deleted, unless the run writes it again.
+        if let Some(config) = self.config.as_ref().filter(|config| **config != self.out.join("config.toml")) {
+            Destination::new(&self.out, Kind::Run, "").overwrite(self.replace.overwrite).input(config).check()?;
+        }
+        let claim = RunFolder::claim(&self.out, &self.dataset, self.replace.overwrite)?;
         let mut checkpoint = self.checkpoint()?;
         let config = self.config(&mut checkpoint)?;
         self.check_memory(&self.estimate(&config)?)?;
@@ -130,7 +139,8 @@ impl Reconstruct {
             remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         }
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
-        let outcome = reconstruct(&self.dataset, &dataset, &config, &self.out, Some(checkpoints), None, global)?;
+        let inputs = input::digests()?;
+        let outcome = reconstruct(&dataset, &config, claim, inputs, Some(checkpoints), None, global)?;
         let report = self.out.join("report.html");
         tracing::info!("wrote {}: open it in a browser", report.display());
         let context = json!({ "run": words::name(&self.out), "method": config.method, "seconds": outcome.seconds, "report": words::name(&report) });
@@ -230,14 +240,14 @@ fn tell_of_pilot(checkpoint: &Checkpoint, config: &Config) {
     }
 }
 
-/// Reconstructs the dataset read from `source` and writes the run; `beside` is compared on its page.
+/// Reconstructs the dataset, read from `inputs`, and writes the run; `beside` is compared on its page.
 ///
 /// Without `checkpoints`, an interrupted run leaves nothing.
 pub(super) fn reconstruct(
-    source: &Path,
     dataset: &Dataset,
     config: &Config,
-    out: &Path,
+    claim: Claim,
+    inputs: Inputs,
     checkpoints: Option<Checkpoints>,
     beside: Option<&Outcome>,
     global: &Global,
@@ -245,7 +255,7 @@ pub(super) fn reconstruct(
     check_size("volume", &dataset.scanner.grid.shape)?;
     interrupt::shielded(|| {
         let estimate = Estimate::new(&DatasetInfo::of(dataset), dataset.train.len(), config, threads::count());
-        let folder = RunFolder::begin(out, source, config, estimate.peak())?;
+        let folder = RunFolder::begin(claim, config, estimate.peak(), inputs)?;
         tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
         if let Some(installed) = installed_memory().filter(|&installed| installed < estimate.peak()) {
             tracing::warn!(

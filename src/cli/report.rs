@@ -1,6 +1,7 @@
 //! `trgs report`: rewrites the pages of a folder of tables from the finished cells.
 
-use super::table::{What, answer, requests};
+use super::arguments::ReplaceFiles;
+use super::table::{What, answer, requests, shared};
 use super::{Output, interrupt};
 use clap::Args;
 use serde_json::json;
@@ -17,6 +18,8 @@ pub(super) struct Report {
     /// Folder of a run, or of tables
     #[arg(value_name = "RUN|TABLE_DIR")]
     folder: PathBuf,
+    #[command(flatten)]
+    replace: ReplaceFiles,
 }
 
 impl Report {
@@ -26,9 +29,13 @@ impl Report {
             return Ok(Output::list(&json!({ "report": words::name(&page) })));
         }
         let requests = requests(&self.folder)?;
+        let folder = shared(&self.folder, requests.keys().map(String::as_str), self.replace)?;
         let of = |(name, what): (&String, &What)| {
             let cases = what.cases()?;
-            what.tables(name)?.iter().map(|table| what.write(table, &cases, &self.folder)).collect::<Result<Vec<_>>>()
+            what.tables(name)?
+                .iter()
+                .map(|table| what.write(table, &cases, &self.folder, &folder))
+                .collect::<Result<Vec<_>>>()
         };
         let written = requests.iter().map(of);
         let written = interrupt::shielded(|| written.collect::<Result<Vec<_>>>())?;

@@ -1,15 +1,16 @@
 //! The folder of a run. It appears completely at the end of the run, or not at all.
 
+use super::arguments::word;
 use serde::Serialize;
-use std::ffi::OsString;
-use std::io::{self, Write};
+use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use trgs::classical::algebraic::{Choice, Pass};
 use trgs::confidence::{Coverage, Histogram};
-use trgs::config::{Config, Method, Start};
+use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::numeric::threads;
-use trgs::output::{create_folder, stage_folder, write_atomically};
+use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
 use trgs::provenance::{Provenance, digest_file};
 use trgs::reconstruction::Evaluation;
@@ -23,15 +24,14 @@ use trgs::{Error, Result};
 
 /// Folder with the state of an iterative run.
 const CHECKPOINTS: &str = "checkpoints";
-/// Files of every run.
-const FILES: [&str; 6] = ["config.toml", VOLUME, PLACE, "metrics.json", "report.html", "provenance.json"];
 /// The volume, and its place beside it: spacing, origin, directions and unit.
 const VOLUME: &str = "volume.npy";
 const PLACE: &str = "volume.npy.json";
-/// Additional files of a run that fits primitives.
-const MODEL_FILES: [&str; 3] = ["model.npz", "log.jsonl", CHECKPOINTS];
 /// Files that contain no time, so that equal runs have equal digests.
 const TIMELESS: [&str; 5] = ["config.toml", "model.npz", VOLUME, PLACE, "metrics.json"];
+
+/// Digests of the files that a run was made from, by path.
+pub(super) type Inputs = BTreeMap<String, String>;
 
 /// The result of a run.
 pub(super) struct Outcome {
@@ -80,9 +80,10 @@ struct Results<'a> {
     unfinished: Option<&'a Metrics>,
 }
 
-/// The folder of a run under construction.
+/// The folder of a run under construction, which no other process writes.
 pub(super) struct RunFolder {
-    folder: PathBuf,
+    claim: Claim,
+    destination: Destination,
     provenance: Provenance,
 }
 
@@ -118,28 +119,25 @@ impl Outcome {
 }
 
 impl RunFolder {
-    /// Begins the folder of a run of `config` on the dataset at `source`; `memory` is estimated, in bytes.
+    /// Claims a folder for a run of the scan at `source`, before its checkpoint is read.
     ///
-    /// An older run of the same kind will be replaced. Any other content is rejected now, not after hours of work.
-    pub(super) fn begin(folder: &Path, source: &Path, config: &Config, memory: u64) -> Result<Self> {
-        check_replaceable(folder, config.method)?;
+    /// Content of others is rejected now, not after hours of work.
+    pub(super) fn claim(folder: &Path, source: &Path, overwrite: bool) -> Result<Claim> {
+        Claim::new(Destination::new(folder, Kind::Run, "").overwrite(overwrite).input(source))
+    }
+
+    /// Begins a run of `config`; `memory` is estimated, in bytes. An older run of the same method will be replaced.
+    pub(super) fn begin(claim: Claim, config: &Config, memory: u64, inputs: Inputs) -> Result<Self> {
+        let destination = claim.destination().by(word(&config.method));
+        destination.check()?;
         let mut provenance = Provenance::new(threads::count(), std::env::args_os().map(words::name));
         provenance.seeds.insert("reconstruct".into(), config.seed);
         provenance.memory = Some(memory);
-        provenance.add_input(match source.parent() {
-            // The description of a scan stands for its folder, whose name is empty for the current folder.
-            Some(parent) if source.is_file() && parent.as_os_str().is_empty() => Path::new("."),
-            Some(parent) if source.is_file() => parent,
-            _ => source,
-        })?;
-        // A resumed run has its primitives in the checkpoint, and its model may be gone.
-        let model = Path::new(&config.initialisation.model);
-        if config.method.fits_primitives() && config.initialisation.from == Start::Model && model.exists() {
-            provenance.add_input(model)?;
-        }
-        // Tests only whether the folder can be written: a killed run leaves no unfinished folder behind.
-        drop(stage_folder(folder)?);
-        Ok(Self { folder: folder.into(), provenance })
+        provenance.inputs = inputs;
+        // Tests whether the folder can be written and replaced.
+        drop(stage_folder(destination.clone())?);
+        claim.begin(&destination)?;
+        Ok(Self { claim, destination, provenance })
     }
 
     /// Writes all files and moves the folder to its target. `beside` is shown on the page for comparison.
@@ -152,7 +150,7 @@ impl RunFolder {
     ) -> Result<()> {
         self.provenance.density_unit = outcome.unit;
         self.provenance.continued.clone_from(&outcome.continued);
-        let staged = stage_folder(&self.folder)?;
+        let staged = stage_folder(self.destination)?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at(VOLUME), outcome.volume.values.view())?;
@@ -172,9 +170,9 @@ impl RunFolder {
             write_text(&at("log.jsonl"), &lines)?;
         }
         // The run's last state replaces earlier states together with the results.
-        let last = checkpoint_file(&self.folder);
+        let last = checkpoint_file(self.claim.folder());
         if last.exists() {
-            let kept = checkpoint_file(staged.path());
+            let kept = checkpoint_file(&staged.path());
             create_folder(&at(CHECKPOINTS))?;
             std::fs::copy(&last, &kept).map_err(|source| Error::write(&kept, source))?;
         }
@@ -289,29 +287,6 @@ fn confidence(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Option<H
 /// The file with the state of a run.
 pub(super) fn checkpoint_file(run: &Path) -> PathBuf {
     run.join(CHECKPOINTS).join("last.msgpack")
-}
-
-/// Rejects a folder that holds anything but an older run of the same kind, finished or not.
-fn check_replaceable(folder: &Path, method: Method) -> Result<()> {
-    let names: Vec<OsString> = match folder.read_dir() {
-        Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(Error::write(folder, error)),
-    };
-    let (fits, keeps) = (method.fits_primitives(), method != Method::Fdk);
-    let has = |file: &str| names.iter().any(|name| name == file);
-    let foreign = |name: &&OsString| !FILES.iter().chain(&MODEL_FILES).any(|file| *name == file);
-    let got = match names.iter().find(foreign) {
-        _ if names.is_empty() => return Ok(()),
-        Some(name) => format!("a folder that holds {}", name.display()),
-        None if has(CHECKPOINTS) && !keeps || has("provenance.json") && has("model.npz") != fits => {
-            "a run of another method".into()
-        }
-        None if has("provenance.json") || names.len() == 1 && has(CHECKPOINTS) => return Ok(()),
-        None => "a folder with parts of a run".into(),
-    };
-    let expected = "a new or empty folder, or an older run of the same kind";
-    Err(Error::invalid(format!("--out {}", folder.display()), got, expected, "name another folder with --out"))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

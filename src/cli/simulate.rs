@@ -1,12 +1,13 @@
 //! `trgs simulate`: a simulated scan of a phantom or a volume.
 
-use super::arguments::{finite, pair, seed};
+use super::arguments::{Replace, finite, pair, seed};
 use super::messages::{hounsfield_to_attenuation, warning};
 use super::{Output, check_size, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
+use trgs::output::{Destination, Kind};
 use trgs::scene::hounsfield;
 use trgs::scene::phantom::{Group, PHANTOMS};
 use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
@@ -29,9 +30,11 @@ pub(super) struct Simulate {
     /// Read the volume as Hounsfield units: attenuation X (1 + HU/1000), where X is that of water per scene unit
     #[arg(long, value_name = "X", requires = "volume", value_parser = finite)]
     mu_water: Option<f64>,
-    /// Folder to write
+    /// Folder to write; an older scan in it that this command wrote is replaced
     #[arg(long, value_name = "DATASET")]
     out: PathBuf,
+    #[command(flatten)]
+    replace: Replace,
     /// Number of voxels along each side of a phantom's volume
     #[arg(long, value_name = "N", default_value_t = 64, conflicts_with = "volume",
         value_parser = value_parser!(u16).range(1..))]
@@ -122,8 +125,11 @@ fn phantom_help() -> String {
 
 impl Simulate {
     pub(super) fn run(&self) -> Result<Output> {
+        let destination = Destination::new(&self.out, Kind::Scan, "simulate").overwrite(self.replace.overwrite);
+        let destination = self.object.volume.iter().fold(destination, Destination::input);
+        destination.check()?;
         let dataset = self.scan()?;
-        interrupt::shielded(|| dataset.write(&self.out))?;
+        interrupt::shielded(|| dataset.write(destination))?;
         Ok(Output::list(&Simulated {
             dataset: &self.out,
             volume: dataset.scanner.grid.shape,

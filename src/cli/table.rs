@@ -1,13 +1,12 @@
 //! `trgs table`: runs the paper's tables and compares them with the paper's figures.
 
-use super::arguments::choice;
+use super::arguments::{ReplaceFiles, choice};
 use super::messages::{ProgressBar, go_on};
 use super::{Global, Output, interrupt};
 use clap::{Args, value_parser};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
@@ -15,12 +14,18 @@ use std::time::Instant;
 use trgs::config::Method;
 use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, Summary};
 use trgs::numeric::threads;
-use trgs::output::write_atomically;
+use trgs::output::{Destination, Kind, SharedFolder};
 use trgs::words;
 use trgs::{Error, Result};
 
 /// File with the arguments of a table, so that its page can be rewritten.
 const REQUESTS: &str = "tables.json";
+/// Endings of the files of a table.
+const CSV: &str = ".csv";
+const CASES: &str = "-cases.csv";
+const MARKDOWN: &str = ".md";
+const LATEX: &str = ".tex";
+const PAGE: &str = ".html";
 
 /// Run a table of the paper, or all of them, and compare with the paper's figures
 #[derive(Args)]
@@ -44,6 +49,8 @@ pub(super) struct Table {
     /// Folder of cells and tables
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    replace: ReplaceFiles,
     #[command(flatten)]
     what: What,
     /// Run only this cell and write no table; may be repeated
@@ -150,18 +157,21 @@ impl What {
     }
 
     /// Writes all files of a table from the finished cells.
-    pub(super) fn write(&self, table: &experiments::Table, cases: &[Case], out: &Path) -> Result<Written> {
+    pub(super) fn write(
+        &self,
+        table: &experiments::Table,
+        cases: &[Case],
+        out: &Path,
+        folder: &SharedFolder,
+    ) -> Result<Written> {
         let store = Store::open(out)?;
         let summary = Summary::new(table, cases, self.scale(), self.seeds, &store)?;
-        let file = |extension: &str, text: String| {
-            let path = out.join(format!("{}{extension}", table.name));
-            write_atomically(&path, |file| file.write_all(text.as_bytes())).map(|()| path)
-        };
-        file(".csv", summary.csv())?;
-        file("-cases.csv", summary.cases_csv())?;
-        file(".md", summary.markdown())?;
-        file(".tex", summary.latex())?;
-        let page = file(".html", summary.html(cases, &store))?;
+        let file = |ending: &str, text: String| folder.write(&format!("{}{ending}", table.name), text.as_bytes());
+        file(CSV, summary.csv())?;
+        file(CASES, summary.cases_csv())?;
+        file(MARKDOWN, summary.markdown())?;
+        file(LATEX, summary.latex())?;
+        let page = file(PAGE, summary.html(cases, &store))?;
         let kept = |of: fn(&experiments::Agreement) -> [usize; 2]| {
             summary
                 .blocks
@@ -219,14 +229,16 @@ impl Table {
         if !self.cell.is_empty() {
             cells = self.chosen(cells)?;
         }
+        let folder = shared(out, tables.iter().map(|table| table.name), self.replace)?;
         let store = Store::open(out)?;
         interrupt::shielded(|| run(&cells, &store, global))?;
         if !self.cell.is_empty() {
             let found = cells.iter().filter_map(|cell| store.find(&cell.id).transpose()).collect::<Result<Vec<_>>>()?;
             return Ok(Output::list(&json!({ "out": words::name(out), "cells": found })));
         }
-        remember(&tables, &self.what, out)?;
-        let written = tables.iter().map(|table| self.what.write(table, &cases, out)).collect::<Result<Vec<_>>>()?;
+        remember(&tables, &self.what, out, &folder)?;
+        let written =
+            tables.iter().map(|table| self.what.write(table, &cases, out, &folder)).collect::<Result<Vec<_>>>()?;
         Ok(answer(out, &written))
     }
 
@@ -304,11 +316,23 @@ fn listed(cells: &[Cell]) -> Output {
 }
 
 /// Stores the arguments in DIR, in addition to earlier ones.
-fn remember(tables: &[experiments::Table], what: &What, out: &Path) -> Result<()> {
+fn remember(tables: &[experiments::Table], what: &What, out: &Path, folder: &SharedFolder) -> Result<()> {
     let mut requests = if out.join(REQUESTS).exists() { requests(out)? } else { BTreeMap::new() };
     requests.extend(tables.iter().map(|table| (table.name.to_owned(), what.clone())));
     let text = serde_json::to_string_pretty(&requests).expect("string keys") + "\n";
-    write_atomically(&out.join(REQUESTS), |file| file.write_all(text.as_bytes()))
+    folder.write(REQUESTS, text.as_bytes()).map(drop)
+}
+
+/// The folder of some tables, whose files are replaced only if they are as they were written.
+pub(super) fn shared<'a>(
+    out: &Path,
+    tables: impl IntoIterator<Item = &'a str>,
+    replace: ReplaceFiles,
+) -> Result<SharedFolder> {
+    let of = |table: &str| [CSV, CASES, MARKDOWN, LATEX, PAGE].map(|ending| format!("{table}{ending}"));
+    let names = tables.into_iter().flat_map(of).chain([REQUESTS.into()]);
+    let destination = Destination::new(out, Kind::Tables, "table").overwrite(replace.overwrite);
+    SharedFolder::open(destination, names.collect::<Vec<_>>())
 }
 
 /// The arguments stored in a folder, by the name of the table.

@@ -2,7 +2,8 @@
 
 use super::scale::Scale;
 use crate::error::{Error, Result};
-use crate::provenance::{digest_bytes, digest_file, digests};
+use crate::input;
+use crate::provenance::{digest_bytes, digest_file};
 use crate::scene::phantom::PHANTOMS;
 use crate::scene::simulate::{Object, Plan, simulate};
 use crate::scene::{Dataset, Grid, Noise, Phantom, Projections, Scanner, Volume, volume_file};
@@ -124,7 +125,8 @@ impl Case {
         let Contents { scans, volumes } = Contents::of(folder)?;
         let mut cases = Vec::new();
         for (name, path) in scans {
-            let files: Vec<String> = digests(&path)?.into_values().collect();
+            let (_, files) = input::digests_of(|| Dataset::read(&path))?;
+            let files: Vec<String> = files.into_values().collect();
             cases.push(Self { name, digest: digest_bytes(files.concat().as_bytes()), source: Source::Scan(path) });
         }
         let side = volumes.iter().map(|volume| volume.side).find(|side| *side > 0);

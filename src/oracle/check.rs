@@ -186,7 +186,7 @@ fn backend(folder: &Path) -> Result<Option<Value>> {
     if !path.exists() {
         return Ok(None);
     }
-    let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+    let text = crate::input::read(&path).map_err(|source| Error::read(&path, source))?;
     serde_json::from_slice(&text).map(Some).map_err(|error| {
         Error::format(
             &path,
@@ -236,7 +236,7 @@ fn check_case(
 /// The arrays of the backend's file, or an outcome with a message.
 fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (Status, String)> {
     let path = folder.join(&file.file);
-    match std::fs::read(&path) {
+    match crate::input::read(&path) {
         Ok(bytes) => decode(&bytes, &path).map_err(|error| (Status::Failed, error.to_string())),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err((Status::Missing, "no such file".into())),
         Err(error) => Err((Status::Failed, error.to_string())),

@@ -75,5 +75,5 @@ pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Re
 }
 
 fn read(path: &Path) -> Result<Arrays> {
-    decode(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+    decode(&crate::input::read(path).map_err(|source| Error::read(path, source))?, path)
 }

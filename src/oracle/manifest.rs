@@ -1,7 +1,7 @@
 //! The conformance vectors: the manifest and its arrays.
 
 use crate::error::{Error, Result};
-use crate::output::{create_folder, stage_folder, write_atomically};
+use crate::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
 use crate::provenance::digest_bytes;
 use crate::scene::npy;
 use crate::scene::npz::Npz;
@@ -186,10 +186,10 @@ impl Vectors {
     ///
     /// # Errors
     /// Those of [`Self::bytes`] and of [`crate::output::StagedFolder::commit`].
-    pub fn export(&self, folder: &Path, blind: bool, cases: &[&Case]) -> Result<usize> {
+    pub fn export(&self, folder: impl Into<Destination>, blind: bool, cases: &[&Case]) -> Result<usize> {
         let mut manifest =
             Manifest { cases: cases.iter().map(|&case| case.clone()).collect(), ..self.manifest.clone() };
-        let staged = stage_folder(folder)?;
+        let staged = stage_folder(folder.into().of(Kind::Vectors))?;
         let mut files: BTreeMap<PathBuf, &FileRef> = BTreeMap::new();
         for case in cases {
             files.extend(case.inputs.values().map(|file| (PathBuf::from(&file.file), file)));
@@ -232,7 +232,7 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
     match root {
         Some(root) => {
             let path = root.join(file);
-            std::fs::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
+            crate::input::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
         }
         None => match EMBEDDED.binary_search_by_key(&file, |(path, _)| path) {
             Ok(index) => Ok(EMBEDDED[index].1.into()),

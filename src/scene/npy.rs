@@ -5,10 +5,10 @@
 //! allocated, so a damaged header cannot request more than the file holds.
 
 use crate::error::{Error, Result};
+use crate::input;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
 use npyz::{DType, Deserialize, NpyFile, NpyHeader, Order, WriteOptions, WriterBuilder};
-use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
@@ -73,7 +73,7 @@ impl Numbers {
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for anything but a complete array of numbers.
 pub fn read(path: &Path) -> Result<Npy> {
-    let file = File::open(path).map_err(|source| Error::read(path, source))?;
+    let file = input::open(path).map_err(|source| Error::read(path, source))?;
     let length = file.metadata().map_err(|source| Error::read(path, source))?.len();
     decode(file, length, path, "file")
 }
@@ -104,7 +104,7 @@ pub fn read_f64<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f64, D>> 
 
 /// NumPy's name of the type of a file's numbers, `<f4` for example; `None` for a file that cannot be read.
 pub(super) fn type_of(path: &Path) -> Option<String> {
-    let header = header_bytes(&mut BufReader::new(File::open(path).ok()?)).ok()?;
+    let header = header_bytes(&mut BufReader::new(input::open(path).ok()?)).ok()?;
     match NpyHeader::from_reader(&header[..]).ok()?.dtype() {
         DType::Plain(kind) => Some(kind.to_string()),
         _ => None,

@@ -7,7 +7,6 @@ use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 use zip::result::ZipError;
@@ -30,7 +29,7 @@ impl Npz {
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for anything but a complete archive of arrays of numbers.
     pub fn read(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(|source| Error::read(path, source))?;
+        let file = crate::input::open(path).map_err(|source| Error::read(path, source))?;
         Self::decode(BufReader::new(file), path)
     }
 
@@ -197,7 +196,7 @@ mod tests {
     fn deflated_archives_are_read_and_cut_ones_are_clear_errors() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.npz");
-        let mut archive = ZipWriter::new(File::create(&path).unwrap());
+        let mut archive = ZipWriter::new(std::fs::File::create(&path).unwrap());
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
         archive.start_file("zeros.npy", options).unwrap();
         npy::encode(&mut archive, Array2::<f32>::zeros((300, 300)).view()).unwrap();

@@ -67,7 +67,7 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
 
     let run = sandbox.done("reconstruct scan --out run --iterations 12 --points 200 --set report_every=5 --set finish=none --set sampling=point");
     assert_eq!(keys(&run), BTreeSet::from_iter(["run", "method", "seconds", "report"].into_iter().chain(METRICS)));
-    let mut files = vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json"];
+    let mut files = vec![".trgs.json", "checkpoints", "config.toml", "log.jsonl", "metrics.json"];
     files.extend(["model.npz", "provenance.json", "report.html", "volume.npy", "volume.npy.json"]);
     assert_eq!(sandbox.names_in("run"), files);
     let log: Vec<Value> =
@@ -264,7 +264,15 @@ fn an_older_run_of_the_same_method_is_replaced_and_nothing_else() {
     sandbox.done("reconstruct scan --out run --method fdk");
     assert_eq!(
         sandbox.names_in("run"),
-        ["config.toml", "metrics.json", "provenance.json", "report.html", "volume.npy", "volume.npy.json"]
+        [
+            ".trgs.json",
+            "config.toml",
+            "metrics.json",
+            "provenance.json",
+            "report.html",
+            "volume.npy",
+            "volume.npy.json"
+        ]
     );
     let first = sandbox.read("run/volume.npy");
     sandbox.done("reconstruct scan --out run --method fdk --views 2");
@@ -273,7 +281,8 @@ fn an_older_run_of_the_same_method_is_replaced_and_nothing_else() {
     assert!(sandbox.refused(&format!("reconstruct scan --out run {SHORT}")).contains("another method"));
     sandbox.write("run/thesis.txt", "years");
     assert!(sandbox.refused("reconstruct scan --out run --method fdk").contains("thesis.txt"));
-    assert!(sandbox.refused("reconstruct scan --out scan --method fdk").contains("new or empty folder"));
+    assert!(sandbox.refused("reconstruct scan --out scan --method fdk").contains("the folder that is read"));
+    assert!(sandbox.refused("reconstruct run/volume.npy --out scan").contains("new or empty folder"));
 }
 
 #[test]
@@ -283,8 +292,15 @@ fn voxels_are_reconstructed_in_iterations_that_are_logged() {
     let fdk = sandbox.done("reconstruct scan --out fdk --method fdk")["psnr_3d"]["value"].as_f64().unwrap();
     for (method, iterations) in [("sart", 20), ("os-sart", 20), ("asd-pocs", 10), ("cgls", 20)] {
         let run = sandbox.done(&format!("reconstruct scan --out {method} --method {method}"));
-        let mut files =
-            vec!["checkpoints", "config.toml", "log.jsonl", "metrics.json", "provenance.json", "report.html"];
+        let mut files = vec![
+            ".trgs.json",
+            "checkpoints",
+            "config.toml",
+            "log.jsonl",
+            "metrics.json",
+            "provenance.json",
+            "report.html",
+        ];
         files.extend(["volume.npy", "volume.npy.json"]);
         assert_eq!(sandbox.names_in(method), files);
         let psnr = run["psnr_3d"]["value"].as_f64().unwrap();
@@ -525,7 +541,7 @@ fn an_interrupt_leaves_nothing_half_written() {
         assert_eq!(child.wait().unwrap().code(), Some(130));
         assert!(last.starts_with("error: interrupted at iteration") && last.contains("--resume"), "{last}");
         assert_eq!(sandbox.names(), ["run", "scan"]);
-        assert_eq!(sandbox.names_in("run"), ["checkpoints"]);
+        assert_eq!(sandbox.names_in("run"), [".trgs.json", "checkpoints"]);
         assert_eq!(sandbox.names_in("run/checkpoints"), ["last.msgpack"]);
     }
 }

@@ -31,6 +31,8 @@ mod oracle_cli;
 // Names of files that are not UTF-8.
 #[cfg(target_os = "linux")]
 mod names;
+// Existing folders and files: what is replaced and what is refused.
+mod outputs;
 // Scans with poses.
 mod poses;
 // Frames, volumes and angles in the formats that people have.

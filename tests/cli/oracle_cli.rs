@@ -32,10 +32,10 @@ fn a_stranger_exports_answers_and_checks() {
     let sandbox = Sandbox::new();
     let exported = sandbox.done("oracle export vectors --blind --level core");
     assert!(exported["files"].as_u64().unwrap() > 20);
-    assert_eq!(sandbox.names_in("vectors"), ["PROTOCOL.md", "inputs", "manifest.json"]);
+    assert_eq!(sandbox.names_in("vectors"), [".trgs.json", "PROTOCOL.md", "inputs", "manifest.json"]);
     // A second export replaces the first; a folder that holds other files is left alone.
     sandbox.done("oracle export vectors --level core");
-    assert_eq!(sandbox.names_in("vectors"), ["PROTOCOL.md", "expected", "inputs", "manifest.json"]);
+    assert_eq!(sandbox.names_in("vectors"), [".trgs.json", "PROTOCOL.md", "expected", "inputs", "manifest.json"]);
     sandbox.write("vectors/thesis.txt", "years");
     assert!(sandbox.refused("oracle export vectors").contains("thesis.txt"));
 

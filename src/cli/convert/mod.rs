@@ -6,12 +6,14 @@ mod scan;
 mod stack;
 mod volume;
 
+use crate::cli::arguments::Replace;
 use crate::cli::{Output, messages};
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
 use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
+use trgs::output::{self, Destination};
 use trgs::scene::npz::Npz;
 use trgs::{Error, Result};
 
@@ -41,7 +43,7 @@ R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .
 folder, written as a folder in scene units.
 
 A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, \
-x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D)) \
+x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension, ends with / or is a folder. Intensities I become line integrals p = -ln((I - D)/(F - D)) \
 with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam, \
 detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or \
 evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose \
@@ -59,6 +61,8 @@ pub(super) struct Convert {
     /// File or folder to write; its name selects the format
     #[arg(value_name = "OUT")]
     out: PathBuf,
+    #[command(flatten)]
+    replace: Replace,
     /// Scan that gives a volume its spacing and origin, or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
@@ -123,11 +127,14 @@ impl Convert {
             (Some(flag), _) if source != Kind::Stack => {
                 return refuse(
                     flag,
-                    "a stack of projections to read and a folder to write, a name without an extension",
+                    "a stack of projections to read and a folder to write: OUT without an extension, or with / at its end",
                 );
             }
             (_, Some(flag)) if out != Kind::Scan => {
-                return refuse(flag, "a scan to choose views of, and a folder to write, a name without an extension");
+                return refuse(
+                    flag,
+                    "a scan to choose views of, and a folder to write: OUT without an extension, or with / at its end",
+                );
             }
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");
@@ -145,6 +152,12 @@ impl Convert {
             (Kind::Volume, Kind::Volume) => volume::convert(self),
             _ => Err(self.impossible(source, out)),
         }
+    }
+
+    /// The folder of a scan, which must not hold what is read.
+    fn destination(&self) -> Destination {
+        let destination = Destination::new(&self.out, output::Kind::Scan, "convert").overwrite(self.replace.overwrite);
+        self.scanner.iter().chain([&self.source]).fold(destination, Destination::input)
     }
 
     /// The error for a conversion that needs another command; the remedy names that command.
@@ -166,6 +179,10 @@ impl Convert {
 
 /// The kind of data that a name stands for.
 fn kind(path: &Path) -> Kind {
+    // A separator at the end makes a folder of any name: 2024.05.12/.
+    if path.is_dir() || path.as_os_str().as_encoded_bytes().last().is_some_and(|&end| is_separator(end.into())) {
+        return Kind::Scan;
+    }
     match path.extension().and_then(OsStr::to_str) {
         None => Kind::Scan,
         Some("npz" | "ply") => Kind::Model,

@@ -5,6 +5,7 @@ use crate::cli::{Output, interrupt};
 use serde::Serialize;
 use std::path::Path;
 use trgs::confidence::{Coverage, Settings, Spread};
+use trgs::output::check_file;
 use trgs::primitives::{KernelKind, Primitives, model};
 use trgs::scene::Dataset;
 use trgs::{Error, Result};
@@ -45,6 +46,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         Some(scanner) => Some(confidence(&primitives, scanner)?),
         None => known.filter(|_| to_ply),
     };
+    check_file(&command.out)?;
     interrupt::shielded(|| match (to_ply, command.r2) {
         (true, _) => model::ply::write(&command.out, &primitives, confidence.as_deref()),
         (_, true) => model::r2::write(&command.out, &primitives),

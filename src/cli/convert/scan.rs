@@ -11,11 +11,13 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let expected = "no --scanner: a scan has its own";
         return Err(Error::invalid("--scanner", source.display(), expected, "leave the flag out"));
     }
+    let destination = command.destination();
+    destination.check()?;
     let dataset = Dataset::read(source)?;
     warn(source, &dataset.oddities);
     warn(source, &plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
-    interrupt::shielded(|| dataset.write(out))?;
+    interrupt::shielded(|| dataset.write(destination))?;
     let Dataset { scanner, frame, notes, .. } = dataset;
     let (shape, (spacing, origin)) = (scanner.grid.shape, frame.place(&scanner.grid));
     let [spacing, origin] = [spacing, origin].map(|vector| Some(vector.to_array()));

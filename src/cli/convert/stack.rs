@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use trgs::output::Destination;
 use trgs::scene::dataset::Description;
 use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame};
 use trgs::scene::plausibility;
@@ -181,6 +182,9 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz to write a volume";
         return Err(Error::invalid("--scanner", format!("none, and OUT {}", out.display()), expected, remedy));
     };
+    let of_flags = [&arguments.angles, &arguments.geometry, &arguments.flat, &arguments.dark];
+    let destination = of_flags.into_iter().flatten().fold(command.destination(), Destination::input);
+    destination.check()?;
     let mut description = Description::read(scanner)?;
     if let Some(path) = &arguments.geometry {
         let RtkGeometry { poses, oddities } = RtkGeometry::read(path)?;
@@ -213,7 +217,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     warn(source, &plausibility::remarks(&dataset));
     tracing::info!("{}", stack::span(&dataset.train.angles));
     let dataset = protocol.apply(dataset)?;
-    interrupt::shielded(|| dataset.write(out))?;
+    interrupt::shielded(|| dataset.write(destination))?;
     let detector = dataset.scanner.detector;
     Ok(Output::list(&Measured {
         out,

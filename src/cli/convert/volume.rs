@@ -3,6 +3,7 @@
 use super::{Convert, Converted, extension, warn};
 use crate::cli::Output;
 use crate::cli::messages::hounsfield_to_attenuation;
+use trgs::output::check_file;
 use trgs::scene::dataset::Description;
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{Unit, Volume};
@@ -27,6 +28,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     if let Some(mu_water) = command.mu_water {
         hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
     }
+    check_file(out)?;
     volume_file::write(out, &volume)?;
     let is_of_a_scan = command.scanner.is_some() || extension(source) == "npy";
     notes.extend(note(&volume, extension(out), is_of_a_scan));

@@ -21,7 +21,7 @@ use std::path::Path;
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file or the first value that cannot be used.
 pub fn read(path: &Path) -> Result<Primitives> {
-    let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
 }
 

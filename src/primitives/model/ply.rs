@@ -70,7 +70,7 @@ struct Ply {
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file, a missing property or the first value that cannot be used.
 pub fn read(path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
-    let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
 }
 

@@ -184,7 +184,7 @@ pub(super) const SCANNER_FIELDS: [&str; 15] = [
 
 impl Meta {
     pub(super) fn read(path: &Path) -> Result<Self> {
-        Self::parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+        Self::parse(&crate::input::read(path).map_err(|source| Error::read(path, source))?, path)
     }
 
     /// Parses the file's content; `path` names it in errors.

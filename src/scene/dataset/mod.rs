@@ -47,7 +47,7 @@ use super::geometry::{Beam, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::npy;
 use crate::error::{Error, Result};
-use crate::output::{create_folder, stage_folder};
+use crate::output::{Destination, Kind, create_folder, stage_folder};
 use crate::words::counted;
 use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
@@ -319,12 +319,17 @@ impl Dataset {
 
     /// Writes the dataset in scene units as the folder `folder`, which appears completely or not at all.
     ///
-    /// [`crate::output::StagedFolder::commit`] describes which older folder is replaced.
+    /// [`Destination::check`] describes which older folder is replaced; a path stands for a destination of the library.
     ///
     /// # Errors
     /// [`Error::Write`], or [`Error::Invalid`] when the folder holds other files.
-    pub fn write(&self, folder: &Path) -> Result<()> {
-        let staged = stage_folder(folder)?;
+    pub fn write(&self, destination: impl Into<Destination>) -> Result<()> {
+        self.write_to(destination.into().of(Kind::Scan))
+    }
+
+    fn write_to(&self, destination: Destination) -> Result<()> {
+        let folder = destination.folder().to_owned();
+        let staged = stage_folder(destination)?;
         let at = |file: &str| staged.path().join(file);
         let views = |name: &str, projections: Option<&Projections>| -> Result<Vec<ViewMeta>> {
             let Some(projections) = projections else { return Ok(Vec::new()) };
@@ -447,8 +452,9 @@ fn find_points(folder: &Path, name: &str, oddities: &mut Vec<String>) -> Result<
     let failed = |source| Error::read(folder, source);
     let mut found = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
-        let file = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
-        if file.starts_with("init_") && file.ends_with(".npy") {
+        let entry = entry.map_err(failed)?;
+        let file = entry.file_name().to_string_lossy().into_owned();
+        if file.starts_with("init_") && file.ends_with(".npy") && entry.path().is_file() {
             found.push(file);
         }
     }

@@ -29,7 +29,7 @@ pub(super) fn is_pickle(path: &Path) -> bool {
 
 /// Reads a scan from a pickle.
 pub(super) fn read(path: &Path) -> Result<Dataset> {
-    parse(&std::fs::read(path).map_err(|source| Error::read(path, source))?, path)
+    parse(&crate::input::read(path).map_err(|source| Error::read(path, source))?, path)
 }
 
 /// Reads a scan from the content of a pickle.

@@ -21,7 +21,6 @@ use hdf5_reader::group::Group;
 use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
 use ndarray::{ArrayD, Axis, Ix3};
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -88,7 +87,7 @@ impl Hdf5 {
     /// [`Error::Read`], or [`Error::Format`] for a file that is not HDF5.
     pub fn read(path: &Path) -> Result<Self> {
         let failed = |source| Error::read(path, source);
-        let mut file = File::open(path).map_err(failed)?;
+        let mut file = crate::input::open(path).map_err(failed)?;
         let mut head = Vec::new();
         file.by_ref().take(OLD_MATLAB.len() as u64).read_to_end(&mut head).map_err(failed)?;
         let storage = FileStorage::from_file(file).map_err(|error| cause(path, "file", &error))?;

@@ -29,7 +29,7 @@ pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
     let (angles, unit) = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         (npy::read_f64::<Ix1>(path, "[view]")?.to_vec(), None)
     } else {
-        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let text = crate::input::read_text(path).map_err(|source| Error::read(path, source))?;
         parse_angles(&text, path)?
     };
     let (got, remedy) = match (unit, in_degrees) {

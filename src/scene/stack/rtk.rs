@@ -49,7 +49,7 @@ impl RtkGeometry {
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for content that is no such geometry or has no meaning here.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let text = crate::input::read(path).map_err(|source| Error::read(path, source))?;
         Self::parse(&String::from_utf8_lossy(&text)).map_err(|error| error.in_file(path))
     }
 

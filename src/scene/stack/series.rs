@@ -15,10 +15,10 @@
 use super::super::volume_file::{GAP, SLICES, files, with_extension};
 use super::{npy, read_with_oddities};
 use crate::error::Result;
+use crate::input;
 use crate::setting::Setting;
 use ndarray::{Array3, Axis};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use tiff::decoder::Decoder;
@@ -166,7 +166,7 @@ fn same(frame: &Path, field: &Path) -> Option<bool> {
 
 /// Compares files up to the first byte that differs.
 fn same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let (mut a, mut b) = (BufReader::new(File::open(a)?), BufReader::new(File::open(b)?));
+    let (mut a, mut b) = (BufReader::new(input::open(a)?), BufReader::new(input::open(b)?));
     loop {
         let (left, right) = (a.fill_buf()?, b.fill_buf()?);
         let n = left.len().min(right.len());
@@ -301,7 +301,7 @@ fn number_type(path: &Path) -> Option<String> {
     if path.extension()?.eq_ignore_ascii_case("npy") {
         return npy::type_of(path);
     }
-    let mut decoder = Decoder::new(BufReader::new(File::open(path).ok()?)).ok()?;
+    let mut decoder = Decoder::new(BufReader::new(input::open(path).ok()?)).ok()?;
     let bits = decoder.colortype().ok()?.bit_depth();
     let kind = match decoder.find_tag_unsigned::<u16>(Tag::SampleFormat).ok()? {
         Some(2) => "signed integers",

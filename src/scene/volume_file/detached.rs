@@ -119,7 +119,7 @@ fn beside(header: &Path, key: &str, name: &str) -> Result<(PathBuf, Vec<u8>)> {
         return Err(Error::format(header, key, shown(name), expected, remedy));
     }
     let path = header.with_file_name(relative);
-    match std::fs::read(&path) {
+    match crate::input::read(&path) {
         Ok(content) => Ok((path, content)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             let remedy = "put the file there, or correct its name in the header";

@@ -17,7 +17,7 @@ pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
     };
     let mut pages = Pages::default();
     for path in &slices {
-        let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
         add(&content, path, &mut pages)?;
     }
     // Pages of ImageJ state the distance to other pages of their own file.

@@ -223,7 +223,7 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
         _ => {}
     }
     let file = array_path::parts(path).0;
-    let content = std::fs::read(&file).map_err(|source| Error::read(&file, source))?;
+    let content = crate::input::read(&file).map_err(|source| Error::read(&file, source))?;
     parse_in_any_order(&content, path)
 }
 

@@ -57,7 +57,7 @@ impl NpySide {
     /// The volume of an array, with what a side file states if there is one.
     pub(super) fn beside(array: &Path, volume: VolumeFile) -> Result<VolumeFile> {
         let path = Self::path(array);
-        let text = match std::fs::read(&path) {
+        let text = match crate::input::read(&path) {
             Ok(text) => text,
             Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => return Ok(volume),
             Err(error) => return Err(Error::read(&path, error)),

@@ -90,7 +90,7 @@ impl SideFile {
 /// The volume in the content of a file, described by its side file, or else by its name.
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let side_path = side_path(path);
-    match std::fs::read(&side_path) {
+    match crate::input::read(&side_path) {
         Ok(text) => SideFile::parse(&text, &side_path)?.volume(content, path),
         Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => {
             let (shape, element) = of_name(path)?;

@@ -62,7 +62,7 @@ const GROUPS: [Tag; 4] = [Tag(0x0020, 0x9113), Tag(0x0020, 0x9116), Tag(0x0028, 
 /// Whether a file begins like a DICOM file.
 pub(super) fn is_dicom(path: &Path) -> bool {
     let mut head = Vec::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(132).read_to_end(&mut head));
+    let read = crate::input::open(path).and_then(|file| file.take(132).read_to_end(&mut head));
     read.is_ok() && head.get(128..) == Some(lengths::MARK)
 }
 
@@ -70,7 +70,7 @@ pub(super) fn is_dicom(path: &Path) -> bool {
 pub(super) fn read(folder: &Path, files: &[PathBuf]) -> Result<VolumeFile> {
     let mut slices = Vec::new();
     for path in files {
-        let content = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
         match File::parse(&content, path)? {
             File::Slices(found) => slices.extend(found),
             File::Stack(stack) if files.len() == 1 => return Ok(*stack),

@@ -1,0 +1,128 @@
+//! The mark of origin in every folder that this program writes: the writer, and the digests of the files.
+
+use super::staging::is_staging;
+use super::sweep::is_temporary;
+use super::{Kind, LOCK, MARK, write_atomically};
+use crate::error::Result;
+use crate::provenance::digest_file;
+use crate::words;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+/// The content of the mark. It holds no time, so equal folders have equal marks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mark {
+    /// Program and version.
+    pub program: String,
+    /// The kind of content.
+    pub kind: Kind,
+    /// The command or the method that wrote it.
+    pub by: String,
+    /// SHA-256 by path relative to the folder; none for files that change while a run goes on.
+    pub files: BTreeMap<String, Option<String>>,
+}
+
+impl Mark {
+    /// A mark without files.
+    pub(super) fn new(kind: Kind, by: &str) -> Self {
+        let program = concat!("trgs ", env!("CARGO_PKG_VERSION")).into();
+        Self { program, kind, by: by.into(), files: BTreeMap::new() }
+    }
+
+    /// The mark of a folder; `None` without one, or if it is damaged or of a later version.
+    pub fn read(folder: &Path) -> Option<Self> {
+        let path = folder.join(MARK);
+        let is_file = fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        is_file.then(|| serde_json::from_slice(&fs::read(path).ok()?).ok()).flatten()
+    }
+
+    pub(super) fn write(&self, folder: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self).expect("string keys") + "\n";
+        write_atomically(&folder.join(MARK), |file| file.write_all(text.as_bytes()))
+    }
+
+    /// Adds the files of a folder; those of `working` have no digest.
+    pub(super) fn add_files(&mut self, folder: &Path, working: &[&str]) -> Result<()> {
+        let mut files = Vec::new();
+        let listed = walk(folder, "", &mut |path, file, entry| {
+            files.extend(entry.is_file().then(|| (path.to_owned(), file.to_owned())));
+            None::<()>
+        });
+        listed.map_err(|source| crate::Error::read(folder, source))?;
+        for (path, file) in files {
+            let digest = if working.contains(&&*path) { None } else { Some(digest_file(&file)?) };
+            self.files.insert(path, digest);
+        }
+        Ok(())
+    }
+
+    /// The first path in a folder that is not of this mark, and why.
+    ///
+    /// Without `thorough` the content of the files is not compared.
+    pub(super) fn first_foreign(&self, folder: &Path, thorough: bool) -> io::Result<Option<String>> {
+        let parents: BTreeSet<&str> = self.files.keys().flat_map(|path| parents(path)).collect();
+        walk(folder, "", &mut |path, file, entry| {
+            if entry.is_dir() && !entry.is_symlink() && parents.contains(path) {
+                return None;
+            }
+            match self.files.get(path) {
+                Some(None) if entry.is_file() => None,
+                Some(Some(_)) if entry.is_file() && !thorough => None,
+                Some(Some(digest)) if entry.is_file() => {
+                    let is_same = digest_file(file).is_ok_and(|found| found == *digest);
+                    (!is_same).then(|| format!("{path}, which was changed since"))
+                }
+                _ => Some(path.to_owned()),
+            }
+        })
+    }
+}
+
+/// Folders of a relative path: `a/b` of `a/b/c`, and `a`.
+fn parents(path: &str) -> impl Iterator<Item = &str> {
+    path.match_indices('/').map(|(end, _)| &path[..end])
+}
+
+/// Visits everything below a folder but the mark, locks and temporary files, until `visit` returns something.
+///
+/// It gets the path relative to the first folder, with `/`, and the whole path. Links are not followed.
+pub(super) fn walk<T>(
+    folder: &Path,
+    prefix: &str,
+    visit: &mut dyn FnMut(&str, &Path, &fs::FileType) -> Option<T>,
+) -> io::Result<Option<T>> {
+    let mut entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
+    entries.sort_by_key(fs::DirEntry::file_name);
+    for entry in entries {
+        let kind = entry.file_type()?;
+        let name = entry.file_name();
+        if kind.is_file() && (is_temporary(&name) || prefix.is_empty() && [MARK, LOCK].iter().any(|own| name == *own)) {
+            continue;
+        }
+        let path = format!("{prefix}{}", words::name(&name));
+        if kind.is_dir() && prefix.is_empty() && is_temporary(&name) && is_staging(&entry.path()) {
+            continue;
+        }
+        if let Some(found) = visit(&path, &entry.path(), &kind) {
+            return Ok(Some(found));
+        }
+        if kind.is_dir()
+            && let Some(found) = walk(&entry.path(), &format!("{path}/"), visit)?
+        {
+            return Ok(Some(found));
+        }
+    }
+    Ok(None)
+}
+
+/// Removes the mark of a folder that has no other file.
+pub(super) fn remove_if_alone(folder: &Path) {
+    if walk(folder, "", &mut |_, _, _| Some(())).is_ok_and(|found| found.is_none()) {
+        super::step();
+        // An error leaves the mark of a folder of ours.
+        let _ = fs::remove_file(folder.join(MARK));
+    }
+}
