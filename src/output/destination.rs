@@ -1,7 +1,7 @@
 //! The one decision about an existing folder: replace it or refuse.
 
 use super::LOCK;
-use super::lock::{Hold, Lock, Scope, is_same, lock, make_folders};
+use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
 use super::mark::{Mark, walk};
 use super::staging::{is_fixed, is_mount_point};
 use super::sweep::sweep;
@@ -154,8 +154,7 @@ impl Destination {
             return refuse(got, "a folder outside of the input", another.into());
         }
         let here = std::env::current_dir().unwrap_or_default();
-        let is_here = fs::metadata(&here).is_ok_and(|here| is_same(&here, &found));
-        if !is_here && is_within(&here, &target) {
+        if !is_folder(&here, &target) && is_within(&here, &target) {
             return refuse("a folder that holds the current one".into(), "a folder that does not", another.into());
         }
         sweep(&target);
@@ -213,11 +212,7 @@ fn without_dots(path: &Path) -> PathBuf {
 /// Whether a path is a folder, or lies in it: by name, or by what the file system says of its parents.
 fn is_within(path: &Path, folder: &Path) -> bool {
     let Ok(path) = fs::canonicalize(path) else { return false };
-    let is_folder = |parent: &Path| match (fs::metadata(parent), fs::metadata(folder)) {
-        (Ok(parent), Ok(folder)) => cfg!(unix) && is_same(&parent, &folder),
-        _ => false,
-    };
-    path.starts_with(folder) || path.ancestors().any(is_folder)
+    path.ancestors().any(|parent| is_folder(parent, folder))
 }
 
 /// Whether a file system is mounted below a folder: its content would be deleted too.

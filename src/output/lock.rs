@@ -51,6 +51,14 @@ pub(super) fn is_same(_: &Metadata, _: &Metadata) -> bool {
     true
 }
 
+/// Whether two paths are one folder, whatever their names are.
+pub(super) fn is_folder(a: &Path, b: &Path) -> bool {
+    if cfg!(unix) {
+        return matches!((fs::metadata(a), fs::metadata(b)), (Ok(a), Ok(b)) if is_same(&a, &b));
+    }
+    matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
+}
+
 /// A locked file, and what is removed when it is released.
 #[derive(Debug)]
 pub(super) struct Hold {

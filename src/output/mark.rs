@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::SystemTime;
 
 /// The content of the mark. It holds no time, so equal folders have equal marks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,13 +74,27 @@ impl Mark {
                 Some(None) if entry.is_file() => None,
                 Some(Some(_)) if entry.is_file() && !thorough => None,
                 Some(Some(digest)) if entry.is_file() => {
-                    let is_same = digest_file(file).is_ok_and(|found| found == *digest);
-                    (!is_same).then(|| format!("{path}, which was changed since"))
+                    (!has_digest(file, digest)).then(|| format!("{path}, which was changed since"))
                 }
                 _ => Some(path.to_owned()),
             }
         })
     }
+}
+
+/// Whether a file has a digest; computed once in a process as long as size and time of the file stay.
+fn has_digest(file: &Path, digest: &str) -> bool {
+    static KNOWN: Mutex<BTreeMap<PathBuf, (u64, Option<SystemTime>, String)>> = Mutex::new(BTreeMap::new());
+    let Ok(found) = fs::metadata(file) else { return false };
+    let known = (found.len(), found.modified().ok(), digest.to_owned());
+    if KNOWN.lock().unwrap_or_else(PoisonError::into_inner).get(file) == Some(&known) {
+        return true;
+    }
+    let is_same = digest_file(file).is_ok_and(|found| found == digest);
+    if is_same {
+        KNOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(file.into(), known);
+    }
+    is_same
 }
 
 /// Folders of a relative path: `a/b` of `a/b/c`, and `a`.

@@ -1,7 +1,7 @@
 //! A folder that is written beside its target and takes its place as a whole.
 
 use super::destination::{Destination, Standing};
-use super::lock::{Hold, Lock, Scope, is_same, lock, make_folders};
+use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
 use super::mark::Mark;
 use super::sweep::{RANDOM, sweep};
 use super::{COMMIT, MARK, OWNER, TEMPORARY, folder_of, step};
@@ -221,11 +221,7 @@ pub(super) fn finish_in_place(staging: &Path, target: &Path) -> io::Result<()> {
 
 /// Whether a folder cannot be renamed: a mount point, or the current folder, which a shell would lose.
 pub(super) fn is_fixed(folder: &Path) -> bool {
-    let is_current = || {
-        let here = std::env::current_dir().and_then(fs::metadata);
-        here.and_then(|here| Ok(is_same(&here, &fs::metadata(folder)?))).unwrap_or(false)
-    };
-    is_mount_point(folder) || cfg!(unix) && is_current()
+    is_mount_point(folder) || std::env::current_dir().is_ok_and(|here| is_folder(&here, folder))
 }
 
 /// Whether a file system is mounted at a folder.
