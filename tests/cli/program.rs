@@ -116,6 +116,23 @@ impl Sandbox {
     }
 }
 
+/// Whether a signal was ignored when the tests began, as in the background of a script: programs started by them ignore it.
+pub(crate) fn is_ignored(signal: u32) -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    mask(&status, "SigIgn:").is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+/// A set of signals in the status of a process.
+pub(crate) fn mask(status: &str, name: &str) -> Option<u64> {
+    let mask = status.lines().find_map(|line| line.strip_prefix(name))?;
+    u64::from_str_radix(mask.trim(), 16).ok()
+}
+
+/// The option of `kill` for Ctrl-C, or where that is ignored for the termination signal.
+pub(crate) fn interrupt() -> &'static str {
+    if is_ignored(2) { "-TERM" } else { "-INT" }
+}
+
 pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }

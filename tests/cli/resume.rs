@@ -89,7 +89,9 @@ fn an_interrupt_saves_the_state_and_says_how_to_go_on() {
     let (sandbox, duration, expected) = undisturbed("tr-gs");
     let child = spawn(&sandbox, &format!("{RUN} calm2"));
     sleep(duration / 2);
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(
+        Command::new("kill").args([crate::program::interrupt(), &child.id().to_string()]).status().unwrap().success()
+    );
     let output = child.wait_with_output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(130), "{message}");
