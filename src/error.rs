@@ -1,6 +1,8 @@
 //! The one error type. Each message says what was wrong, what was found and expected, and the remedy.
 
 use crate::setting::Setting;
+use crate::words::{quoted_path, visible};
+use bytesize::ByteSize;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -8,7 +10,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file or folder could not be read.
-    #[error("cannot read {}: {source}; {}", path.display(), to_read(path, source))]
+    #[error("cannot read {}: {source}; {}", visible(path.display()), to_read(path, source))]
     Read {
         /// The file or folder.
         path: PathBuf,
@@ -16,7 +18,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written; no partial file was left behind.
-    #[error("cannot write {}: {source}; {}", path.display(), to_write(path, source))]
+    #[error("cannot write {}: {source}; {}", visible(path.display()), to_write(path, source))]
     Write {
         /// The file or folder.
         path: PathBuf,
@@ -24,7 +26,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file was read, but its content is not as expected.
-    #[error("{}: {what}: got {got}, expected {expected}; {remedy}", path.display())]
+    #[error("{}: {what}: got {got}, expected {}; {}", visible(path.display()), visible(expected), visible(remedy))]
     Format {
         /// The file.
         path: PathBuf,
@@ -38,7 +40,7 @@ pub enum Error {
         remedy: String,
     },
     /// A value given by the user cannot be used.
-    #[error("{what}: got {got}, expected {expected}; {remedy}")]
+    #[error("{what}: got {got}, expected {}; {}", visible(expected), visible(remedy))]
     Invalid {
         /// The name of the value.
         what: String,
@@ -46,6 +48,18 @@ pub enum Error {
         got: String,
         /// The values allowed.
         expected: String,
+        /// The action that the user can take.
+        remedy: String,
+    },
+    /// Something needs more memory than the limit allows; none was allocated for it.
+    #[error("{what}: got {got}, expected at most {} of memory; {remedy}", ByteSize(*limit))]
+    Memory {
+        /// What needs the memory, with its file if it has one.
+        what: String,
+        /// The memory needed.
+        got: String,
+        /// The limit, bytes.
+        limit: u64,
         /// The action that the user can take.
         remedy: String,
     },
@@ -109,6 +123,36 @@ impl Error {
             Self::Invalid { what, got, expected, remedy } => {
                 Self::Format { path: path.into(), what, got, expected, remedy }
             }
+            Self::Memory { what, got, limit, remedy } => {
+                Self::Memory { what: format!("{}: {what}", visible(path.display())), got, limit, remedy }
+            }
+            other => other,
+        }
+    }
+
+    /// Builds an [`Error::Memory`] for `needed` bytes; the remedy is a higher limit.
+    pub(crate) fn memory(what: impl ToString, got: impl ToString, limit: u64, needed: u64) -> Self {
+        const GIGABYTE: u64 = 1_000_000_000;
+        /// A petabyte.
+        const MOST: u64 = 1 << 50;
+        let enough = match needed.div_ceil(GIGABYTE) {
+            1 => format!("{}MB", needed.div_ceil(GIGABYTE / 1000)),
+            gigabytes => format!("{gigabytes}GB"),
+        };
+        let remedy = match needed {
+            MOST.. => "give smaller sizes: no machine has so much memory".into(),
+            _ => format!("give {} {enough} on a machine that has it", Setting::MaxMemory),
+        };
+        Self::Memory { what: one_line(what), got: one_line(got), limit, remedy }
+    }
+
+    /// Adds a second remedy to an [`Error::Memory`]: something smaller.
+    #[must_use]
+    pub fn or_instead(self, instead: &str) -> Self {
+        match self {
+            Self::Memory { what, got, limit, remedy } => {
+                Self::Memory { what, got, limit, remedy: format!("{remedy}, or {instead}") }
+            }
             other => other,
         }
     }
@@ -128,8 +172,13 @@ impl Error {
     }
 
     /// Builds an [`Error::Read`] for `path`.
+    ///
+    /// A file that is too large for the limit on memory is an [`Error::Memory`].
     pub fn read(path: &Path, source: std::io::Error) -> Self {
-        Self::Read { path: path.into(), source }
+        match source.downcast::<Self>() {
+            Ok(error) => error.in_file(path),
+            Err(source) => Self::Read { path: path.into(), source },
+        }
     }
 
     /// Builds an [`Error::Write`] for `path`.
@@ -142,7 +191,7 @@ impl Error {
 fn to_read(path: &Path, source: &io::Error) -> String {
     match source.kind() {
         io::ErrorKind::NotFound => not_found(path),
-        io::ErrorKind::PermissionDenied => format!("allow reading it: chmod u+r {}", path.display()),
+        io::ErrorKind::PermissionDenied => format!("allow reading it: chmod u+r {}", quoted_path(path)),
         io::ErrorKind::IsADirectory => "give a file, not a folder".into(),
         io::ErrorKind::NotADirectory => "give a path whose folders are folders: a part before its end is a file".into(),
         io::ErrorKind::InvalidData | io::ErrorKind::InvalidInput | io::ErrorKind::UnexpectedEof => {
@@ -161,9 +210,9 @@ fn not_found(path: &Path) -> String {
     };
     let missing = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
     match missing.take_while(|folder| !folder.exists()).last() {
-        Some(missing) => format!("correct the path: the folder {} does not exist", missing.display()),
+        Some(missing) => format!("correct the path: the folder {} does not exist", visible(missing.display())),
         None => similar(folder, path)
-            .unwrap_or_else(|| format!("correct the name: the folder {} has no such file", folder.display())),
+            .unwrap_or_else(|| format!("correct the name: the folder {} has no such file", visible(folder.display()))),
     }
 }
 
@@ -174,16 +223,16 @@ fn similar(folder: &Path, path: &Path) -> Option<String> {
     names.sort();
     let found = names.into_iter().find(|name| name.to_string_lossy().to_lowercase() == wanted)?;
     let found = if folder == Path::new(".") { PathBuf::from(found) } else { folder.join(found) };
-    Some(format!("give {}: names distinguish capitals", found.display()))
+    Some(format!("give {}: names distinguish capitals", visible(found.display())))
 }
 
 /// The remedy for a path that cannot be written, from its cause.
 fn to_write(path: &Path, source: &io::Error) -> String {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match source.kind() {
-        io::ErrorKind::NotFound => format!("make its folder first: mkdir -p {}", folder.display()),
+        io::ErrorKind::NotFound => format!("make its folder first: mkdir -p {}", quoted_path(folder)),
         io::ErrorKind::PermissionDenied => {
-            format!("name another folder, or allow writing: chmod u+w {}", folder.display())
+            format!("name another folder, or allow writing: chmod u+w {}", quoted_path(folder))
         }
         io::ErrorKind::ReadOnlyFilesystem => "name a folder on a disk that can be written to".into(),
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
@@ -201,8 +250,7 @@ pub(crate) fn start_again() -> String {
     format!("start again without {}", Setting::Resume)
 }
 
-/// Escapes control characters, so that a message stays on one line whatever a file or a flag holds.
+/// A part of a message on one line, whatever a file or a flag holds.
 fn one_line(text: impl ToString) -> String {
-    let escaped = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.into() };
-    text.to_string().chars().map(escaped).collect()
+    visible(text.to_string())
 }

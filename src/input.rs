@@ -3,12 +3,13 @@
 //! A pipe without a writer would block, and a device such as `/dev/zero` has no end.
 
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::provenance::digest_file;
 use crate::words;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, Metadata};
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
@@ -78,17 +79,14 @@ pub(crate) fn open_unrecorded(path: &Path) -> io::Result<File> {
 
 /// The content of a regular file.
 pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut file = open(path)?;
-    let mut content = Vec::new();
-    file.read_to_end(&mut content)?;
-    Ok(content)
+    limit::read_to_end(open(path)?)
 }
 
 /// The content of a text, which may also come from a pipe, as the shell's `<(command)` does.
 pub(crate) fn read_text(path: &Path) -> io::Result<Vec<u8>> {
     #[cfg(unix)]
     if fs::metadata(path).is_ok_and(|found| std::os::unix::fs::FileTypeExt::is_fifo(&found.file_type())) {
-        return fs::read(path);
+        return limit::read_to_end(File::open(path)?);
     }
     read(path)
 }

@@ -88,6 +88,7 @@
 //! | [`experiments`] | the paper's tables as data, run and set beside the paper's figures | Sec. 4, appendix |
 //! | [`config`], [`setting`] | settings of a run, and those besides the configuration | |
 //! | [`report`], [`provenance`], [`output`] | the page and the files of a run | |
+//! | [`limit`] | the limit on memory of readers and commands | |
 //! | [`memory`] | an upper bound on the memory of a run | |
 //! | [`numeric`] | scalars, lanes, sums, random numbers, threads | |
 //!
@@ -112,6 +113,7 @@ pub mod error;
 pub mod evaluation;
 pub mod experiments;
 pub mod input;
+pub mod limit;
 pub mod loss;
 pub mod memory;
 pub mod neural;

@@ -128,15 +128,14 @@ impl Estimate {
     /// Rejects a run that may need more than `limit` bytes.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the estimate and its largest rows.
+    /// [`Error::Memory`] with the estimate and its largest rows.
     pub fn check(&self, limit: u64) -> Result<()> {
         if self.peak() <= limit {
             return Ok(());
         }
         let [points, views] = [Setting::Points, Setting::Views];
-        let remedy =
-            format!("take fewer primitives ({points}, density_control.cap), views ({views}), pixels or voxels");
-        Err(Error::invalid(Setting::MaxMemory, ByteSize(limit), format!("at least {self}"), remedy))
+        let instead = format!("fewer primitives ({points}, density_control.cap), views ({views}), pixels or voxels");
+        Err(Error::memory("run", self, limit, self.peak()).or_instead(&instead))
     }
 }
 
@@ -412,7 +411,7 @@ fn most_primitives(points: usize, config: &Config) -> usize {
     };
     (0..config.iterations / control.every.max(1))
         // Err: the population no longer grows.
-        .try_fold(points, |m, _| if added(m) == 0 { Err(m) } else { Ok(m + added(m)) })
+        .try_fold(points, |m, _| if added(m) == 0 { Err(m) } else { Ok(m.saturating_add(added(m))) })
         .unwrap_or_else(|m| m)
 }
 

@@ -5,6 +5,7 @@
 
 use crate::error::{Error, Result};
 use crate::input;
+use crate::words::quoted;
 use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -72,7 +73,7 @@ impl Provenance {
         let facts = [
             ("version", format!("trgs {}", self.version)),
             ("commit", self.commit.clone().unwrap_or_else(|| "not recorded".into())),
-            ("command", self.command.join(" ")),
+            ("command", self.command_line()),
             ("built for", format!("{}, {}", self.target, self.target_features.join(" "))),
             ("threads", self.threads.to_string()),
             ("memory, estimated", self.memory.map_or(String::new(), |bytes| ByteSize(bytes).to_string())),
@@ -85,6 +86,11 @@ impl Provenance {
 }
 
 impl Provenance {
+    /// The command as a line for a shell.
+    pub fn command_line(&self) -> String {
+        self.command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+    }
+
     /// Names of the outputs that are not in the folder as they were written.
     ///
     /// The record may name any path, so only regular files below the folder are read.

@@ -12,6 +12,7 @@
 //! file with a right digest, so each kind also checks the lengths and the ranges of what it reads.
 
 use crate::error::{Error, Result, start_again};
+use crate::limit;
 use crate::output::write_atomically;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -61,7 +62,8 @@ pub(crate) fn open(path: &Path) -> Result<Sealed> {
     if !std::fs::metadata(path).map_err(failed)?.is_file() {
         return Err(Error::format(path, "checkpoint", "a folder or a special file", "a file", start_again()));
     }
-    unseal(std::fs::read(path).map_err(failed)?, path)
+    let content = std::fs::File::open(path).and_then(limit::read_to_end);
+    unseal(content.map_err(failed)?, path)
 }
 
 fn unseal(bytes: Vec<u8>, path: &Path) -> Result<Sealed> {

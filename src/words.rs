@@ -1,7 +1,9 @@
-//! Numbers and names in sentences.
+//! Numbers, names and foreign text in sentences.
 
+use std::borrow::Cow;
 use std::ffi::OsStr;
-use std::fmt::Write;
+use std::fmt::{Display, Write};
+use std::path::Path;
 
 /// A count with its noun: `1 frame`, `3 frames`.
 pub fn counted(count: usize, noun: &str) -> String {
@@ -38,6 +40,57 @@ pub fn serialize_name<S: serde::Serializer>(path: &impl AsRef<OsStr>, serializer
     serializer.serialize_str(&name(path))
 }
 
+/// Whether a terminal may take a character as a command: control characters, and marks that reverse text.
+pub fn is_command(c: char) -> bool {
+    let is_direction =
+        matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    c.is_control() || is_direction || matches!(c, '\u{2028}' | '\u{2029}')
+}
+
+/// Foreign text for one line of a message: what a terminal could take as a command is escaped, as in `\u{1b}`.
+pub fn visible(text: impl Display) -> String {
+    let text = text.to_string();
+    if !text.contains(is_command) {
+        return text;
+    }
+    let escaped = |c: char| if is_command(c) { c.escape_default().to_string() } else { c.into() };
+    text.chars().map(escaped).collect()
+}
+
+/// A text as UTF-8 without a byte-order mark: editors on Windows write one, and UTF-16 as well.
+pub fn utf8(content: &[u8]) -> Cow<'_, [u8]> {
+    let (rest, join): (_, fn([u8; 2]) -> u16) = match content {
+        [0xff, 0xfe, rest @ ..] => (rest, u16::from_le_bytes),
+        [0xfe, 0xff, rest @ ..] => (rest, u16::from_be_bytes),
+        _ => return content.strip_prefix(b"\xef\xbb\xbf").unwrap_or(content).into(),
+    };
+    let units: Vec<u16> = rest.as_chunks().0.iter().map(|&pair| join(pair)).collect();
+    String::from_utf16_lossy(&units).into_bytes().into()
+}
+
+/// A word for a shell: in quotes unless it is plain.
+pub fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "_-./,:=+@%^".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.into();
+    }
+    if !word.contains(is_command) {
+        return format!("'{}'", word.replace('\'', r"'\''"));
+    }
+    let escaped = |c: char| match c {
+        '\'' | '\\' => format!("\\{c}"),
+        c if is_command(c) => c.to_string().bytes().map(|byte| format!("\\x{byte:02x}")).collect(),
+        c => c.into(),
+    };
+    format!("$'{}'", word.chars().map(escaped).collect::<String>())
+}
+
+/// [`quoted`] of a path; one that begins with a hyphen is no option then.
+pub fn quoted_path(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    quoted(&if text.starts_with('-') { format!("./{text}") } else { text.into_owned() })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -45,6 +98,15 @@ mod tests {
     #[test]
     fn counts_have_no_exponent() {
         assert_eq!([1.0, 40.0, 0.5, 0.002, 0.0].map(value), ["1", "40", "5.000e-1", "2.000e-3", "0.000e0"]);
+    }
+
+    #[test]
+    fn foreign_text_gives_a_terminal_no_commands() {
+        let name = "a\u{1b}]0;x\u{7}\u{9b}31m\r\n\u{202e}b\u{7f}\u{2066}ä→";
+        let shown = visible(name);
+        assert!(!shown.contains(is_command) && shown.ends_with("ä→"), "{shown}");
+        assert!(shown.starts_with(r"a\u{1b}]0;x\u{7}\u{9b}31m\r\n\u{202e}b"), "{shown}");
+        assert_eq!(visible("plain: text – and ±"), "plain: text – and ±");
     }
 
     #[cfg(unix)]
@@ -55,6 +117,34 @@ mod tests {
         assert_eq!(of("a/größe \n.npy".as_bytes()), "a/größe \n.npy");
         assert_eq!(of(b"a\xff\xc3b"), "a\\xff\\xc3b");
         assert_ne!(of(b"\xff"), of(b"\xfe"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_shell_takes_quoted_words_as_they_were() {
+        for word in
+            ["a", "a b", "it's", "$HOME", "a;b", "`x`", "*", "", "~", "ä", "tab\tx\u{1b}[0m'\\\u{202e}é", "a\nb"]
+        {
+            let run = std::process::Command::new("bash").args(["-c", &format!("printf %s {}", quoted(word))]).output();
+            // Systems without this shell test nothing.
+            let Ok(run) = run else { return };
+            assert_eq!(String::from_utf8_lossy(&run.stdout), word, "{}", quoted(word));
+            assert!(!quoted(word).contains(is_command));
+        }
+        assert_eq!(["out/a.npy", "a b"].map(quoted), ["out/a.npy", "'a b'"]);
+        assert_eq!(quoted_path(Path::new("-rf")), "./-rf");
+    }
+
+    #[test]
+    fn texts_of_windows_are_utf8_without_a_mark() {
+        let text = "{\"µ\": \"ä→😀\"}";
+        let units: Vec<u16> = text.encode_utf16().collect();
+        let [little, big] = [u16::to_le_bytes as fn(u16) -> [u8; 2], u16::to_be_bytes]
+            .map(|bytes| std::iter::once(0xfeff).chain(units.iter().copied()).flat_map(bytes).collect::<Vec<u8>>());
+        for content in [text.into(), ["\u{feff}", text].concat().into_bytes(), little, big] {
+            assert_eq!(utf8(&content), text.as_bytes());
+        }
+        assert_eq!(utf8(b"\xff\xfe{\0\0"), b"{".as_slice());
     }
 
     #[test]

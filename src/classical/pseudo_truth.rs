@@ -10,6 +10,7 @@
 
 use super::fdk::{Turn, Window, fdk};
 use crate::error::Result;
+use crate::limit;
 use crate::scene::{Dataset, Volume};
 
 /// The dataset with FDK of all its training views, without negative values, as the truth `[FDK84]`.
@@ -22,6 +23,8 @@ use crate::scene::{Dataset, Volume};
 ///
 /// Tests: `the_pseudo_truth_is_fdk_without_negative_values`.
 pub fn with_pseudo_truth(dataset: Dataset) -> Result<Dataset> {
+    let shape = dataset.scanner.grid.shape;
+    limit::allow_array("true volume", &shape, size_of::<f32>()).map_err(|error| error.or_instead("fewer voxels"))?;
     let mut volume: Volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak, Turn::Measured)?;
     volume.values.mapv_inplace(|density| if density < 0.0 { 0.0 } else { density });
     let note = format!(

@@ -7,14 +7,11 @@ use clap::{Args, value_parser};
 use ndarray::{ArrayView, aview0, aview1};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use trgs::confidence::{Alpha, Coverage, Histogram, Settings, Spread, nu_target, spearman};
+use trgs::confidence::{Alpha, Coverage, Histogram, MOST_POINTS, Settings, Spread, nu_target, spearman};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::model;
 use trgs::scene::npz::{self, Entry};
 use trgs::{Error, Result};
-
-/// Largest number of points on the sphere; their array fits easily into memory.
-const MOST_POINTS: i64 = 1 << 24;
 
 /// Compute the ray confidence of each primitive, and the degrees of freedom that follow from it
 #[derive(Args)]
@@ -35,7 +32,7 @@ pub(super) struct Confidence {
     #[arg(long, value_name = "FILE.npz")]
     out: PathBuf,
     /// Number of points on each primitive's unit sphere
-    #[arg(long, value_name = "N", default_value_t = Settings::default().sphere_points as u32, value_parser = value_parser!(u32).range(1..=MOST_POINTS))]
+    #[arg(long, value_name = "N", default_value_t = Settings::default().sphere_points as u32, value_parser = value_parser!(u32).range(1..=MOST_POINTS as i64))]
     sphere_points: u32,
     /// Length that a primitive's scale along a ray is compared with: own (its mean scale), median (of the mean scales of all
     /// primitives), or a number of scene units

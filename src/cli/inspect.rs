@@ -167,7 +167,7 @@ fn run_folder(path: &Path) -> Result<Value> {
         "kind": "run",
         "method": config.method,
         "version": provenance.version,
-        "command": provenance.command.join(" "),
+        "command": provenance.command_line(),
         "metrics": metrics,
         "oddities": oddities,
     }))

@@ -21,6 +21,7 @@ use trgs::experiments::Done;
 use trgs::scene::hounsfield;
 use trgs::train::Record;
 use trgs::words;
+use trgs::words::{is_command, visible};
 
 /// Sends all tracing events to standard error, in the requested format.
 pub(super) fn install(global: &Global) {
@@ -29,7 +30,7 @@ pub(super) fn install(global: &Global) {
     let subscriber = fmt().with_max_level(level).with_writer(io::stderr).log_internal_errors(false);
     match global.log_format {
         LogFormat::Text => subscriber.event_format(Sentence).init(),
-        LogFormat::Json => subscriber.json().flatten_event(true).with_target(false).init(),
+        LogFormat::Json => subscriber.json().flatten_event(true).with_target(false).with_writer(|| Plain).init(),
     }
 }
 
@@ -172,7 +173,7 @@ impl ProgressBar {
         let Done { cell, done, cells } = *done;
         if let Some(bar) = &self.bar {
             bar.set_position(done as u64);
-            bar.set_message(format!("{}, ", cell.description()));
+            bar.set_message(format!("{}, ", visible(cell.description())));
         } else {
             let left = seconds / (done.saturating_sub(first).max(1)) as f64 * (cells - done) as f64;
             tracing::info!(
@@ -234,6 +235,29 @@ where
     }
 }
 
+/// Standard error for JSON: what a terminal could take as a command is escaped.
+struct Plain;
+
+impl io::Write for Plain {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        io::stderr().write_all(plain_json(&String::from_utf8_lossy(line)).as_bytes()).map(|()| line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}
+
+/// JSON with the same values, and escapes for all that a terminal could take as a command. Such characters are in texts only.
+pub(super) fn plain_json(json: &str) -> String {
+    let escaped = |c: char| match c {
+        '\n' => c.into(),
+        c if is_command(c) => format!("\\u{:04x}", u32::from(c)),
+        c => c.into(),
+    };
+    json.chars().map(escaped).collect()
+}
+
 struct Message<'a> {
     writer: Writer<'a>,
     outcome: fmt::Result,
@@ -242,7 +266,7 @@ struct Message<'a> {
 impl Visit for Message<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            self.outcome = write!(self.writer, "{value:?}");
+            self.outcome = self.writer.write_str(&visible(format!("{value:?}")));
         }
     }
 }

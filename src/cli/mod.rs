@@ -29,20 +29,19 @@ mod table;
 mod views;
 mod voxelize;
 
+use bytesize::ByteSize;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
 use output::Output;
 use std::process::ExitCode;
 use trgs::numeric::threads;
-use trgs::{Error, Result};
+use trgs::{Error, Result, limit};
 
 const CHECK_SAID_NO: u8 = 1;
 const BAD_INPUT: u8 = 2;
 const INTERRUPTED: u8 = 130;
 /// Largest number of workers; more only wait for each other.
 const MOST_THREADS: i64 = 1024;
-/// Largest number of elements in an array made on request: 16 GiB in single precision.
-const MOST_NUMBERS: usize = 1 << 32;
 
 /// Sparse-view CT reconstruction with Student's t kernels on the CPU, bit-identical on every machine
 #[derive(Parser)]
@@ -68,6 +67,9 @@ struct Global {
     /// Format of progress and messages on standard error
     #[arg(long, global = true, display_order = 1000, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
     log_format: LogFormat,
+    /// Refuse what may need more memory than this, such as 12GB or 512MiB [default: three quarters of the machine's]
+    #[arg(long, global = true, display_order = 1000, value_name = "SIZE")]
+    max_memory: Option<ByteSize>,
     /// Print the result as one JSON object
     #[arg(long, global = true, display_order = 1000)]
     json: bool,
@@ -111,6 +113,7 @@ pub(crate) fn main() -> ExitCode {
         }
     };
     messages::install(&cli.global);
+    limit::set(cli.global.max_memory.map(|limit| limit.as_u64()));
     messages::unused_instructions();
     interrupt::install();
     trgs::input::record();
@@ -156,24 +159,4 @@ fn name_the_commands(mut error: clap::Error) -> clap::Error {
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
     }
     error
-}
-
-/// The largest side of an array with equal sides that [`check_size`] accepts.
-fn largest_side(axes: usize) -> usize {
-    let fits = |side: usize| side.checked_pow(axes as u32).is_some_and(|numbers| numbers <= MOST_NUMBERS);
-    (0..u32::BITS).rev().fold(0, |side, bit| if fits(side | 1 << bit) { side | 1 << bit } else { side })
-}
-
-/// Rejects an array that no supported machine can hold, before memory is allocated.
-fn check_size(what: &str, shape: &[usize]) -> Result<()> {
-    let numbers = shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n));
-    if numbers.is_some_and(|numbers| numbers <= MOST_NUMBERS) {
-        return Ok(());
-    }
-    Err(Error::invalid(
-        what,
-        format!("shape {shape:?}"),
-        format!("at most {MOST_NUMBERS} numbers"),
-        format!("give sides of at most {}", largest_side(shape.len())),
-    ))
 }

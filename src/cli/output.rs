@@ -1,10 +1,12 @@
 //! The result of a command, for readers and for programs.
 
+use super::messages::plain_json;
 use comfy_table::{ContentArrangement, Table, presets};
 use serde::Serialize;
 use serde_json::Value;
 use std::io::{self, Write};
 use std::path::Path;
+use trgs::words::visible;
 use trgs::{Error, Result};
 
 /// Largest number of list elements in a line of a table.
@@ -44,6 +46,7 @@ impl Output {
         sentences: &[String],
         approves: bool,
     ) -> Self {
+        let sentences: Vec<_> = sentences.iter().map(visible).collect();
         let text = format!("{}\n\n{}", table(&header, rows).trim_fmt(), sentences.join("\n"));
         Self { json: to_json(result), text, approves }
     }
@@ -51,7 +54,8 @@ impl Output {
     /// The outcome of a check, with its own text.
     #[cfg(feature = "oracle")]
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {
-        Self { json: to_json(result), text: text.trim_end().to_owned(), approves }
+        let lines: Vec<_> = text.trim_end().lines().map(visible).collect();
+        Self { json: to_json(result), text: lines.join("\n"), approves }
     }
 
     /// Whether the exit code is 0.
@@ -61,7 +65,7 @@ impl Output {
 
     /// Writes the result to standard output. A reader that closes it early, such as `head`, is no error.
     pub(super) fn print(&self, json: bool) -> Result<()> {
-        let text = if json { &self.json.to_string() } else { &self.text };
+        let text = if json { &plain_json(&self.json.to_string()) } else { &self.text };
         let mut output = io::stdout().lock();
         match writeln!(output, "{text}").and_then(|()| output.flush()) {
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
@@ -82,7 +86,8 @@ fn table<const N: usize>(header: &[&str], rows: impl IntoIterator<Item = [String
     if !header.is_empty() {
         table.set_header(header);
     }
-    table.add_rows(rows);
+    // A foreign name must not give the terminal commands, nor begin a line of its own.
+    table.add_rows(rows.into_iter().map(|row| row.map(visible)));
     table
 }
 

@@ -5,7 +5,7 @@ use super::evaluate::answer;
 use super::messages::{ProgressBar, warning};
 use super::pace::Pace;
 use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file};
-use super::{Global, Output, check_size, interrupt};
+use super::{Global, Output, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
 use serde_json::json;
@@ -23,7 +23,7 @@ use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume, plausibility};
 use trgs::train::{primitives_of_model, with_points_of_model};
 use trgs::words;
-use trgs::{Error, Result};
+use trgs::{Error, Result, limit};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
 const AUTO: usize = 10;
@@ -94,9 +94,6 @@ pub(super) struct Reconstruct {
     /// Set a configuration key, for example loss.tv=0.1; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Reject a run that may need more memory than this, for example 3GB or 512MiB
-    #[arg(long, value_name = "SIZE")]
-    max_memory: Option<ByteSize>,
     /// Continue from the last checkpoint of RUN, bit-identical to an uninterrupted run; with more --iterations see below
     #[arg(long)]
     resume: bool,
@@ -111,7 +108,7 @@ impl Reconstruct {
         let claim = RunFolder::claim(&self.out, &self.dataset, self.replace.overwrite)?;
         let mut checkpoint = self.checkpoint()?;
         let config = self.config(&mut checkpoint)?;
-        self.check_memory(&self.estimate(&config)?)?;
+        self.estimate(&config)?.check(limit::bytes())?;
         let mut dataset = Dataset::read(&self.dataset)?;
         for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
             warning(&self.dataset, oddity);
@@ -122,8 +119,6 @@ impl Reconstruct {
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
-        // Checked again with sizes that are known only after reading.
-        self.check_memory(&Estimate::new(&DatasetInfo::of(&dataset), dataset.train.len(), &config, threads::count()))?;
         let asked = config;
         let config = asked.resolved(&dataset.scanner, dataset.train.len());
         if asked.wavelet.enabled && asked.method.fits_primitives() && !config.wavelet.enabled {
@@ -155,10 +150,6 @@ impl Reconstruct {
         };
         let views = self.views.map_or(scan.train, |n| n.min(scan.train));
         Ok(Estimate::new(&scan, views, config, threads::count()))
-    }
-
-    fn check_memory(&self, estimate: &Estimate) -> Result<()> {
-        self.max_memory.map_or(Ok(()), |limit| estimate.check(limit.as_u64()))
     }
 
     /// The checkpoint to resume from.
@@ -252,16 +243,14 @@ pub(super) fn reconstruct(
     beside: Option<&Outcome>,
     global: &Global,
 ) -> Result<Outcome> {
-    check_size("volume", &dataset.scanner.grid.shape)?;
     interrupt::shielded(|| {
         let estimate = Estimate::new(&DatasetInfo::of(dataset), dataset.train.len(), config, threads::count());
+        // Checked again with sizes that are known only after reading.
+        estimate.check(limit::bytes())?;
         let folder = RunFolder::begin(claim, config, estimate.peak(), inputs)?;
         tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
-        if let Some(installed) = installed_memory().filter(|&installed| installed < estimate.peak()) {
-            tracing::warn!(
-                "this machine has only {} of memory: the run may be slow or be killed; --max-memory rejects such runs",
-                ByteSize(installed)
-            );
+        if let Some(installed) = limit::available().filter(|&installed| installed < estimate.peak()) {
+            tracing::warn!("this machine has only {} of memory: the run may be slow or be killed", ByteSize(installed));
         }
         let began = Instant::now();
         let mut bar = ProgressBar::new(config.iterations, global);
@@ -319,11 +308,4 @@ pub(super) fn reconstruct(
         folder.finish(dataset, config, &outcome, beside)?;
         Ok(outcome)
     })
-}
-
-/// Bytes of memory of this machine, if the system states them in a file.
-fn installed_memory() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let kibibytes: u64 = text.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok()?;
-    Some(kibibytes << 10)
 }

@@ -3,7 +3,7 @@
 use super::arguments::{choice, cutoff, list};
 use super::explain::{self, Written};
 use super::views::{ViewArgs, Views};
-use super::{Output, check_size, interrupt};
+use super::{Output, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -15,7 +15,7 @@ use trgs::projector::{Field, Kernels, Projection, forward, vjp};
 use trgs::scene::npy;
 use trgs::scene::npy::Element;
 use trgs::words;
-use trgs::{Error, Result};
+use trgs::{Error, Result, limit};
 
 /// Compute projections of a model, and the gradient of a function of the projections
 #[derive(Args)]
@@ -112,7 +112,11 @@ impl Render {
         views: &Views,
     ) -> Result<Written<'a>> {
         let (projection, cutoff, scanner) = (self.projection, self.kernel.cutoff, &views.scanner);
-        check_size("projections", &[views.angles.len(), scanner.detector.rows, scanner.detector.columns])?;
+        // The projections, one more of each view at work, and the cotangent as read and in this arithmetic.
+        let (real, asks) = (size_of::<R>(), self.kernel.grad_out.is_some());
+        let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
+        let shape = [views.angles.len(), scanner.detector.rows, scanner.detector.columns];
+        limit::allow_array("projections", &shape, bytes).map_err(|error| error.or_instead("fewer views or pixels"))?;
         let images = forward::<R>(primitives, scanner, views.trajectory(), projection, cutoff);
         let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, views.trajectory(), projection, cutoff, d.view());
         self.kernel.write(out, &images, vjp_of)?;

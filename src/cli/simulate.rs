@@ -2,7 +2,7 @@
 
 use super::arguments::{Replace, finite, pair, seed};
 use super::messages::{hounsfield_to_attenuation, warning};
-use super::{Output, check_size, interrupt};
+use super::{Output, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -143,8 +143,6 @@ impl Simulate {
     }
 
     fn scan(&self) -> Result<Dataset> {
-        let views = usize::from(self.views).max(self.test_views.into());
-        check_size("projections", &[views, self.detector[0].into(), self.detector[1].into()])?;
         let plan =
             Plan { views: self.views.into(), test_views: self.test_views.into(), noise: self.noise, seed: self.seed };
         let [pitch, turns] = self.helix.unwrap_or([Orbit::CIRCLE.pitch, Orbit::CIRCLE.turns]);
@@ -152,7 +150,6 @@ impl Simulate {
         match (&self.object.phantom, &self.object.volume) {
             (Some(name), _) => {
                 let grid = Grid::cube(self.size.into());
-                check_size("volume", &grid.shape)?;
                 let phantom = Phantom::by_name(name, self.seed)?;
                 simulate_on(name, Object::Phantom(&phantom), &self.scanner(grid), &plan, &orbit)
             }

@@ -16,7 +16,7 @@ use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, S
 use trgs::numeric::threads;
 use trgs::output::{Destination, Kind, SharedFolder};
 use trgs::words;
-use trgs::{Error, Result};
+use trgs::{Error, Result, limit};
 
 /// File with the arguments of a table, so that its page can be rewritten.
 const REQUESTS: &str = "tables.json";
@@ -229,6 +229,10 @@ impl Table {
         if !self.cell.is_empty() {
             cells = self.chosen(cells)?;
         }
+        let sides = [self.what.scale().size; 3];
+        let together = threads::count().min(cells.len());
+        let checked = limit::allow_array("cells at work, on volumes", &sides, together * PER_VOXEL);
+        checked.map_err(|error| error.or_instead("a smaller --size, or fewer --threads"))?;
         let folder = shared(out, tables.iter().map(|table| table.name), self.replace)?;
         let store = Store::open(out)?;
         interrupt::shielded(|| run(&cells, &store, global))?;
@@ -266,6 +270,9 @@ pub(super) fn answer(out: &Path, written: &[Written]) -> Output {
         rows,
     )
 }
+
+/// Memory of a cell per voxel, in bytes: the truth and the arrays of the method tv in single precision, which has the most.
+const PER_VOXEL: usize = 4 + 12 * 4 + 4;
 
 /// Runs the unfinished cells and shows progress.
 fn run(cells: &[Cell], store: &Store, global: &Global) -> Result<()> {

@@ -1,15 +1,14 @@
 //! `trgs voxelize`: a model sampled at voxel centres, and the gradient of a function of them.
 
+use super::Output;
 use super::arguments::list;
 use super::explain::{self, Written};
 use super::render::KernelArgs;
-use super::{Output, check_size};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use trgs::Result;
 use trgs::config::Precision;
 use trgs::primitives::{Primitives, model};
 use trgs::projector::{Field, Kernels, voxelize, voxelize_vjp};
@@ -17,6 +16,7 @@ use trgs::scene::Grid;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
 use trgs::words;
+use trgs::{Result, limit};
 
 /// Sample a model on a grid, and compute the gradient of a function of the volume
 #[derive(Args)]
@@ -103,7 +103,10 @@ impl Voxelize {
         grid: &Grid,
     ) -> Result<Written<'a>> {
         let cutoff = self.kernel.cutoff;
-        check_size("volume", &grid.shape)?;
+        // The volume, its slices as they are computed, and the cotangent as read and in this arithmetic.
+        let (real, asks) = (size_of::<R>(), self.kernel.grad_out.is_some());
+        let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
+        limit::allow_array("volume", &grid.shape, bytes).map_err(|error| error.or_instead("fewer voxels"))?;
         let volume = voxelize::<R>(primitives, grid, cutoff);
         let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
         self.kernel.write(out, &volume, vjp_of)?;

@@ -40,6 +40,8 @@ use crate::scene::{Beam, Scanner, Trajectory, View};
 use glam::{DMat3, DVec3};
 use sphere::{Sphere, Tube};
 
+/// Largest number of points on the sphere; their array fits easily into memory.
+pub const MOST_POINTS: usize = 1 << 24;
 /// Primitives of one task.
 const CHUNK: usize = 128;
 
@@ -110,8 +112,9 @@ impl Settings {
     /// # Errors
     /// For the first setting that is invalid.
     pub fn validate(&self) -> Result<()> {
-        if self.sphere_points == 0 {
-            return Err(Error::invalid("sphere points", 0, "at least 1", "the default is 512"));
+        if !(1..=MOST_POINTS).contains(&self.sphere_points) {
+            let expected = format!("1 to {MOST_POINTS}");
+            return Err(Error::invalid("sphere points", self.sphere_points, expected, "the default is 512"));
         }
         let usual = Self::default();
         let length = if let Alpha::Length(length) = self.alpha { length } else { 1.0 };

@@ -5,6 +5,7 @@ use super::{
     LossConfig, Method, ModelConfig, NeuralConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
+use crate::words::utf8;
 use documented::{Documented, DocumentedFields};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -43,7 +44,8 @@ impl Config {
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for the first line that is no TOML, unknown key or value of a wrong type.
     pub fn read(path: &Path, otherwise: Method) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+        let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+        let text = String::from_utf8_lossy(&utf8(&text)).into_owned();
         let table: Table = text.parse().map_err(|error: toml::de::Error| {
             let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
             let remedy = "correct the line; the config.toml of any run is an example";

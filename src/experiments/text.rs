@@ -250,10 +250,29 @@ impl Summary {
     }
 }
 
+/// A cell that no spreadsheet takes for a formula: the name of a file may begin like one. Numbers stay.
+fn harmless(cell: &str) -> String {
+    let begins = cell.starts_with(['=', '+', '-', '@', '\t', '\r']);
+    if begins && cell.parse::<f64>().is_err() { format!("'{cell}") } else { cell.into() }
+}
+
 fn written<const N: usize>(lines: &[[String; N]]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    lines.iter().for_each(|line| writer.write_record(line).expect("memory takes all"));
+    lines
+        .iter()
+        .for_each(|line| writer.write_record(line.each_ref().map(|cell| harmless(cell))).expect("memory takes all"));
     String::from_utf8(writer.into_inner().expect("memory takes all")).expect("text")
+}
+
+#[cfg(test)]
+mod csv_tests {
+    use super::written;
+
+    #[test]
+    fn no_name_is_a_formula_and_numbers_stay() {
+        let line = ["=1+1", "+x", "-x", "@x", "-1.5", "+2e3", "a=b", ""].map(String::from);
+        assert_eq!(written(&[line]), "'=1+1,'+x,'-x,'@x,-1.5,+2e3,a=b,\n");
+    }
 }
 
 /// Text escaped for LaTeX.

@@ -3,6 +3,7 @@
 use super::voxels::chosen_unit;
 use crate::config::{Config, Precision};
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::neural::{Batch, NeuralRun};
 use crate::numeric::Real;
 use crate::scene::Dataset;
@@ -46,6 +47,9 @@ pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result
 fn steps<R: Real>(dataset: &Dataset, config: Config, count: usize, unit: f64) -> Result<NetworkSteps> {
     let mut run = NeuralRun::<R>::new(&dataset.scanner, &dataset.train, &config.neural(), unit, None)?;
     let begin = run.named_parameters();
+    let settings = config.neural();
+    let rays = settings.rays + settings.windows * settings.window * settings.window;
+    limit::allow_array("points of all steps", &[count, rays, settings.samples], 4 * size_of::<f64>())?;
     let (mut batches, mut errors) = (Vec::with_capacity(count), Vec::with_capacity(count));
     for _ in 0..count {
         batches.push(run.batch());

@@ -3,7 +3,11 @@
 use super::{Checkpoints, Observe, Progress, Reconstruction, reconstruct_with};
 use crate::config::Config;
 use crate::error::Result;
+use crate::limit;
+use crate::memory::Estimate;
+use crate::numeric::threads;
 use crate::scene::Dataset;
+use crate::scene::dataset::DatasetInfo;
 use crate::train::with_points_of_model;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -54,13 +58,15 @@ impl<'a> Run<'a> {
     /// Runs the method.
     ///
     /// # Errors
-    /// For a setting out of its range, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
+    /// For a setting out of its range, a run that may need more memory than the limit, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
     /// the observer breaks.
     pub fn reconstruct(mut self) -> Result<Reconstruction> {
         self.config.validate()?;
         let is_resumed = self.checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
         let config = if is_resumed { self.config.clone() } else { with_points_of_model(self.config)? };
         let config = config.resolved(&self.dataset.scanner, self.dataset.train.len());
+        let info = DatasetInfo::of(self.dataset);
+        Estimate::new(&info, self.dataset.train.len(), &config, threads::count()).check(limit::bytes())?;
         reconstruct_with(self.dataset, &config, self.checkpoints, &mut *self.observe)
     }
 }

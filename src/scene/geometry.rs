@@ -186,8 +186,21 @@ impl Detector {
 
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
-        self.rows * self.columns
+        self.rows.saturating_mul(self.columns)
     }
+}
+
+/// Most voxels or pixels that a count is computed for: no memory holds them.
+const MOST: usize = 1 << 40;
+
+/// Rejects a shape whose elements are too many to be counted.
+fn check_count(what: &str, shape: &[usize]) -> Result<()> {
+    let count = shape.iter().fold(1_usize, |product, &n| product.saturating_mul(n));
+    if count <= MOST {
+        return Ok(());
+    }
+    let expected = format!("at most {MOST} elements");
+    Err(Error::invalid(format!("{what} shape"), format!("{shape:?}"), expected, "give smaller numbers"))
 }
 
 impl Grid {
@@ -204,6 +217,7 @@ impl Grid {
                 "give at least one voxel on each axis",
             ));
         }
+        check_count("grid", &shape)?;
         let size = max - min;
         if !(size.x > 0.0 && size.y > 0.0 && size.z > 0.0 && size.is_finite() && min.is_finite()) {
             return Err(Error::invalid(
@@ -238,7 +252,7 @@ impl Grid {
 
     /// Number of voxels.
     pub fn voxels(&self) -> usize {
-        self.shape.iter().product()
+        self.shape.iter().fold(1, |product, &n| product.saturating_mul(n))
     }
 
     /// The part of the grid that starts at voxel `start` and has `shape` voxels.
@@ -338,6 +352,7 @@ impl Scanner {
                 "correct nDetector = [v, u]",
             ));
         }
+        check_count("detector", &[d.rows, d.columns])?;
         for (what, value) in
             [("pitch of the detector's rows", d.pitch_v), ("pitch of the detector's columns", d.pitch_u)]
         {

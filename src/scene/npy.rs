@@ -6,6 +6,7 @@
 
 use crate::error::{Error, Result};
 use crate::input;
+use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
 use npyz::{DType, Deserialize, NpyFile, NpyHeader, Order, WriteOptions, WriterBuilder};
@@ -179,6 +180,10 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
         let size = bytes.map_or_else(|| "more bytes than any file has".into(), |bytes| format!("{bytes} bytes"));
         return Err(incomplete(format!("{size} for shape {:?} of '{kind}'", npy.shape())));
     }
+    // As f32 or f64, and once more where another order is stored.
+    let copies = if npy.order() == Order::Fortran { 2 } else { 1 };
+    let size = npy.len().saturating_mul(copies * if item > 2 && item != 4 { 8 } else { 4 });
+    limit::allow(format!("{what} of shape {:?}", npy.shape()), size).map_err(|error| error.in_file(path))?;
     let (numbers, full_scale) = match &kind.to_string()[1..] {
         "f2" => (values(npy, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
         "f4" => (values(npy, |v: f32| v).map(Numbers::F32), None),
@@ -224,7 +229,8 @@ fn values<S: Deserialize, T: Clone>(npy: NpyFile<impl Read>, number: impl Fn(S) 
     let invalid = |error: String| io::Error::new(io::ErrorKind::InvalidData, error);
     let shape: Vec<usize> = npy.shape().iter().map(|&n| n as usize).collect();
     let layout = IxDyn(&shape).set_f(npy.order() == Order::Fortran);
-    let mut values = Vec::with_capacity(npy.len() as usize);
+    let mut values = Vec::new();
+    values.try_reserve_exact(npy.len() as usize)?;
     for value in npy.data().map_err(|error| invalid(error.to_string()))? {
         values.push(number(value?));
     }

@@ -4,6 +4,7 @@
 
 use super::npy::{self, Npy};
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
@@ -57,7 +58,7 @@ impl Npz {
             ),
         };
         let mut archive = ZipArchive::new(source).map_err(damaged)?;
-        let mut arrays = BTreeMap::new();
+        let (mut arrays, mut places, mut held) = (BTreeMap::new(), BTreeMap::new(), 0_u64);
         for index in 0..archive.len() {
             let mut entry = archive.by_index(index).map_err(damaged)?;
             let name = entry.name().map_err(damaged)?.into_owned();
@@ -72,6 +73,19 @@ impl Npz {
                     "the archive is damaged: copy or write it again",
                 ));
             }
+            // Entries that share their bytes would make any amount of a small archive.
+            if let Some(start) = entry.data_start() {
+                let end = start.saturating_add(packed);
+                let before = places.range(..end).next_back();
+                if let Some((_, (_, other))) = before.filter(|(_, (stop, _))| *stop > start) {
+                    let got = format!("the bytes of {other} again");
+                    let remedy = "the archive is damaged: copy or write it again";
+                    return Err(Error::format(path, name, got, "bytes of its own", remedy));
+                }
+                places.insert(start, (end, name.clone()));
+            }
+            held = held.saturating_add(size.saturating_mul(2));
+            limit::allow("arrays", held).map_err(|error| error.in_file(path))?;
             let array = npy::decode(&mut entry, size, path, &name)?;
             // The archive compares its checksum only once the entry is read to the end.
             io::copy(&mut entry, &mut io::sink()).map_err(|source| npy::unreadable(source, path, &name))?;

@@ -8,8 +8,10 @@ use super::noise::Noise;
 use super::phantom::Phantom;
 use super::trilinear;
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::numeric::rng::{Purpose, stream};
 use crate::setting::Setting;
+use crate::words::counted;
 use rand::RngExt;
 use std::f64::consts::TAU;
 
@@ -111,6 +113,7 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
             format!("give {} 18, for example", Setting::Views),
         ));
     }
+    check_memory(scanner, plan, matches!(object, Object::Volume(_)))?;
     let truth = match object {
         Object::Phantom(phantom) => phantom.voxelize(&scanner.grid, SAMPLES),
         Object::Volume(volume) if volume.grid == scanner.grid => volume.clone(),
@@ -156,6 +159,21 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
         notes,
         oddities: Vec::new(),
     })
+}
+
+/// Rejects a scan that does not fit into memory: the volume, the given one, and the training views with and without noise.
+fn check_memory(scanner: &Scanner, plan: &Plan, has_volume: bool) -> Result<()> {
+    let voxels = scanner.grid.voxels().saturating_mul(if has_volume { 2 } else { 1 });
+    let views = plan.views.saturating_mul(2).saturating_add(plan.test_views);
+    let numbers = views.saturating_mul(scanner.detector.pixels()).saturating_add(voxels);
+    let what = format!(
+        "scan of {:?} voxels and {} of {:?} pixels",
+        scanner.grid.shape,
+        counted(plan.views.saturating_add(plan.test_views), "view"),
+        [scanner.detector.rows, scanner.detector.columns]
+    );
+    let checked = limit::allow(what, (numbers as u64).saturating_mul(size_of::<f32>() as u64));
+    checked.map_err(|error| error.or_instead("fewer voxels, views or pixels"))
 }
 
 /// `n` uniformly random angles below `span` (radians), in increasing order.

@@ -151,7 +151,7 @@ fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
     std::fs::remove_dir_all(sandbox.path("scan/proj_train")).unwrap();
     let huge = "reconstruct scan --out run --iterations 30000 --set density_control.cap=10000000 --max-memory 2GiB";
     let message = sandbox.refused(huge);
-    assert!(message.contains("got 2.0 GiB") && message.contains("at least 2"), "{message}");
+    assert!(message.contains("at most 2.0 GiB") && message.contains("run: got 2"), "{message}");
     assert!(!stderr(&sandbox.run("reconstruct scan --out run --max-memory much")).is_empty());
     let pickle = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
     assert!(sandbox.refused(&format!("reconstruct {pickle} --out run --max-memory 3kB")).contains("--max-memory"));
@@ -164,4 +164,44 @@ fn a_run_that_fits_runs_and_says_what_it_needs() {
     assert!(output.status.success() && stderr(&output).contains("needs at most"), "{}", stderr(&output));
     let provenance: Value = serde_json::from_str(&sandbox.text("run/provenance.json")).unwrap();
     assert!(provenance["memory"].as_u64().unwrap() > 1 << 20);
+}
+
+#[test]
+fn every_command_keeps_to_the_limit_and_names_it() {
+    let sandbox = Sandbox::with_scan();
+    let model = trgs::primitives::Parameters {
+        mean: vec![[0.0; 3]],
+        scale: vec![[0.2; 3]],
+        quaternion: vec![[1.0, 0.0, 0.0, 0.0]],
+        density: vec![1.0],
+        nu: vec![5.0],
+    };
+    trgs::primitives::model::write(&sandbox.path("model.npz"), &model).unwrap();
+    let listed = std::fs::read_to_string(sandbox.path("scan/meta_data.json")).unwrap();
+    let mut often: Value = serde_json::from_str(&listed).unwrap();
+    let views = often["proj_train"].as_array_mut().unwrap();
+    *views = vec![views[0].clone(); 3000];
+    std::fs::write(sandbox.path("scan/often.json"), often.to_string()).unwrap();
+    for (command, part) in [
+        ("voxelize model.npz --grid 1000,1000,1000 --out a.npy --max-memory 8GB", "fewer voxels"),
+        ("voxelize model.npz --grid 1000000,1000000,1000000 --out a.npy", "grid shape: got"),
+        ("simulate --phantom torso --size 2000 --out big --max-memory 8GB", "fewer voxels, views or pixels"),
+        ("simulate --phantom torso --detector 60000 --views 60000 --out big --max-memory 1TB", "TiB"),
+        ("render model.npz --scanner scan --out a.npy --max-memory 2kB", "expected at most 2"),
+        (
+            "render model.npz --scanner scan --angles 0,1,2,3,4,5,6,7 --out a.npy --max-memory 20kB",
+            "fewer views or pixels",
+        ),
+        ("confidence model.npz --scanner scan --out c.npz --max-memory 2kB", "expected at most 2"),
+        ("inspect scan/often.json --max-memory 1MB", "3000 views of shape"),
+        ("inspect scan/vol_gt.npy --max-memory 1kB", "vol_gt.npy"),
+        ("convert scan/vol_gt.npy a.mha --max-memory 1kB", "vol_gt.npy"),
+        ("evaluate scan/vol_gt.npy --against scan --max-memory 1kB", "expected at most 1"),
+        ("table volume --size 512 --out tables --max-memory 1GB", "a smaller --size, or fewer --threads"),
+    ] {
+        let message = sandbox.refused(command);
+        assert!(message.contains(part), "{command}: {message}");
+        assert!(message.contains("; give ") && !message.contains("out of"), "{command}: {message}");
+    }
+    assert!(!sandbox.path("a.npy").exists() && !sandbox.path("big").exists() && !sandbox.path("tables").exists());
 }

@@ -37,8 +37,8 @@ fn errors_show_flags_instead_of_settings() {
     for (command, flags) in [
         ("reconstruct scan --out run --views 9", vec!["error: --views: got 9, expected 1 to 4"]),
         (
-            "reconstruct scan --out run --max-memory 1kB",
-            vec!["error: --max-memory: got 1", "(--points, density_control.cap), views (--views)"],
+            "reconstruct scan --out run --max-memory 1MB",
+            vec!["expected at most 9", "; give --max-memory ", "(--points, density_control.cap), views (--views)"],
         ),
         (
             "reconstruct scan --out run --set density_unit=1e3",

@@ -27,6 +27,7 @@ mod finite_differences;
 mod formats;
 // Gradients against 50-digit central differences.
 mod gradients;
+mod hostile;
 // Symmetries of the scene.
 mod invariance;
 // SIMD lanes against plain numbers, bit by bit.

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, dispatch, give, read, read_float, word, wrong_value};
 use crate::geometry::Scanner;
-use crate::work::{Event, Watch, raise, run, try_run};
+use crate::work::{Event, Watch, fits, raise, run, try_run};
 use ndarray::Ix3;
 use pyo3::prelude::*;
 use serde_json::json;
@@ -54,6 +54,8 @@ pub(crate) fn forward_project<'py>(
     rays: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (projector, angles) = (projector(scanner, rays)?, arrays::angles(angles)?);
+    let detector = scanner.0.detector;
+    fits("projections", &[angles.len(), detector.rows, detector.columns], 2 * size_of::<f64>())?;
     dispatch!(read_float::<Ix3>(volume, "volume", "[x, y, z]")?, |volume| {
         let volume = volume.as_array();
         Ok(give(py, try_run(py, || projector.forward(&angles, volume.view()))?))
@@ -87,6 +89,7 @@ pub(crate) fn back_project<'py>(
     angles: &Bound<'py, PyAny>,
     rays: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
+    fits("volume", &scanner.0.grid.shape, 2 * size_of::<f64>())?;
     let (projector, angles) = (projector(scanner, rays)?, arrays::angles(angles)?);
     dispatch!(read_float::<Ix3>(projections, "projections", "[view, v, u]")?, |projections| {
         let projections = projections.as_array();
@@ -154,6 +157,7 @@ pub(crate) fn fdk_backproject<'py>(
     angles: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let angles = arrays::angles(angles)?;
+    fits("volume", &scanner.0.grid.shape, 2 * size_of::<f64>())?;
     dispatch!(read_float::<Ix3>(filtered, "filtered", "[view, v, u]")?, |filtered| {
         let filtered = filtered.as_array();
         Ok(give(py, try_run(py, || classical::fdk::backproject(&scanner.0, &angles, filtered.view()))?))
@@ -204,6 +208,7 @@ pub(crate) fn fdk<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let (window, turn) = (word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?);
     let measured = measured(projections, angles)?;
+    fits("volume", &scanner.0.grid.shape, 2 * size_of::<f32>())?;
     Ok(give(py, try_run(py, || classical::fdk(&scanner.0, &measured, window, turn))?.values))
 }
 
@@ -243,9 +248,10 @@ macro_rules! in_precision {
     };
 }
 
-fn check_iterations(iterations: usize) -> PyResult<()> {
+/// Checks the number of iterations, and that the volumes of any method fit into memory: `tv` has twelve in its own precision.
+fn check_run(iterations: usize, scanner: &Scanner) -> PyResult<()> {
     if iterations > 0 {
-        return Ok(());
+        return fits("volumes of the method", &scanner.0.grid.shape, 12 * size_of::<f32>() + size_of::<f32>());
     }
     Err(wrong_value("iterations", 0, "at least 1", "give iterations=20"))
 }
@@ -371,7 +377,7 @@ pub(crate) fn os_sart<'py>(
     dtype: Option<&Bound<'py, PyAny>>,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_iterations(iterations)?;
+    check_run(iterations, scanner)?;
     let order = word("order", order, &ORDERS)?;
     let mut config = Config { iterations, seed, ..Config::of(Method::OsSart) };
     let algebraic =
@@ -442,7 +448,7 @@ pub(crate) fn asd_pocs<'py>(
     dtype: Option<&Bound<'py, PyAny>>,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_iterations(iterations)?;
+    check_run(iterations, scanner)?;
     let mut config = Config { iterations, density_unit: Auto::Fixed(unit), ..Config::of(Method::AsdPocs) };
     (config.algebraic.relaxation, config.algebraic.reduction) = (relaxation, reduction);
     config.asd_pocs = AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon };
@@ -484,7 +490,7 @@ pub(crate) fn cgls<'py>(
     dtype: Option<&Bound<'py, PyAny>>,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_iterations(iterations)?;
+    check_run(iterations, scanner)?;
     let (projector, measured) = (projector(scanner, rays)?, measured(projections, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, cgls, &projector, &measured, iterations, observe))
@@ -531,7 +537,7 @@ pub(crate) fn tv<'py>(
     dtype: Option<&Bound<'py, PyAny>>,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_iterations(iterations)?;
+    check_run(iterations, scanner)?;
     let mut config = Config { iterations, ..Config::of(Method::Tv) };
     config.tv = TvConfig { weight: Auto::Fixed(weight), tolerance, steps, ..config.tv };
     config.validate().map_err(raise)?;

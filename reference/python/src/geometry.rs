@@ -1,7 +1,7 @@
 //! Grids and scanners.
 
 use crate::arrays::{Axes, named, numbers, wrong_value};
-use crate::work::{raise, try_run};
+use crate::work::{fits, raise, try_run};
 use glam::DVec3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -78,7 +78,8 @@ impl Grid {
             let remedy = "give at least one voxel on each axis";
             return Err(wrong_value("shape", format!("{shape:?}"), "at least one voxel on each axis", remedy));
         }
-        Ok(Self(self.0.block(start, shape)))
+        let block = self.0.block(start, shape);
+        scene::Grid::new(block.shape, block.min, block.max()).map(|_| Self(block)).map_err(raise)
     }
 
     fn __reduce__(slf: &Bound<'_, Self>) -> (Py<PyAny>, Corners) {
@@ -274,8 +275,10 @@ impl Scanner {
     ///     Radians.
     #[staticmethod]
     #[pyo3(signature = (views, start = 0.0, span = std::f64::consts::TAU))]
-    fn uniform_angles(views: usize, start: f64, span: f64) -> Vec<f64> {
-        scene::Scanner::uniform_angles(views, start, span)
+    fn uniform_angles(views: usize, start: f64, span: f64) -> PyResult<Vec<f64>> {
+        // As numbers, and as objects of Python with their places in the list.
+        fits("angles", &[views], 40)?;
+        Ok(scene::Scanner::uniform_angles(views, start, span))
     }
 
     /// "cone" or "parallel".

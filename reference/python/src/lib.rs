@@ -51,5 +51,5 @@ mod _core {
         Reconstruction, Scan, load_scan, load_volume, phantoms, reconstruct, save_volume, simulate_scan,
     };
     #[pymodule_export]
-    use crate::work::{build, cpu_level, is_fast, set_threads, threads};
+    use crate::work::{build, cpu_level, is_fast, set_max_memory, set_threads, threads};
 }

@@ -2,7 +2,7 @@
 
 use crate::arrays::{Float, Number, check_shape, dispatch, give, named, read, read_float, slice, wrong_value};
 use crate::geometry::grid_of;
-use crate::work::{run, try_run};
+use crate::work::{fits, run, try_run};
 use ndarray::{Array3, Ix2, Ix3, Ix4};
 use numpy::{Element, PyReadonlyArray, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -175,6 +175,14 @@ pub(crate) fn total_variation<'py>(py: Python<'py>, block: &Bound<'py, PyAny>) -
     })
 }
 
+/// Counts of neighbours are numbers of 16 bits.
+fn check_neighbours(neighbours: usize) -> PyResult<()> {
+    match u16::try_from(neighbours) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(wrong_value("neighbours", neighbours, "at most 65535", "give 8, for example")),
+    }
+}
+
 fn check_sides(what: &str, shape: &[usize], levels: usize) -> PyResult<()> {
     let even = |side: &usize| *side > 0 && side.trailing_zeros() as usize >= levels;
     if levels > 0 && shape.iter().all(even) {
@@ -298,6 +306,8 @@ pub(crate) fn wavelet_routing<'py>(
     threshold: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
     let grid = grid_of(grid)?;
+    check_neighbours(neighbours)?;
+    fits("counts", &grid.shape, 2 * size_of::<u16>())?;
     let means = read::<f64, Ix2>(means, "means", "[M, 3]")?;
     let confidence = read::<f64, ndarray::Ix1>(confidence, "confidence", "[M]")?;
     let m = confidence.shape()[0];
@@ -350,6 +360,7 @@ pub(crate) fn wavelet_loss<'py>(
     enhance: f64,
     levels: usize,
 ) -> PyResult<Bound<'py, PyAny>> {
+    check_neighbours(neighbours)?;
     let high = read::<u16, Ix3>(high, "high", "[x, y, z]")?;
     let most = slice(&high).iter().copied().max().unwrap_or(0);
     if neighbours == 0 || usize::from(most) > neighbours {

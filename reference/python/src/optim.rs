@@ -3,7 +3,7 @@
 use crate::arrays::{check_shape, give, named, numbers, read, slice, word, wrong_type, wrong_value};
 use crate::geometry::corner;
 use crate::model::Model;
-use crate::work::{raise, run};
+use crate::work::{fits, raise, run};
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Ix1, Ix2, Ix3, IxDyn};
 use numpy::{PyArray, PyArrayMethods, PyReadwriteArray, PyUntypedArrayMethods};
@@ -59,8 +59,9 @@ impl Adam {
 impl Adam {
     #[new]
     #[pyo3(signature = (n, beta = (0.9, 0.999), epsilon = 1e-15))]
-    fn new(n: usize, beta: (f64, f64), epsilon: f64) -> Self {
-        Self { state: optim::Adam::new(n, beta.into(), epsilon), n }
+    fn new(n: usize, beta: (f64, f64), epsilon: f64) -> PyResult<Self> {
+        fits("moments", &[n, 2], size_of::<f64>())?;
+        Ok(Self { state: optim::Adam::new(n, beta.into(), epsilon), n })
     }
 
     /// Moves parameters by rate·m̂/(√v̂ + ε) against the gradient, in place.
@@ -147,6 +148,7 @@ impl Adam {
         if let Some(bad) = rows.iter().flatten().find(|row| **row >= old) {
             return Err(wrong_value("rows", bad, &format!("rows below {old}"), "give rows of the old population"));
         }
+        fits("moments", &[rows.len(), width, 2], size_of::<f64>())?;
         self.state.remap_rows(width, &rows);
         self.n = rows.len() * width;
         Ok(())
@@ -168,8 +170,9 @@ pub(crate) struct Sghmc {
 #[pymethods]
 impl Sghmc {
     #[new]
-    fn new(m: usize) -> Self {
-        Self { state: optim::Sghmc::new(m), m }
+    fn new(m: usize) -> PyResult<Self> {
+        fits("momentum", &[m, 3], size_of::<f64>())?;
+        Ok(Self { state: optim::Sghmc::new(m), m })
     }
 
     /// Moves positions by one step, in place.
@@ -338,6 +341,9 @@ pub(crate) fn add_and_recycle<'py>(
     if let Some(bad) = uniform.iter().find(|draw| !(0.0..1.0).contains(*draw)) {
         return Err(wrong_value("uniform", bad, "numbers from 0 to below 1", "give np.random.default_rng().random(n)"));
     }
+    // A population with the copies, and twelve numbers of each primitive with their moments.
+    let copies = ((growth * model.0.len() as f64) as usize).min(cap.saturating_sub(model.0.len()));
+    fits("primitives", &[model.0.len().saturating_add(copies), 3 * 12], size_of::<f64>())?;
     let settings = ar::Settings { dead, recycled, growth, cap, relocation };
     let (next, taken) = run(py, || {
         let mut taken = 0;

@@ -4,7 +4,7 @@ use crate::arrays::wrong_value;
 use crate::arrays::{self, Number, check_shape, dispatch, give, give_parameters, precision, read_float, word};
 use crate::geometry::{Scanner, grid_of};
 use crate::model::Model;
-use crate::work::run;
+use crate::work::{fits, run};
 use ndarray::{Array2, Array3, Ix3};
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -81,6 +81,8 @@ fn project_in<'py, R: Number>(
     angles: &[f64],
     how: &Rays,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let detector = scanner.0.detector;
+    fits("projections", &[angles.len(), detector.rows, detector.columns], 2 * size_of::<R>())?;
     let images = run(py, || projector::forward::<R>(&model.0, &scanner.0, angles, how.projection, how.cutoff))?;
     Ok(give(py, images))
 }
@@ -225,6 +227,7 @@ pub(crate) fn support<'py>(
     cutoff: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
+    fits("extents", &[angles.len(), model.0.len(), 4], size_of::<f64>())?;
     let boxes = run(py, || {
         let field = Field::<f64>::new(&model.0, how.cutoff);
         let mut boxes = Array3::zeros((angles.len(), model.0.len(), 4));
@@ -266,6 +269,7 @@ pub(crate) fn truncation_bound<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
     let detector = scanner.0.detector;
+    fits("projections", &[angles.len(), detector.rows, detector.columns], size_of::<f64>())?;
     let bounds = run(py, || {
         let field = Field::<f64>::new(&model.0, how.cutoff);
         let mut bounds = Array3::zeros((angles.len(), detector.rows, detector.columns));
@@ -309,7 +313,10 @@ pub(crate) fn voxelize<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     check_cutoff(cutoff)?;
     let grid = grid_of(grid)?;
-    Ok(match precision(dtype)? {
+    let precision = precision(dtype)?;
+    // The volume, and its slices as they are computed.
+    fits("volume", &grid.shape, if precision == Precision::F32 { 2 * 4 } else { 2 * 8 })?;
+    Ok(match precision {
         Precision::F32 => give(py, run(py, || projector::voxelize::<f32>(&model.0, &grid, cutoff))?),
         Precision::F64 => give(py, run(py, || projector::voxelize::<f64>(&model.0, &grid, cutoff))?),
     })

@@ -16,6 +16,7 @@ use trgs::reconstruction::{self, Checkpoints, Progress};
 use trgs::scene::phantom::{PHANTOMS, Phantom};
 use trgs::scene::simulate::{self, Object, Plan};
 use trgs::scene::{Frame, Noise, Unit, plausibility, volume_file};
+use trgs::words::visible;
 use trgs::{Config, Dataset, Method, Projections, Run, Volume};
 
 /// Projections with their geometry, and the true volume if it is known.
@@ -281,7 +282,7 @@ pub(crate) fn load_scan(py: Python<'_>, path: PathBuf) -> PyResult<Scan> {
 
 /// Warns of unusual data.
 fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
-    let text = CString::new(text.replace('\0', " "))?;
+    let text = CString::new(visible(text))?;
     PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
 }
 

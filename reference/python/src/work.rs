@@ -1,8 +1,10 @@
 //! Computations without the GIL, errors as exceptions, and observers.
 
-use crate::arrays::named;
+use crate::arrays::{named, wrong_value};
 use pyo3::exceptions::PyValueError;
-use pyo3::exceptions::{PyArithmeticError, PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyRuntimeError};
+use pyo3::exceptions::{
+    PyArithmeticError, PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyRuntimeError,
+};
 use pyo3::prelude::*;
 use serde_json::Value;
 use std::hint::black_box;
@@ -10,7 +12,7 @@ use std::io::ErrorKind;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
-use trgs::Error;
+use trgs::{Error, limit};
 
 /// Time between two looks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(100);
@@ -59,9 +61,29 @@ pub(crate) fn raise(error: Error) -> PyErr {
         Error::Read { source, .. } if source.kind() == ErrorKind::NotFound => PyFileNotFoundError::new_err(message),
         Error::Read { .. } | Error::Write { .. } => PyOSError::new_err(message),
         Error::Format { .. } | Error::Invalid { .. } => PyValueError::new_err(message),
+        Error::Memory { .. } => PyMemoryError::new_err(message),
         Error::NonFinite { .. } => PyArithmeticError::new_err(message),
         Error::Interrupted { .. } => PyKeyboardInterrupt::new_err(message),
     }
+}
+
+/// Rejects an array of a shape that does not fit into memory, before it is allocated.
+pub(crate) fn fits(what: &str, shape: &[usize], bytes: usize) -> PyResult<()> {
+    limit::allow_array(what, shape, bytes).map_err(raise)
+}
+
+/// Sets the largest memory that a call may ask for.
+///
+/// A call that needs more, by the sizes in a file or by its arguments, raises `MemoryError` before it allocates.
+///
+/// Parameters
+/// ----------
+/// size : int or None
+///     Bytes; None: three quarters of the machine's memory, as at the start.
+#[pyfunction]
+#[pyo3(signature = (size = None))]
+pub(crate) fn set_max_memory(size: Option<u64>) {
+    limit::set(size);
 }
 
 /// Sets the number of worker threads of this process.
@@ -77,9 +99,15 @@ pub(crate) fn raise(error: Error) -> PyErr {
 /// ------
 /// RuntimeError
 ///     When threads have been started already, by an earlier call or a computation.
+/// ValueError
+///     For more than 1024 threads.
 #[pyfunction]
 pub(crate) fn set_threads(n: usize) -> PyResult<()> {
     check_mode()?;
+    const MOST: usize = 1024;
+    if n > MOST {
+        return Err(wrong_value("threads", n, "at most 1024", "give 0 for one per core"));
+    }
     rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|error| {
         PyRuntimeError::new_err(format!(
             "threads: got {n} ({error}), expected a call before the first computation; call trgs.set_threads right after \

@@ -43,7 +43,7 @@ R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .
 folder, written as a folder in scene units.
 
 A stack of projections (.npy or .npz [view, v, u], a folder of .npy, or any format of volumes with z the view, y = v, \
-x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension, ends with / or is a folder. Intensities I become line integrals p = -ln((I - D)/(F - D)) \
+x = u; a folder of images has one view per file) becomes a scan if OUT is a name without an extension. Intensities I become line integrals p = -ln((I - D)/(F - D)) \
 with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam, \
 detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or \
 evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose \
@@ -127,14 +127,11 @@ impl Convert {
             (Some(flag), _) if source != Kind::Stack => {
                 return refuse(
                     flag,
-                    "a stack of projections to read and a folder to write: OUT without an extension, or with / at its end",
+                    "a stack of projections to read and a folder to write, a name without an extension",
                 );
             }
             (_, Some(flag)) if out != Kind::Scan => {
-                return refuse(
-                    flag,
-                    "a scan to choose views of, and a folder to write: OUT without an extension, or with / at its end",
-                );
+                return refuse(flag, "a scan to choose views of, and a folder to write, a name without an extension");
             }
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");

@@ -1,7 +1,6 @@
 //! Flags of `trgs convert` for measured scans: fewer views, and a pseudo truth.
 
 use crate::cli::arguments::seed;
-use crate::cli::check_size;
 use clap::Args;
 use trgs::classical::with_pseudo_truth;
 use trgs::scene::Dataset;
@@ -33,7 +32,6 @@ impl Protocol {
     /// Applies the flags to a scan. The pseudo truth uses all views, before any is dropped.
     pub(super) fn apply(&self, mut dataset: Dataset) -> Result<Dataset> {
         if self.pseudo_truth {
-            check_size("volume", &dataset.scanner.grid.shape)?;
             dataset = with_pseudo_truth(dataset).map_err(|error| match error {
                 Error::Invalid { what, got, expected, .. } => {
                     Error::invalid(what, got, expected, "omit --pseudo-truth: FDK makes no truth of this scan")

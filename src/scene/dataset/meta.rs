@@ -7,6 +7,7 @@ use crate::output::write_atomically;
 use crate::scene::frame::{Frame, FrameMeta};
 use crate::scene::geometry::{Beam, Detector, Grid, Pose, Scanner};
 use crate::scene::noise::{Attenuation, Noise};
+use crate::words::utf8;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -189,6 +190,7 @@ impl Meta {
 
     /// Parses the file's content; `path` names it in errors.
     pub(super) fn parse(text: &[u8], path: &Path) -> Result<Self> {
+        let text = &*utf8(text);
         let parsed = serde_json::from_slice(text).and_then(|meta| Ok((meta, serde_json::from_slice(text)?)));
         let (mut meta, value): (Self, Value) = parsed.map_err(|error| {
             Error::format(

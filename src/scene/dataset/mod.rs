@@ -47,6 +47,7 @@ use super::geometry::{Beam, Pose, Scanner, Trajectory};
 use super::noise::Noise;
 use super::npy;
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::output::{Destination, Kind, create_folder, stage_folder};
 use crate::words::counted;
 use meta::{Meta, ScannerMeta, ViewMeta};
@@ -416,7 +417,9 @@ fn read_views(
         check_finite(&path, "projection", image.view())?;
         if values.is_empty() {
             // The first file has what the detector promised.
-            values.reserve_exact(views.len() * rows * columns);
+            let what = format!("{} of shape [{rows}, {columns}]", counted(views.len(), "view"));
+            let size = views.len().saturating_mul(rows * columns);
+            values = limit::room(what, size).map_err(|error| error.in_file(meta))?;
         }
         values.extend(image);
     }

@@ -9,6 +9,7 @@ use super::pickle::{self, Array, Value};
 use super::poses::Motion;
 use super::{Dataset, check_finite, look_like_degrees};
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::scene::arrays::{Projections, Volume};
 use crate::scene::frame::{Frame, Unit};
 use crate::scene::geometry::{Scanner, Trajectory};
@@ -29,7 +30,10 @@ pub(super) fn is_pickle(path: &Path) -> bool {
 
 /// Reads a scan from a pickle.
 pub(super) fn read(path: &Path) -> Result<Dataset> {
-    parse(&crate::input::read(path).map_err(|source| Error::read(path, source))?, path)
+    let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
+    // The bytes, their numbers in double precision, and the scan.
+    limit::allow("pickle", 5 * content.len() as u64).map_err(|error| error.in_file(path))?;
+    parse(&content, path)
 }
 
 /// Reads a scan from the content of a pickle.

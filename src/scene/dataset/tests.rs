@@ -293,3 +293,15 @@ fn missing_wrong_and_damaged_files_are_errors_that_name_the_file() {
     let nowhere = Dataset::read(Path::new("/nowhere/at/all")).unwrap_err();
     assert!(matches!(nowhere, Error::Read { .. }), "{nowhere}");
 }
+
+#[test]
+fn a_description_that_windows_wrote_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    sample().write(&folder.path().join("scan")).unwrap();
+    let text = std::fs::read_to_string(folder.path().join("scan/meta_data.json")).unwrap();
+    let plain = Description::parse(text.as_bytes(), Path::new("meta_data.json")).unwrap();
+    let wide: Vec<u8> = format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for content in [format!("\u{feff}{text}").into_bytes(), wide] {
+        assert_eq!(Description::parse(&content, Path::new("meta_data.json")).unwrap(), plain);
+    }
+}

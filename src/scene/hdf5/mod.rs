@@ -17,6 +17,8 @@ use super::array_path;
 use super::npy::{self, Numbers};
 use super::volume_file::{VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
+use crate::limit;
+use crate::words::quoted;
 use hdf5_reader::group::Group;
 use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
@@ -151,10 +153,9 @@ impl Hdf5 {
     /// A remark on a search that did not reach all groups.
     pub fn limit(&self) -> Option<String> {
         let (limit, group) = self.ended.as_ref()?;
-        let path = self.path.display();
+        let name = quoted(&format!("{}:/path/of/array", self.path.display()));
         Some(format!(
-            "the search for arrays ended {limit}, before {group}: others may follow; name the array to read, as in \
-             {path}:/path/of/array"
+            "the search for arrays ended {limit}, before {group}: others may follow; name the array to read, as in {name}"
         ))
     }
 
@@ -216,7 +217,8 @@ impl Hdf5 {
             _ => {
                 let expected = "one array with three axes, or a name";
                 let name = with_axes.first().map_or("/group/name", |entry| &entry.name);
-                let remedy = format!("name the array: {}:{}", self.path.display(), shorter(name));
+                let remedy =
+                    format!("name the array: {}", quoted(&format!("{}:{}", self.path.display(), shorter(name))));
                 Err(Error::format(&self.path, "arrays", self.list_all(), expected, remedy))
             }
         }
@@ -246,6 +248,10 @@ impl Hdf5 {
             Datatype::FloatingPoint { size, .. } => (*size, true, true),
             _ => (0, false, false),
         };
+        // As stored, and as f32 or f64.
+        let what = format!("array {}", shorter(&entry.name));
+        limit::allow_array(what, &entry.shape, size as usize + size_of::<f64>())
+            .map_err(|error| error.in_file(&self.path))?;
         let single = |values: ArrayD<f32>| Ok(Numbers::F32(values));
         let double = |values: ArrayD<f64>| Ok(Numbers::F64(values));
         match (size, signed, floating) {

@@ -30,6 +30,7 @@ pub use range::full_scale;
 
 use super::arrays::check_finite;
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::numeric::elementary::log;
 use crate::numeric::{reduce, threads};
 use crate::setting::Setting;
@@ -135,6 +136,8 @@ impl Correction {
     /// `frames_by_themselves_lose_what_no_ray_of_theirs_misses`, `drift_is_taken_out_by_air`.
     pub fn apply(&self, readings: &Array3<f32>) -> Result<Corrected> {
         self.check(readings)?;
+        // The readings and the line integrals.
+        limit::allow_array("readings", readings.shape(), 2 * size_of::<f32>())?;
         let (views, rows, columns) = readings.dim();
         let dark: Vec<f64> = match &self.dark {
             Some(dark) => dark.iter().copied().collect(),

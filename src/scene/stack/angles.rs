@@ -1,8 +1,9 @@
 //! The angles of a stack: a NumPy array, a list, or a table with a header.
 
-use super::super::{npy, volume_file::without_bom};
+use super::super::npy;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
+use crate::words::utf8;
 use ndarray::Ix1;
 use std::path::Path;
 
@@ -50,7 +51,8 @@ pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
 /// # Errors
 /// [`Error::Format`] for the first word that is not a finite number, and for a header without one column of angles.
 pub fn parse_angles(text: &[u8], path: &Path) -> Result<(Vec<f64>, Option<AngleUnit>)> {
-    let text = String::from_utf8_lossy(without_bom(text));
+    let text = utf8(text);
+    let text = String::from_utf8_lossy(&text);
     let content = |line: &'_ str| line.split('#').next().unwrap_or_default().trim().to_owned();
     let lines: Vec<(usize, String)> =
         text.lines().enumerate().map(|(i, line)| (i + 1, content(line))).filter(|(_, line)| !line.is_empty()).collect();

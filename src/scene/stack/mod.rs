@@ -27,6 +27,7 @@ use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::words::counted;
 use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
@@ -87,6 +88,7 @@ fn read_frames(paths: &[&Path]) -> Result<Array3<f32>> {
         let frame = npy::read_f32::<Ix2>(path, "[v, u]")?;
         if view == 0 {
             shape = frame.dim();
+            values = limit::room(format!("{} frames of shape {shape:?}", paths.len()), paths.len() * frame.len())?;
         }
         if frame.dim() != shape {
             let expected = format!("{shape:?}, that of the first file");

@@ -13,6 +13,7 @@
 use crate::error::{Error, Result};
 use crate::numeric::elementary::{cos, sin};
 use crate::scene::geometry::Pose;
+use crate::words::utf8;
 use glam::DVec3;
 use std::path::Path;
 
@@ -50,7 +51,7 @@ impl RtkGeometry {
     /// [`Error::Read`], or [`Error::Format`] for content that is no such geometry or has no meaning here.
     pub fn read(path: &Path) -> Result<Self> {
         let text = crate::input::read(path).map_err(|source| Error::read(path, source))?;
-        Self::parse(&String::from_utf8_lossy(&text)).map_err(|error| error.in_file(path))
+        Self::parse(&String::from_utf8_lossy(&utf8(&text))).map_err(|error| error.in_file(path))
     }
 
     /// Parses the content of a file.
@@ -58,6 +59,10 @@ impl RtkGeometry {
     /// # Errors
     /// [`Error::Invalid`] as for [`Self::read`].
     pub fn parse(text: &str) -> Result<Self> {
+        // RTK states none, and a few lines of them expand to any amount of text.
+        if text.contains("<!ENTITY") {
+            return Err(wrong("geometry", "entities", "an XML file of RTK, which states none"));
+        }
         let options = roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() };
         let document = roxmltree::Document::parse_with_options(text, options)
             .map_err(|error| wrong("geometry", error, "an XML file of RTK"))?;

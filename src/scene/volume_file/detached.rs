@@ -1,11 +1,13 @@
 //! Numbers in files that a header names: one file, a list of files, or a numbered pattern.
 
-use super::damaged;
 use super::elements::{Layout, Voxels};
 use super::header::shown;
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::words::counted;
-use ndarray::{Axis, concatenate};
+use ndarray::Array3;
+use std::collections::BTreeSet;
+use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 /// Where a header says that its numbers are.
@@ -13,7 +15,58 @@ pub(super) enum Source {
     /// After the header, from a position on.
     Here(usize),
     /// In files beside the header, each with the same number of slices.
-    Files(Vec<String>),
+    Files(Names),
+}
+
+/// Names of files. Those of a pattern are made one by one: a header may state any number of them.
+pub(super) enum Names {
+    Listed(Vec<String>),
+    Numbered(Pattern),
+}
+
+/// A name with a number.
+pub(super) struct Pattern {
+    before: String,
+    after: String,
+    first: i64,
+    step: i64,
+    count: usize,
+    /// Digits at least, and whether zeros fill them up.
+    digits: usize,
+    has_zeros: bool,
+}
+
+impl Names {
+    fn count(&self) -> usize {
+        match self {
+            Self::Listed(names) => names.len(),
+            Self::Numbered(pattern) => pattern.count,
+        }
+    }
+
+    /// Rejects a list that names a file twice: a short one would make a large volume of a small file.
+    fn check(&self, header: &Path, key: &str) -> Result<()> {
+        let Self::Listed(names) = self else { return Ok(()) };
+        let mut known = BTreeSet::new();
+        for name in names {
+            if !known.insert(beside(header, key, name)?) {
+                let got = format!("{} twice", shown(name));
+                return Err(Error::format(header, key, got, "different files", "list each file once"));
+            }
+        }
+        Ok(())
+    }
+
+    fn name(&self, i: usize) -> String {
+        match self {
+            Self::Listed(names) => names[i].clone(),
+            Self::Numbered(Pattern { before, after, first, step, digits, has_zeros, .. }) => {
+                let (number, digits) = (first + i as i64 * step, *digits);
+                let number = if *has_zeros { format!("{number:0digits$}") } else { format!("{number:digits$}") };
+                format!("{before}{number}{after}")
+            }
+        }
+    }
 }
 
 impl Source {
@@ -25,7 +78,7 @@ impl Source {
             let names: Vec<String> =
                 rest.lines().map(str::trim).filter(|line| !line.is_empty()).map(Into::into).collect();
             return if (1..=slices).contains(&names.len()) {
-                Ok(Self::Files(names))
+                Ok(Self::Files(Names::Listed(names)))
             } else {
                 let remedy = "list one name in each line after the header";
                 let expected = format!("1 to {slices} names of files, for {}", counted(slices, "slice"));
@@ -35,13 +88,13 @@ impl Source {
         let pattern: Vec<&str> = value.split_whitespace().collect();
         match (pattern.as_slice(), value.contains('%')) {
             ([name, first, last, step @ ..], true) => {
-                let names = numbered(name, first, last, step.first().unwrap_or(&"1"), slices).ok_or_else(|| {
+                let pattern = numbered(name, first, last, step.first().unwrap_or(&"1"), slices).ok_or_else(|| {
                     let expected = format!("a pattern such as slice%03d.raw 1 {slices} 1, for {slices} slices");
                     Error::format(header, key, shown(value), expected, "correct the pattern, or list the names")
                 })?;
-                Ok(Self::Files(names))
+                Ok(Self::Files(Names::Numbered(pattern)))
             }
-            _ => Ok(Self::Files(vec![value.to_owned()])),
+            _ => Ok(Self::Files(Names::Listed(vec![value.to_owned()]))),
         }
     }
 
@@ -58,35 +111,45 @@ impl Source {
         let names = match self {
             Self::Here(at) => {
                 let bytes = skip(content.get(*at..).unwrap_or_default(), header)?;
-                return layout.read(bytes, means).map_err(|found| damaged(header, &found));
+                return layout.read(bytes, means).map_err(|found| found.of(header));
             }
             Self::Files(names) => names,
         };
-        let [x, y, z] = layout.shape;
-        if z % names.len() != 0 {
+        let ([x, y, z], count) = (layout.shape, names.count());
+        if z % count != 0 {
             let expected = format!("a number of files that divides {z}, the number of slices");
             let remedy = "list one file for each slice";
-            return Err(Error::format(header, key, counted(names.len(), "file"), expected, remedy));
+            return Err(Error::format(header, key, counted(count, "file"), expected, remedy));
         }
-        let layout = Layout { shape: [x, y, z / names.len()], ..layout };
-        let (mut parts, mut has_more) = (Vec::new(), false);
-        for name in names {
-            let (path, bytes) = beside(header, key, name)?;
-            let part = layout.read(skip(&bytes, &path)?, &means).map_err(|found| damaged(&path, &found))?;
+        names.check(header, key)?;
+        let layout = Layout { shape: [x, y, z / count], ..layout };
+        let (mut values, mut has_more) = (Vec::new(), false);
+        for i in 0..count {
+            let name = names.name(i);
+            let path = beside(header, key, &name)?;
+            let bytes = content_of(header, key, &name, &path)?;
+            let part = layout.read(skip(&bytes, &path)?, &means).map_err(|found| found.of(&path))?;
             has_more |= part.has_more;
-            parts.push(part.values.reversed_axes());
+            // The values of a part are in its order, x fastest.
+            let part = part.values.into_raw_vec_and_offset().0;
+            if count == 1 {
+                values = part;
+            } else {
+                if i == 0 {
+                    // The first file is as large as the header states: the others may be, too.
+                    let volume = format!("{key}: volume of {} voxels from {}", x * y * z, counted(count, "file"));
+                    values = limit::room(volume, part.len().saturating_mul(count)).map_err(|e| e.in_file(header))?;
+                }
+                values.extend(part);
+            }
         }
-        if let [_] = parts.as_slice() {
-            return Ok(Voxels { values: parts.remove(0).reversed_axes(), has_more });
-        }
-        let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
-        let values = concatenate(Axis(0), &views).expect("all parts have one shape");
+        let values = Array3::from_shape_vec((z, y, x), values).expect("all parts have one shape");
         Ok(Voxels { values: values.reversed_axes(), has_more })
     }
 }
 
-/// The names of a pattern with one `%d`, `%3d` or `%03d`, at most `most`.
-fn numbered(pattern: &str, first: &str, last: &str, step: &str, most: usize) -> Option<Vec<String>> {
+/// A pattern with one `%d`, `%3d` or `%03d`, for at most `most` names.
+fn numbered(pattern: &str, first: &str, last: &str, step: &str, most: usize) -> Option<Pattern> {
     let (before, rest) = pattern.split_once('%')?;
     let (width, after) = rest.split_once('d')?;
     let (first, last, step): (i64, i64, i64) = (first.parse().ok()?, last.parse().ok()?, step.parse().ok()?);
@@ -96,18 +159,14 @@ fn numbered(pattern: &str, first: &str, last: &str, step: &str, most: usize) -> 
     if digits > 20 || after.contains('%') {
         return None;
     }
-    let name = |i: i64| {
-        let number = first + i * step;
-        let number = if width.starts_with('0') { format!("{number:0digits$}") } else { format!("{number:digits$}") };
-        format!("{before}{number}{after}")
-    };
-    Some((0..count as i64).map(name).collect())
+    let has_zeros = width.starts_with('0');
+    Some(Pattern { before: before.into(), after: after.into(), first, step, count, digits, has_zeros })
 }
 
-/// Path and content of a file that a header names.
+/// Path of a file that a header names.
 ///
 /// It must be in the header's folder or below it: a header must not read files elsewhere.
-fn beside(header: &Path, key: &str, name: &str) -> Result<(PathBuf, Vec<u8>)> {
+fn beside(header: &Path, key: &str, name: &str) -> Result<PathBuf> {
     // Headers made on Windows separate folders by backslashes.
     let parts: Vec<_> = name.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".").collect();
     let relative: PathBuf = parts.iter().collect();
@@ -118,19 +177,17 @@ fn beside(header: &Path, key: &str, name: &str) -> Result<(PathBuf, Vec<u8>)> {
         let remedy = "move the file into this folder, and write its name without a path";
         return Err(Error::format(header, key, shown(name), expected, remedy));
     }
-    let path = header.with_file_name(relative);
-    match crate::input::read(&path) {
-        Ok(content) => Ok((path, content)),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+    Ok(header.with_file_name(relative))
+}
+
+/// Content of a file that a header names.
+fn content_of(header: &Path, key: &str, name: &str, path: &Path) -> Result<Vec<u8>> {
+    crate::input::read(path).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => {
             let remedy = "put the file there, or correct its name in the header";
-            Err(Error::format(
-                header,
-                key,
-                format!("{}, which does not exist", shown(name)),
-                "a file that exists",
-                remedy,
-            ))
+            let got = format!("{}, which does not exist", shown(name));
+            Error::format(header, key, got, "a file that exists", remedy)
         }
-        Err(error) => Err(Error::read(&path, error)),
-    }
+        _ => Error::read(path, error),
+    })
 }

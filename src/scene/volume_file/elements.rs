@@ -1,10 +1,14 @@
 //! Conversion between bytes and arrays of numbers.
 
+use super::damaged;
 use super::header::{lossy, shown};
+use crate::error::Error;
+use crate::limit;
 use bzip2::read::MultiBzDecoder;
 use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use ndarray::Array3;
 use std::io::Read;
+use std::path::Path;
 
 /// Largest expansion of a byte of deflated data.
 pub(super) const MOST_INFLATION: usize = 1032;
@@ -61,6 +65,42 @@ pub(super) struct Layout {
     /// `[x, y, z]`.
     pub(super) shape: [usize; 3],
     pub(super) start: Start,
+}
+
+/// Why bytes are not read.
+pub(super) enum Defect {
+    /// They are not what their header states.
+    Damage(String),
+    /// They need more memory than the limit.
+    Memory(Error),
+}
+
+impl From<String> for Defect {
+    fn from(found: String) -> Self {
+        Self::Damage(found)
+    }
+}
+
+impl From<&str> for Defect {
+    fn from(found: &str) -> Self {
+        Self::Damage(found.into())
+    }
+}
+
+impl From<Error> for Defect {
+    fn from(error: Error) -> Self {
+        Self::Memory(error)
+    }
+}
+
+impl Defect {
+    /// The error about a file.
+    pub(super) fn of(self, path: &Path) -> Error {
+        match self {
+            Self::Damage(found) => damaged(path, &found),
+            Self::Memory(error) => error.in_file(path),
+        }
+    }
 }
 
 /// A volume `[x, y, z]` with x fastest in memory.
@@ -133,8 +173,8 @@ impl Element {
 impl Layout {
     /// The volume in the bytes of a file, or an error message.
     ///
-    /// `means` maps a stored number to its value. Memory is bounded by what the bytes can expand to.
-    pub(super) fn read(&self, bytes: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, String> {
+    /// `means` maps a stored number to its value. Memory is bounded by what the bytes can expand to, and by the limit.
+    pub(super) fn read(&self, bytes: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, Defect> {
         let (shape, encoding) = (self.shape, self.encoding);
         let size = self.element.size(shape)?;
         let (skip, at_end) = match self.start {
@@ -148,7 +188,7 @@ impl Layout {
             Encoding::Bzip2 => MOST_BZIP2,
         };
         if encoding == Encoding::Text {
-            return self.read_text(bytes.get(skip..).unwrap_or_default(), means);
+            return Ok(self.read_text(bytes.get(skip..).unwrap_or_default(), means)?);
         }
         let describe = |count: usize| {
             let after = if skip > 0 { format!(" after the first {skip}") } else { String::new() };
@@ -156,8 +196,10 @@ impl Layout {
         };
         if total / expansion > bytes.len() {
             let kind = if expansion > 1 { "compressed " } else { "" };
-            return Err(format!("{} {kind}bytes for shape {shape:?}", bytes.len()));
+            return Err(format!("{} {kind}bytes for shape {shape:?}", bytes.len()).into());
         }
+        let unpacked = if expansion > 1 { total } else { 0 };
+        limit::allow(format!("volume of shape {shape:?}"), self.memory(bytes.len().saturating_add(unpacked)))?;
         // A byte more shows whether there are more.
         let limit = total.saturating_add(1);
         let unpacked = match encoding {
@@ -172,10 +214,16 @@ impl Layout {
         let skip = if at_end { bytes.len().saturating_sub(size) } else { skip };
         let numbers = bytes.get(skip..).unwrap_or_default();
         if numbers.len() < size {
-            return Err(describe(numbers.len()));
+            return Err(describe(numbers.len()).into());
         }
         let values = self.element.numbers(&numbers[..size], means);
         Ok(Voxels { values: with_x_fastest(values, shape), has_more: numbers.len() > size })
+    }
+
+    /// Memory for the values, their copy in another order, and the bytes they are read from.
+    fn memory(&self, bytes: usize) -> u64 {
+        let voxels = self.shape.iter().fold(2 * size_of::<f32>() as u64, |size, &n| size.saturating_mul(n as u64));
+        voxels.saturating_add(bytes as u64)
     }
 
     fn read_text(&self, text: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, String> {

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 const BOM: &[u8] = b"\xef\xbb\xbf";
 
 /// The content without a byte-order mark at its beginning.
-pub(in crate::scene) fn without_bom(content: &[u8]) -> &[u8] {
+pub(super) fn without_bom(content: &[u8]) -> &[u8] {
     content.strip_prefix(BOM).unwrap_or(content)
 }
 

@@ -4,6 +4,7 @@ use super::header::shown;
 use super::pages::Pages;
 use super::{VolumeFile, damaged, unsupported};
 use crate::error::Result;
+use crate::limit;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::Cursor;
 use std::path::Path;
@@ -14,8 +15,9 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Largest expansion of a compressed byte of PNG.
 const MOST_INFLATION: usize = 1032;
-/// Largest number of pixels for a byte of JPEG: an end-of-block run covers 32767 blocks of 64 pixels in three bytes.
-const MOST_PIXELS: usize = 700_000;
+/// Largest number of pixels for a byte of a whole JPEG: each block of 64 pixels has a code of its own for its mean, of a
+/// bit at least. Runs without codes follow only in later scans.
+const MOST_PIXELS: usize = 8 * 64;
 /// Remedy for images of colours.
 const TO_GREY: &str = "convert it to grey, for example with ImageMagick: magick IN -colorspace Gray OUT.tif";
 
@@ -55,6 +57,8 @@ fn png(content: &[u8], path: &Path, pages: &mut Pages) -> Result<()> {
     let size = reader.output_buffer_size().filter(|size| *size <= bytes);
     let size =
         size.ok_or_else(|| damaged(path, &format!("{rows} rows and {columns} columns in {} bytes", content.len())))?;
+    // The image as stored, and its numbers.
+    limit::allow("image", 3 * size as u64).map_err(|error| error.in_file(path))?;
     let mut buffer = vec![0; size];
     let frame = reader.next_frame(&mut buffer).map_err(broken)?;
     buffer.truncate(frame.buffer_size());
@@ -74,9 +78,14 @@ fn jpeg(content: &[u8], path: &Path, pages: &mut Pages) -> Result<()> {
     decoder.decode_headers().map_err(|error| broken(error.to_string()))?;
     let Some((columns, rows)) = decoder.dimensions() else { return Err(broken("no size".into())) };
     if rows.saturating_mul(columns) / MOST_PIXELS > content.len() {
-        return Err(damaged(path, &format!("{rows} rows and {columns} columns in {} bytes", content.len())));
+        let most = content.len().saturating_mul(MOST_PIXELS);
+        let found =
+            format!("{rows} rows and {columns} columns in {} bytes, which hold {most} pixels at most", content.len());
+        return Err(damaged(path, &found));
     }
     pages.check(rows, columns, path)?;
+    // Coefficients, three colours, and their numbers.
+    limit::allow("image", 16 * (rows * columns) as u64).map_err(|error| error.in_file(path))?;
     let is_grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let (space, channels) = if is_grey { (ColorSpace::Luma, 1) } else { (ColorSpace::RGB, 3) };
     decoder.set_options(DecoderOptions::default().set_strict_mode(true).jpeg_set_out_colorspace(space));

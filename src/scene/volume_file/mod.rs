@@ -53,7 +53,6 @@ mod raw;
 mod tiff;
 
 pub(super) use folder::{GAP, SLICES, files, with_extension};
-pub(super) use header::without_bom;
 pub use npy_side::NpySide;
 pub use raw::SideFile;
 

@@ -1,10 +1,10 @@
 //! The place of a volume in a `.npy`, which states none itself.
 
-use super::header::without_bom;
 use super::{STRAIGHT, VolumeFile};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use crate::scene::frame::Unit;
+use crate::words::utf8;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
@@ -70,7 +70,7 @@ impl NpySide {
     /// # Errors
     /// [`Error::Format`] for anything but the fields above.
     pub fn parse(text: &[u8], path: &Path) -> Result<Self> {
-        serde_json::from_slice(without_bom(text)).map_err(|error| wrong(path, error.to_string()))
+        serde_json::from_slice(&utf8(text)).map_err(|error| wrong(path, error.to_string()))
     }
 
     fn of(&self, volume: VolumeFile, path: &Path) -> Result<VolumeFile> {

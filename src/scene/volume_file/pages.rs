@@ -2,6 +2,7 @@
 
 use super::{VolumeFile, damaged};
 use crate::error::{Error, Result};
+use crate::limit;
 use glam::DVec3;
 use ndarray::Array3;
 use std::path::Path;
@@ -23,7 +24,8 @@ impl Pages {
     /// Checks the size of the next page.
     ///
     /// # Errors
-    /// [`Error::Format`] for another size than that of the pages before, and for a page without pixels.
+    /// [`Error::Format`] for another size than that of the pages before, and for a page without pixels;
+    /// [`Error::Memory`] when all pages together are too large.
     pub(super) fn check(&mut self, rows: usize, columns: usize, path: &Path) -> Result<()> {
         if self.count == 0 {
             self.shape = (rows, columns);
@@ -38,7 +40,10 @@ impl Pages {
             let remedy = "take out the page, or crop all to one size";
             return Err(Error::format(path, "page", got, "pages of equal size", remedy));
         }
-        Ok(())
+        // The values, and their copy in another order.
+        let pixels = (self.values.len() as u64).saturating_add((rows as u64).saturating_mul(columns as u64));
+        let what = format!("pages of {rows} rows and {columns} columns, {} of them", self.count + 1);
+        limit::allow(what, pixels.saturating_mul(2 * size_of::<f32>() as u64)).map_err(|error| error.in_file(path))
     }
 
     /// Adds the values of a checked page, or of several at once.

@@ -1,10 +1,10 @@
 //! Raw numbers, described by the file's name or by a side file.
 
 use super::elements::{Element, Encoding, Layout, Number, Start};
-use super::header::without_bom;
 use super::{VolumeFile, damaged};
 use crate::error::{Error, Result};
 use crate::scene::frame::Unit;
+use crate::words::utf8;
 use glam::DVec3;
 use serde::Deserialize;
 use std::io::ErrorKind;
@@ -59,7 +59,7 @@ impl SideFile {
                             origin, unit, skip_bytes";
             Error::format(path, "side file", got, expected, "compare it with the one in `trgs help convert`")
         };
-        let side: Self = serde_json::from_slice(without_bom(text)).map_err(|error| wrong(error.to_string()))?;
+        let side: Self = serde_json::from_slice(&utf8(text)).map_err(|error| wrong(error.to_string()))?;
         if Number::named(&side.kind).is_none() {
             return Err(wrong(format!("type {:?}", side.kind)));
         }
@@ -110,7 +110,7 @@ fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path
         return Err(Error::format(path, "volume", got, format!("{size} bytes for shape {shape:?}"), remedy));
     }
     let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(0) };
-    let voxels = layout.read(numbers, |x| x).map_err(|found| damaged(path, &found))?;
+    let voxels = layout.read(numbers, |x| x).map_err(|found| found.of(path))?;
     Ok(VolumeFile::bare(voxels.values))
 }
 

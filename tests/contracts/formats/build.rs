@@ -127,6 +127,7 @@ pub(crate) fn nifti_2(big_endian: bool) -> Vec<u8> {
 pub(crate) enum Tag {
     Short(u16),
     Long(u32),
+    Longs(Vec<u32>),
     Fraction(u32, u32),
     Text(&'static str),
 }
@@ -168,6 +169,7 @@ pub(crate) fn tiff(data: &[u8], pages: &[Vec<(u16, Tag)>]) -> Vec<u8> {
             let (kind, count, mut content) = match values {
                 Tag::Short(value) => (3_u16, 1, value.to_le_bytes().to_vec()),
                 Tag::Long(value) => (4, 1, value.to_le_bytes().to_vec()),
+                Tag::Longs(values) => (4, values.len(), values.iter().flat_map(|value| value.to_le_bytes()).collect()),
                 Tag::Fraction(above, below) => (5, 1, [above.to_le_bytes(), below.to_le_bytes()].concat()),
                 Tag::Text(text) => (2, text.len() + 1, [text.as_bytes(), b"\0"].concat()),
             };

@@ -6,6 +6,7 @@
 use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::{Tag, VR};
 use dicom_object::StandardDataDictionary;
+use std::borrow::Cow;
 
 /// The bytes after the 128-byte preamble.
 pub(super) const MARK: &[u8] = b"DICM";
@@ -32,6 +33,25 @@ impl<T: Into<String>> From<T> for Defect {
     fn from(found: T) -> Self {
         Self::Damage(found.into())
     }
+}
+
+/// The file with the length of its own group, which some writers leave out and the library requires.
+pub(super) fn with_group_length(content: &[u8]) -> Cow<'_, [u8]> {
+    const OWN: [u8; 2] = [2, 0];
+    let Some(rest) = content.get(128..).and_then(|rest| rest.strip_prefix(MARK)) else { return content.into() };
+    if !rest.starts_with(&OWN) || rest.get(2..4) == Some(&[0, 0]) {
+        return content.into();
+    }
+    let mut walk = Walk { rest, explicit: true };
+    while walk.rest.starts_with(&OWN) {
+        let length = walk.header().map(|(_, _, length)| length);
+        if length.and_then(|length| walk.take(length)).is_err() {
+            return content.into();
+        }
+    }
+    let length = (rest.len() - walk.rest.len()) as u32;
+    let element = [&OWN[..], &[0, 0], b"UL", &[4, 0], &length.to_le_bytes()].concat();
+    [&content[..128], MARK, &element, rest].concat().into()
 }
 
 /// Walks through a file and returns the first defect.

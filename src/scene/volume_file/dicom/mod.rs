@@ -15,6 +15,7 @@ mod lengths;
 
 use super::{VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
+use crate::limit;
 use dicom_core::header::HasLength;
 use dicom_object::mem::InMemElement;
 use dicom_object::{InMemDicomObject, Tag};
@@ -38,6 +39,7 @@ const SLICE_THICKNESS: Tag = Tag(0x0018, 0x0050);
 const SERIES: Tag = Tag(0x0020, 0x000E);
 const POSITION: Tag = Tag(0x0020, 0x0032);
 const ORIENTATION: Tag = Tag(0x0020, 0x0037);
+const PHOTOMETRIC: Tag = Tag(0x0028, 0x0004);
 const SAMPLES: Tag = Tag(0x0028, 0x0002);
 const FRAMES: Tag = Tag(0x0028, 0x0008);
 const ROWS: Tag = Tag(0x0028, 0x0010);
@@ -72,7 +74,12 @@ pub(super) fn read(folder: &Path, files: &[PathBuf]) -> Result<VolumeFile> {
     for path in files {
         let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
         match File::parse(&content, path)? {
-            File::Slices(found) => slices.extend(found),
+            File::Slices(found) => {
+                slices.extend(found);
+                // The slices, and the volume that is made of them.
+                let pixels: usize = slices.iter().map(|slice: &Slice| slice.values.len()).sum();
+                limit::allow("series", 2 * 4 * pixels as u64).map_err(|error| error.in_file(folder))?;
+            }
             File::Stack(stack) if files.len() == 1 => return Ok(*stack),
             File::Stack(_) => {
                 let got = "several frames without positions, beside other files";
@@ -102,6 +109,7 @@ enum File {
 
 impl File {
     fn parse(content: &[u8], path: &Path) -> Result<Self> {
+        let content = &*lengths::with_group_length(content);
         lengths::check(content).map_err(|defect| match defect {
             Defect::Damage(found) => damaged(path, &found),
             Defect::Syntax(syntax) => {
@@ -145,6 +153,7 @@ struct Slice {
     /// Unit vectors along a row and down a column.
     axes: [DVec3; 2],
     thickness: Option<f64>,
+    is_inverted: bool,
     values: Vec<f32>,
 }
 
@@ -173,6 +182,7 @@ impl Slice {
             position,
             axes,
             thickness: fields.optional(SLICE_THICKNESS)?,
+            is_inverted: pixels.is_inverted,
             values: pixels.values(fields)?,
         })
     }
@@ -290,6 +300,8 @@ struct Pixels<'a> {
     /// The highest of those.
     high: usize,
     is_signed: bool,
+    /// Whether the file states that the lowest number is white.
+    is_inverted: bool,
     bytes: Cow<'a, [u8]>,
 }
 
@@ -308,11 +320,14 @@ impl<'a> Pixels<'a> {
         let bytes =
             bytes.ok_or_else(|| fields.wrong("pixel data", "no uncompressed pixels", "uncompressed numbers"))?;
         let count = frames * shape.0 * shape.1;
-        if bytes.len() < count * bits / 8 {
+        if bytes.len() >= count * bits / 8 {
+            limit::allow("pixel data", 2 * 4 * count as u64).map_err(|error| error.in_file(fields.path))?;
+        } else {
             let got = format!("{} bytes", bytes.len());
             return Err(fields.wrong("pixel data", got, &format!("{count} numbers of {bits} bits")));
         }
-        Ok(Self { shape, bits, stored, high, is_signed, bytes })
+        let is_inverted = fields.text(PHOTOMETRIC)? == "MONOCHROME1";
+        Ok(Self { shape, bits, stored, high, is_signed, is_inverted, bytes })
     }
 
     /// The rescaled values of a frame, row by row.
@@ -336,6 +351,10 @@ impl<'a> Pixels<'a> {
 
 /// What is remarked on values of a computed tomography.
 const HOUNSFIELD: &str = "values are Hounsfield units, not attenuation: air is -1000";
+
+/// What is remarked on numbers of which the lowest is white. ITK subtracts them from the largest number instead.
+const INVERTED: &str = "it states MONOCHROME1, that the lowest number is white; its numbers are read as stored, while ITK \
+                        and programs built on it invert them";
 
 /// Frames without positions, in the order of the file.
 fn stack(fields: &Fields<'_>, frames: &[Fields<'_>], pixels: &Pixels<'_>) -> Result<VolumeFile> {
@@ -363,6 +382,9 @@ fn stack(fields: &Fields<'_>, frames: &[Fields<'_>], pixels: &Pixels<'_>) -> Res
     ));
     if fields.text(MODALITY)? == "CT" {
         volume.oddities.push(HOUNSFIELD.into());
+    }
+    if pixels.is_inverted {
+        volume.oddities.push(INVERTED.into());
     }
     Ok(volume)
 }
@@ -414,6 +436,9 @@ fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
     }
     if first.modality == "CT" {
         oddities.push(HOUNSFIELD.into());
+    }
+    if slices.iter().any(|slice| slice.is_inverted) {
+        oddities.push(INVERTED.into());
     }
     let [pitch_v, pitch_u] = first.pitch;
     let (spacing, origin) = (DVec3::new(pitch_u, pitch_v, gap), first.position);

@@ -304,3 +304,33 @@ fn lengths_are_compared_with_what_is_there() {
         }
     }
 }
+
+#[test]
+fn files_without_the_length_of_their_own_group_are_read() {
+    let whole = [1.0, 3.0, 2.0].map(|height| bytes(slice(height), EXPLICIT));
+    let without = |content: &Vec<u8>| {
+        assert_eq!(content[132..140], *b"\x02\0\0\0UL\x04\0");
+        [&content[..132], &content[144..]].concat()
+    };
+    let folders = [whole.to_vec(), whole.iter().map(without).collect::<Vec<_>>()].map(|contents| {
+        let folder = tempfile::tempdir().unwrap();
+        contents
+            .iter()
+            .enumerate()
+            .for_each(|(i, it)| std::fs::write(folder.path().join(format!("IM{i}")), it).unwrap());
+        folder
+    });
+    let [whole, cut] = folders.map(|folder| super::super::read(folder.path()).unwrap());
+    assert_eq!(whole, cut);
+    assert_reader_survives("a.dcm", MANY / 50, &without(&bytes(slice(1.0), IMPLICIT)), super::super::parse);
+}
+
+#[test]
+fn numbers_of_which_the_lowest_is_white_are_read_as_stored_and_said() {
+    let inverted = |height| changed(height, |object| text(object, PHOTOMETRIC, VR::CS, "MONOCHROME1"));
+    let found = super::super::read(series([inverted(1.0), inverted(2.0)]).path()).unwrap();
+    let plain = super::super::read(series([slice(1.0), slice(2.0)]).path()).unwrap();
+    assert_eq!(found.values, plain.values);
+    assert!(found.oddities.iter().any(|oddity| oddity.contains("MONOCHROME1")), "{:?}", found.oddities);
+    assert!(!plain.oddities.iter().any(|oddity| oddity.contains("MONOCHROME1")), "{:?}", plain.oddities);
+}

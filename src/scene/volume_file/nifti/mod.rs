@@ -9,6 +9,7 @@ use super::elements::{Element, Encoding, Layout, MOST_INFLATION, Number, Start, 
 use super::header::{surplus, three_axes};
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
+use crate::limit;
 use crate::output::write_atomically;
 use flate2::read::MultiGzDecoder;
 use glam::{DMat3, DQuat, DVec3};
@@ -88,10 +89,11 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     if total - 1 > most {
         return Err(broken(&format!("{} bytes for shape {shape:?} of {bytes} bytes each", content.len())));
     }
+    limit::allow(format!("volume of shape {shape:?}"), total as u64).map_err(|error| error.in_file(path))?;
     let unpacked = if is_packed { Some(first(total).map_err(|found| broken(&found))?) } else { None };
     let means = meaning(&header, &mut oddities);
     let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(start) };
-    let voxels = layout.read(unpacked.as_deref().unwrap_or(content), means).map_err(|found| broken(&found))?;
+    let voxels = layout.read(unpacked.as_deref().unwrap_or(content), means).map_err(|found| found.of(path))?;
     if header.intent != 0 {
         oddities.push(format!("intent code {}: its numbers may not be attenuation", header.intent));
     }

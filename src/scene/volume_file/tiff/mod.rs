@@ -8,7 +8,7 @@ mod description;
 mod directory;
 mod rewrite;
 
-use super::elements::{Element, Encoding, Layout, Number, Start};
+use super::elements::{Defect, Element, Encoding, Layout, Number, Start};
 use super::header::lossy;
 use super::pages::Pages;
 use super::{Place, VolumeFile, damaged, unsupported};
@@ -50,6 +50,8 @@ const TILE_HEIGHT: u64 = 323;
 const TILE_OFFSETS: u64 = 324;
 const TILE_BYTE_COUNTS: u64 = 325;
 const FORMAT_OF_SAMPLES: u64 = 339;
+/// Compression by LZW.
+const LZW: u64 = 5;
 /// Compression by Zstandard.
 const ZSTD: u64 = 50_000;
 /// Names of compressions that are not read.
@@ -114,7 +116,7 @@ pub(super) fn add_all(content: &[u8], path: &Path, pages: &mut Pages) -> Result<
     let before = pages.count();
     match description.pages.filter(|stated| *stated > stored as u64) {
         None => {
-            let plain = rewrite::plain(content, form, &directories).map_err(|found| damaged(path, &found))?;
+            let plain = rewrite::plain(content, form, &directories).map_err(|found| found.of(path))?;
             decode(&plain, path, &main, &description, pages)?;
             if let Some(stated) = description.pages.filter(|stated| *stated < stored as u64) {
                 pages.remark(format!("its description states {stated} pages, but it has {stored}; all are read"));
@@ -287,9 +289,10 @@ fn add_contiguous(
         return Err(damaged(path, &format!("less than {count} pages, which its description states")));
     }
     let layout = Layout { element, encoding: Encoding::Raw, shape: [columns, rows, count], start: Start::After(start) };
-    let voxels = layout
-        .read(content, meaning(description))
-        .map_err(|found| damaged(path, &format!("{found}, which its description states")))?;
+    let voxels = layout.read(content, meaning(description)).map_err(|found| match found {
+        Defect::Damage(found) => damaged(path, &format!("{found}, which its description states")),
+        Defect::Memory(error) => error.in_file(path),
+    })?;
     pages.add(voxels.values.t().iter().copied());
     Ok(())
 }
