@@ -264,17 +264,6 @@ fn written<const N: usize>(lines: &[[String; N]]) -> String {
     String::from_utf8(writer.into_inner().expect("memory takes all")).expect("text")
 }
 
-#[cfg(test)]
-mod csv_tests {
-    use super::written;
-
-    #[test]
-    fn no_name_is_a_formula_and_numbers_stay() {
-        let line = ["=1+1", "+x", "-x", "@x", "-1.5", "+2e3", "a=b", ""].map(String::from);
-        assert_eq!(written(&[line]), "'=1+1,'+x,'-x,'@x,-1.5,+2e3,a=b,\n");
-    }
-}
-
 /// Text escaped for LaTeX.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
@@ -290,4 +279,15 @@ fn escaped(text: &str) -> String {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::written;
+
+    #[test]
+    fn no_name_is_a_formula_and_numbers_stay() {
+        let line = ["=1+1", "+x", "-x", "@x", "-1.5", "+2e3", "a=b", ""].map(String::from);
+        assert_eq!(written(&[line]), "'=1+1,'+x,'-x,'@x,-1.5,+2e3,a=b,\n");
+    }
 }

@@ -82,9 +82,12 @@ impl Mark {
     }
 }
 
+/// Size and time of a file, and the digest that it has.
+type Known = (u64, Option<SystemTime>, String);
+
 /// Whether a file has a digest; computed once in a process as long as size and time of the file stay.
 fn has_digest(file: &Path, digest: &str) -> bool {
-    static KNOWN: Mutex<BTreeMap<PathBuf, (u64, Option<SystemTime>, String)>> = Mutex::new(BTreeMap::new());
+    static KNOWN: Mutex<BTreeMap<PathBuf, Known>> = Mutex::new(BTreeMap::new());
     let Ok(found) = fs::metadata(file) else { return false };
     let known = (found.len(), found.modified().ok(), digest.to_owned());
     if KNOWN.lock().unwrap_or_else(PoisonError::into_inner).get(file) == Some(&known) {
