@@ -9,7 +9,7 @@ use std::str::FromStr;
 /// What to do with an older folder.
 #[derive(Args, Clone, Copy)]
 pub(super) struct Replace {
-    /// Replace a folder whatever it holds: all of its content is deleted
+    /// Write the folder whatever it holds: other content is moved to NAME.replaced-1 beside it
     #[arg(long)]
     pub(super) overwrite: bool,
 }

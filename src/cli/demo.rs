@@ -1,6 +1,7 @@
 //! `trgs demo`: simulates, reconstructs and evaluates a phantom, and writes a report page.
 
 use super::arguments::{Replace, seed};
+use super::messages::moved;
 use super::reconstruct::reconstruct;
 use super::run_folder::{Inputs, Outcome, RunFolder};
 use super::{Global, Output, interrupt};
@@ -57,7 +58,8 @@ impl Demo {
         let dataset = self.scan()?;
         let overwrite = self.replace.overwrite;
         let destination = Destination::new(&source, Kind::Scan, "demo").overwrite(overwrite);
-        interrupt::shielded(|| dataset.write(destination))?;
+        interrupt::shielded(|| dataset.write(destination.clone()))?;
+        moved(&destination);
         // The mark of the folder has the digests of its files.
         let files = Mark::read(&source).map_or_else(BTreeMap::new, |mark| mark.files);
         let path = |file: String| source.join(file).display().to_string();

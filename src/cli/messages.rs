@@ -18,6 +18,7 @@ use trgs::Error;
 use trgs::classical::algebraic::{Pass, Trial};
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
+use trgs::output::Destination;
 use trgs::scene::hounsfield;
 use trgs::train::Record;
 use trgs::words;
@@ -43,6 +44,13 @@ pub(super) fn error(error: &Error) {
 /// Warns of an unusual property of a file, with flags for settings.
 pub(super) fn warning(path: &Path, text: &str) {
     tracing::warn!("{}: {}", path.display(), with_flags(text));
+}
+
+/// Says where other content of a folder was moved to, if it was.
+pub(super) fn moved(destination: &Destination) {
+    if let Some(aside) = destination.moved() {
+        tracing::warn!("the older content of {} is now in {}", destination.folder().display(), aside.display());
+    }
 }
 
 /// Warns of a build without the vector instructions of this CPU.

@@ -1,6 +1,7 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
 use super::arguments::{Replace, choice, word};
+use super::messages::moved;
 use super::{Output, interrupt};
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -173,7 +174,8 @@ impl Export {
         let vectors = self.selection.source.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let destination = self.selection.source.destination(&self.folder, Kind::Vectors, "oracle export", self.replace);
-        let files = interrupt::shielded(|| vectors.export(destination, self.blind, &cases))?;
+        let files = interrupt::shielded(|| vectors.export(destination.clone(), self.blind, &cases))?;
+        moved(&destination);
         Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 2 }))
     }
 }
@@ -183,7 +185,7 @@ impl AnswerArgs {
         let vectors = self.selection.source.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let destination = self.selection.source.destination(&self.folder, Kind::Answers, "oracle answer", self.replace);
-        let staged = stage_folder(destination)?;
+        let staged = stage_folder(destination.clone())?;
         let mut files = 0;
         for case in &cases {
             let question = Question::new(&vectors, case)?;
@@ -192,6 +194,7 @@ impl AnswerArgs {
             files += case.outputs.len();
         }
         interrupt::shielded(|| staged.commit())?;
+        moved(&destination);
         Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files }))
     }
 }

@@ -1,6 +1,7 @@
 //! The folder of a run. It appears completely at the end of the run, or not at all.
 
 use super::arguments::word;
+use super::messages::moved;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -137,6 +138,7 @@ impl RunFolder {
         // Tests whether the folder can be written and replaced.
         drop(stage_folder(destination.clone())?);
         claim.begin(&destination)?;
+        moved(&destination);
         Ok(Self { claim, destination, provenance })
     }
 

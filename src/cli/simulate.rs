@@ -1,7 +1,7 @@
 //! `trgs simulate`: a simulated scan of a phantom or a volume.
 
 use super::arguments::{Replace, finite, pair, seed};
-use super::messages::{hounsfield_to_attenuation, warning};
+use super::messages::{hounsfield_to_attenuation, moved, warning};
 use super::{Output, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
@@ -129,7 +129,8 @@ impl Simulate {
         let destination = self.object.volume.iter().fold(destination, Destination::input);
         destination.check()?;
         let dataset = self.scan()?;
-        interrupt::shielded(|| dataset.write(destination))?;
+        interrupt::shielded(|| dataset.write(destination.clone()))?;
+        moved(&destination);
         Ok(Output::list(&Simulated {
             dataset: &self.out,
             volume: dataset.scanner.grid.shape,

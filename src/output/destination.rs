@@ -1,17 +1,17 @@
 //! The one decision about an existing folder: replace it or refuse.
 
-use super::LOCK;
 use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
 use super::mark::{Mark, walk};
 use super::staging::{is_fixed, is_mount_point};
 use super::sweep::sweep;
+use super::{LOCK, step};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// The writer of a folder that no command wrote.
 const LIBRARY: &str = "the library";
@@ -62,6 +62,8 @@ pub struct Destination {
     pub(super) by: String,
     overwrite: bool,
     inputs: Vec<PathBuf>,
+    /// Where other content was moved to; its copies share it.
+    moved: Arc<OnceLock<PathBuf>>,
 }
 
 /// What is in the place of the folder.
@@ -70,14 +72,14 @@ pub(super) enum Standing {
     Empty,
     /// An unchanged folder of the same writer.
     Older(Mark),
-    /// Other content, which the user gave up.
-    Overwritten,
+    /// Other content, which is moved aside.
+    Foreign,
 }
 
 impl Destination {
     /// A folder of a kind, written by a command or a method.
     pub fn new(folder: impl Into<PathBuf>, kind: Kind, by: impl Into<String>) -> Self {
-        Self { folder: folder.into(), kind, by: by.into(), overwrite: false, inputs: Vec::new() }
+        Self { folder: folder.into(), kind, by: by.into(), overwrite: false, inputs: Vec::new(), moved: Arc::default() }
     }
 
     /// The destination of another writer.
@@ -91,7 +93,7 @@ impl Destination {
         Self { kind, ..self }
     }
 
-    /// Whether other content is replaced as well: [`Setting::Overwrite`].
+    /// Whether other content is moved aside: [`Setting::Overwrite`]. It is never deleted.
     #[must_use]
     pub fn overwrite(self, overwrite: bool) -> Self {
         Self { overwrite, ..self }
@@ -121,7 +123,7 @@ impl Destination {
     /// Whether the folder may be written now.
     ///
     /// It may if it does not exist, is empty, or is an unchanged folder of the same kind and writer: every file at any depth
-    /// is listed in its mark, with the same digest. [`Self::overwrite`] replaces any other folder, unless it holds an
+    /// is listed in its mark, with the same digest. [`Self::overwrite`] moves any other folder aside, unless it holds an
     /// input, the current folder or a mount point, or cannot be renamed.
     ///
     /// # Errors
@@ -182,13 +184,37 @@ impl Destination {
             return refuse(got, &expected, remedy);
         }
         if self.overwrite {
-            return Ok(Standing::Overwritten);
+            return Ok(Standing::Foreign);
         }
         let remedy = match self.by == LIBRARY {
             true => format!("{another}, or delete it"),
-            false => format!("{another}, or give {} to delete all of its content", Setting::Overwrite),
+            false => format!("{another}, or give {} to move it aside", Setting::Overwrite),
         };
         refuse(got, &expected, remedy)
+    }
+
+    /// Where other content was moved to.
+    pub fn moved(&self) -> Option<&Path> {
+        self.moved.get().map(PathBuf::as_path)
+    }
+
+    /// Renames the folder to the first free name `NAME.replaced-1`, `-2`, … beside it, and returns that.
+    pub(super) fn move_aside(&self) -> io::Result<PathBuf> {
+        let target = self.target();
+        let name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
+        for number in 1_usize.. {
+            let mut other = name.to_owned();
+            other.push(format!(".replaced-{number}"));
+            let aside = target.with_file_name(other);
+            if fs::symlink_metadata(&aside).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+                step();
+                fs::rename(&target, &aside)?;
+                // A run moves its folder once; later results replace its own.
+                let _ = self.moved.set(aside.clone());
+                return Ok(aside);
+            }
+        }
+        unreachable!("names do not end");
     }
 
     /// All that is read: the paths given, and the files read so far.
@@ -265,12 +291,23 @@ impl Claim {
         }
     }
 
-    /// Marks a folder without files as an unfinished one of the destination.
+    /// Moves other content aside, and marks a folder without files as an unfinished one of the destination.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// Those of [`Destination::check`], and [`Error::Write`].
     pub fn begin(&self, destination: &Destination) -> Result<()> {
         let failed = |source| Error::write(self.folder(), source);
+        if matches!(destination.decide()?, Standing::Foreign) {
+            // The lock stays with the new folder.
+            let make_room = || {
+                let (target, aside) = (destination.target(), destination.move_aside()?);
+                step();
+                fs::create_dir(&target)?;
+                step();
+                fs::rename(aside.join(LOCK), target.join(LOCK))
+            };
+            make_room().map_err(failed)?;
+        }
         if walk(self.folder(), "", &mut |_, _, _| Some(())).map_err(failed)?.is_some() {
             return Ok(());
         }

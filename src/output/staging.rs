@@ -40,13 +40,14 @@ pub struct StagedFolder {
 /// Those of [`Destination::check`], and [`Error::Write`] when neither the parent nor the folder can be written to.
 pub fn stage_folder(destination: impl Into<Destination>) -> Result<StagedFolder> {
     let destination = destination.into();
-    destination.check()?;
+    let standing = destination.decide()?;
     let target = destination.target();
     let failed = |source| Error::write(&target, source);
     let parent = folder_of(&target);
     let mut made = make_folders(parent).map_err(failed)?;
     sweep(parent);
-    let exists = target.is_dir();
+    // Other content is moved aside by its name.
+    let exists = target.is_dir() && !matches!(standing, Standing::Foreign);
     let must_be_inside = exists && is_fixed(&target);
     let beside = if must_be_inside { None } else { Some(begin(parent, &mut made)) };
     let (hold, staging, is_inside) = match beside {
@@ -114,6 +115,15 @@ impl StagedFolder {
         step();
         match standing {
             Standing::Missing => fs::rename(&new, target).map_err(failed),
+            Standing::Foreign => {
+                let aside = self.destination.move_aside().map_err(failed)?;
+                step();
+                fs::rename(&new, target).map_err(|source| {
+                    // Nothing is lost if this fails, too: the content has its new name.
+                    let _ = fs::rename(&aside, target);
+                    failed(source)
+                })
+            }
             _ if self.is_inside => {
                 fs::File::create(self.staging.join(COMMIT)).map_err(failed)?;
                 finish_in_place(&self.staging, target).map_err(failed)

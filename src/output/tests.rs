@@ -170,7 +170,8 @@ fn only_unchanged_folders_of_the_same_writer_are_replaced() {
     assert!(message(&scan(&target)).contains("views/empty"));
     write_scan(scan(&target).overwrite(true), "4").unwrap();
     assert_eq!(entries(&target.join("views")), ["0.npy", "4.npy"]);
-    assert_eq!(entries(folder.path()), ["measured", "set"]);
+    assert_eq!(entries(folder.path()), ["measured", "set", "set.replaced-1"]);
+    assert!(folder.path().join("set.replaced-1/views/empty").exists());
 }
 
 #[cfg(unix)]
@@ -296,6 +297,11 @@ fn work_of_a_process() {
             claim.begin(&scan(target)).unwrap();
             write_scan(scan(target), "new").unwrap();
         }
+        "foreign" => write_scan(scan(target).overwrite(true), "new").unwrap(),
+        "foreign run" => {
+            let claim = Claim::new(scan(target).by("").overwrite(true)).unwrap();
+            claim.begin(&scan(target).overwrite(true)).unwrap();
+        }
         "file" => write_atomically(&target.join("a.txt"), |file| file.write_all(b"new")).unwrap(),
         _ => panic!("{work}"),
     }
@@ -355,6 +361,23 @@ fn a_kill_at_any_step_leaves_the_old_or_the_new_folder() {
             });
             assert!(steps > 12, "{work}: {steps} steps");
         }
+    }
+}
+
+#[test]
+fn a_kill_at_any_step_leaves_content_of_others() {
+    let prepare = |target: &Path| {
+        fs::create_dir(target).unwrap();
+        fs::write(target.join("thesis.txt"), "years").unwrap();
+    };
+    for work in ["foreign", "foreign run"] {
+        let steps = after_each_kill(work, prepare, |target, which| {
+            let kept = [target.to_owned(), target.with_file_name("set.replaced-1")];
+            let texts = kept.map(|folder| fs::read_to_string(folder.join("thesis.txt")).ok());
+            assert_eq!(texts.iter().flatten().collect::<Vec<_>>(), ["years"], "{which}");
+            write_scan(scan(target).overwrite(true), "next").unwrap();
+        });
+        assert!(steps > 5, "{work}: {steps} steps");
     }
 }
 

@@ -32,10 +32,28 @@ fn measured_data_are_never_replaced_unless_told_to() {
     sandbox.write("converted/proj_train/notes/thesis.txt", "years");
     let message = sandbox.refused("convert scan converted --views 2");
     assert!(message.contains("proj_train/notes"), "{message}");
-    sandbox.done("convert scan converted --views 2 --overwrite");
+    let notes = sandbox.read("converted/proj_train/notes/thesis.txt");
+    let output = sandbox.run("convert scan converted --views 2 --overwrite");
+    assert!(stderr(&output).contains("converted.replaced-1"), "{}", stderr(&output));
     assert!(!sandbox.path("converted/proj_train/notes").exists());
+    assert_eq!(sandbox.read("converted.replaced-1/proj_train/notes/thesis.txt"), notes);
+    let measured = sandbox.read("measured/vol_gt.npy");
     sandbox.done(&format!("{SIMULATE} measured --overwrite"));
     sandbox.done(&format!("{SIMULATE} measured"));
+    assert_eq!(sandbox.read("measured.replaced-1/vol_gt.npy"), measured);
+    // A run moves the folder before it writes its state, and each time to a new name.
+    fs::create_dir_all(sandbox.path("run/checkpoints")).unwrap();
+    for state in ["one", "two"] {
+        sandbox.write("run/checkpoints/last.msgpack", state);
+        sandbox.write("run/thesis.txt", "years");
+        sandbox.done("reconstruct scan --method sart --iterations 2 --out run --overwrite");
+    }
+    for (number, state) in [(1, "one"), (2, "two")] {
+        assert_eq!(sandbox.read(&format!("run.replaced-{number}/checkpoints/last.msgpack")), state.as_bytes());
+    }
+    let before = sandbox.names();
+    assert!(before.iter().all(|name| !name.starts_with('.')), "{before:?}");
+    assert!(sandbox.names_in("run.replaced-1").iter().all(|name| !name.starts_with('.')));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Conversion of scans to R²-Gaussian's folder.
 
 use super::{Convert, Converted, warn};
+use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
 use trgs::scene::{Dataset, plausibility};
 use trgs::{Error, Result};
@@ -17,7 +18,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     warn(source, &dataset.oddities);
     warn(source, &plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
-    interrupt::shielded(|| dataset.write(destination))?;
+    interrupt::shielded(|| dataset.write(destination.clone()))?;
+    moved(&destination);
     let Dataset { scanner, frame, notes, .. } = dataset;
     let (shape, (spacing, origin)) = (scanner.grid.shape, frame.place(&scanner.grid));
     let [spacing, origin] = [spacing, origin].map(|vector| Some(vector.to_array()));

@@ -2,6 +2,7 @@
 
 use super::{Convert, warn};
 use crate::cli::arguments::finite;
+use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
@@ -217,7 +218,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     warn(source, &plausibility::remarks(&dataset));
     tracing::info!("{}", stack::span(&dataset.train.angles));
     let dataset = protocol.apply(dataset)?;
-    interrupt::shielded(|| dataset.write(destination))?;
+    interrupt::shielded(|| dataset.write(destination.clone()))?;
+    moved(&destination);
     let detector = dataset.scanner.detector;
     Ok(Output::list(&Measured {
         out,
