@@ -63,6 +63,7 @@ def seen_by_nibabel(path):
     found = place(values, spacing, affine[:3, 3], affine[:3, :3] / spacing)
     indices = [np.rint(np.linalg.solve(affine, [*point, 1.0])[:3]).astype(int) for point in POINTS]
     found["at_points"] = [value_at(values, index) for index in indices]
+    found["unit"] = image.header.get_xyzt_units()[0]
     found["qform_is_sform"] = bool(np.allclose(image.get_qform(), image.get_sform(), atol=1e-6))
     return found
 

@@ -16,6 +16,7 @@ use trgs::scene::describe::trajectory_words;
 use trgs::scene::npy::{self, Npy, Numbers};
 use trgs::scene::npz::Npz;
 use trgs::scene::stack::RtkGeometry;
+use trgs::scene::volume_file::NpySide;
 use trgs::scene::{Beam, Dataset, Frame, Projections, Scanner, Volume, array_path, plausibility, volume_file};
 use trgs::words::{counted, verb};
 use trgs::{Error, Result};
@@ -163,14 +164,27 @@ fn run_folder(path: &Path) -> Result<Value> {
     let metrics: Value = read_json(&path.join("metrics.json"))?;
     let changed = provenance.changed(path);
     let oddities: Vec<_> = changed.iter().map(|name| format!("{name} is not the file that the run wrote")).collect();
+    // Runs of older versions have no place.
+    let place: Option<Value> =
+        NpySide::path(&path.join("volume.npy")).exists().then(|| read_place(path)).transpose()?;
     Ok(json!({
         "kind": "run",
         "method": config.method,
         "version": provenance.version,
         "command": provenance.command_line(),
         "metrics": metrics,
+        "volume": place,
         "oddities": oddities,
     }))
+}
+
+/// Spacing, first voxel and unit of the volume of a run.
+fn read_place(run: &Path) -> Result<Value> {
+    let mut place: Value = read_json(&NpySide::path(&run.join("volume.npy")))?;
+    if let Some(place) = place.as_object_mut() {
+        place.entry("unit").or_insert_with(|| "not stated".into());
+    }
+    Ok(place)
 }
 
 fn archive(path: &Path) -> Result<Value> {

@@ -70,7 +70,7 @@ pub(super) fn unused_instructions() {}
 
 /// Converts the values of a volume from Hounsfield units, and says how many were below those of air.
 pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, mu_water: f64) -> trgs::Result<()> {
-    let looks_like_it = hounsfield::remark("volume", values).is_some();
+    let looks_like_it = values.iter().any(|value| *value < hounsfield::IMPOSSIBLE);
     let below = hounsfield::to_attenuation(values, mu_water)?;
     if !looks_like_it {
         warning(path, "no value is far below 0, as those of air in Hounsfield units are: is this attenuation already?");

@@ -27,7 +27,7 @@ use trgs::scene::{Beam, Dataset, Detector, Frame, Grid, Noise, Phantom, Scanner,
 pub(super) struct Simulate {
     #[command(flatten)]
     object: ObjectArgs,
-    /// Read the volume as Hounsfield units: attenuation X (1 + HU/1000), where X is that of water per scene unit
+    /// Read the volume as Hounsfield units: attenuation X (1 + HU/1000), where X is that of water per unit of the file
     #[arg(long, value_name = "X", requires = "volume", value_parser = finite)]
     mu_water: Option<f64>,
     /// Folder to write; an older scan in it that this command wrote is replaced
@@ -82,7 +82,8 @@ pub(super) struct Simulate {
 struct ObjectArgs {
     #[arg(long, value_name = "NAME", help = phantom_help())]
     phantom: Option<String>,
-    /// Volume [x, y, z], attenuation per scene unit: .npy (cubic voxels), .mha, .nrrd, .nii.gz, .tif, .raw
+    /// Volume [x, y, z], attenuation per unit of its lengths, whose unit and place the scan keeps: .npy (cubic voxels),
+    /// .mha, .nrrd, .nii.gz, .tif, .raw
     #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
 }
@@ -106,6 +107,9 @@ struct Simulated<'a> {
     test_views: usize,
     noise: String,
     seed: u64,
+    /// Of the lengths of the volume that was scanned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<&'static str>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
 }
@@ -139,6 +143,7 @@ impl Simulate {
             test_views: self.test_views.into(),
             noise: dataset.noise.to_string(),
             seed: self.seed,
+            unit: (dataset.frame != Frame::default()).then(|| dataset.frame.unit_words()),
             notes: dataset.notes,
         }))
     }

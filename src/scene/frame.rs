@@ -261,3 +261,6 @@ impl FrameMeta {
         Ok(Frame { unit: units.first().copied(), scale: stated_scale, origin, directions })
     }
 }
+
+#[cfg(test)]
+mod tests;

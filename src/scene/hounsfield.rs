@@ -14,16 +14,25 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 use ndarray::Array3;
 
-/// Values below this are no attenuation: noise of a reconstruction is far smaller.
+/// Values below this are no attenuation per millimetre: noise of a reconstruction is far smaller.
 pub const IMPOSSIBLE: f32 = -200.0;
+/// Air in Hounsfield units, with its noise.
+const AIR: std::ops::RangeInclusive<f32> = -1100.0..=-900.0;
+/// Share of voxels that are air from which on values are Hounsfield units.
+const SHARE_OF_AIR: f64 = 1e-3;
 
 /// A remark on values that look like Hounsfield units; `what` names the volume.
+///
+/// Noise of attenuation per metre reaches below [`IMPOSSIBLE`], too. Hounsfield units have air at -1000, or are whole
+/// numbers, as scanners store them.
 pub fn remark(what: &str, values: &Array3<f32>) -> Option<String> {
     let (low, high) = values.iter().fold((0.0_f32, 0.0_f32), |(low, high), &value| {
         (if value < low { value } else { low }, if value > high { value } else { high })
     });
     let share = values.iter().filter(|value| **value < IMPOSSIBLE).count() as f64 / values.len().max(1) as f64;
-    (low < IMPOSSIBLE).then(|| {
+    let air = values.iter().filter(|value| AIR.contains(*value)).count() as f64 / values.len().max(1) as f64;
+    let is_hounsfield = || air >= SHARE_OF_AIR || values.iter().all(|value| value.fract() == 0.0);
+    (low < IMPOSSIBLE && is_hounsfield()).then(|| {
         format!(
             "the {what} has values from {low} to {high}, {:.1} % of them below {IMPOSSIBLE}: they look like Hounsfield \
              units instead of attenuation; convert them with {} X, the attenuation of water (1 makes water 1): \
@@ -57,6 +66,20 @@ pub fn to_attenuation(values: &mut Array3<f32>, mu_water: f64) -> Result<usize> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn noise_of_attenuation_per_metre_is_no_hounsfield_unit() {
+        // Water, 20 per metre, in half of the voxels; noise of ±300, without a voxel that is air in Hounsfield units.
+        let noise = |i: usize| ((i * 7919 % 1009) as f32 / 1009.0 - 0.5) * 600.0;
+        let per_metre = Array3::from_shape_fn((10, 10, 10), |(x, y, z)| {
+            noise(x * 100 + y * 10 + z) + if x < 5 { 20.0 } else { 0.0 }
+        });
+        assert!(per_metre.iter().any(|value| *value < IMPOSSIBLE));
+        assert_eq!(remark("volume", &per_metre), None);
+        // The same per millimetre as Hounsfield units of whole numbers, cropped to soft tissue and lung.
+        let tissue = per_metre.mapv(|value| if value < 0.0 { -700.0 } else { 40.0 });
+        assert!(remark("volume", &tissue).is_some());
+    }
 
     #[test]
     fn air_is_0_and_water_the_value_given() {

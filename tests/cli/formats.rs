@@ -15,7 +15,7 @@ use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{dataset, npy};
 
 /// Output of the script, or `None` with a message if Python lacks a package.
-fn others(arguments: &[&Path], command: &str) -> Option<Value> {
+pub(crate) fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
     let has_all = Command::new(&program)
         .args(["-c", "import imagecodecs, nibabel, nrrd, numpy, plyfile, SimpleITK, tifffile"])
@@ -33,7 +33,7 @@ fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     Some(serde_json::from_slice(&output.stdout).unwrap_or(Value::Null))
 }
 
-fn numbers(value: &Value) -> Vec<f64> {
+pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap_or_else(|| panic!("{value}")).iter().map(|x| x.as_f64().unwrap()).collect()
 }
 

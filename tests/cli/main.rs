@@ -24,6 +24,8 @@ mod geometry_check;
 // Scans and volumes in HDF5.
 #[cfg(feature = "hdf5")]
 mod hdf5;
+// Unit and place, from the first read to the last write.
+mod lengths;
 // Estimates of memory.
 mod memory;
 // `trgs oracle` and `trgs compare`.

@@ -25,7 +25,7 @@ use trgs::scene::phantom::Phantom;
 use trgs::scene::simulate::{Object, Plan, simulate};
 use trgs::scene::stack::parse_angles;
 use trgs::scene::volume_file::{self, SideFile, VolumeFile};
-use trgs::scene::{Beam, Detector, Grid, Scanner, npy, npz};
+use trgs::scene::{Beam, Detector, Frame, Grid, Scanner, npy, npz};
 
 /// Number of cases for parsers of text and for readers that need a disk.
 const FEW: u32 = 400;
@@ -70,7 +70,8 @@ fn damaged_models_are_clear_errors() {
     let valid = bytes_of("a.npz", |path| model::write(path, &parameters).unwrap());
     assert_reader_survives("MODEL.npz", MANY, &valid, model::parse);
     let primitives = Primitives::new(parameters).unwrap();
-    let valid = bytes_of("a.ply", |path| model::ply::write(path, &primitives, Some(&[0.0, 1.0])).unwrap());
+    let valid =
+        bytes_of("a.ply", |path| model::ply::write(path, &primitives, Some(&[0.0, 1.0]), &Frame::default()).unwrap());
     assert_reader_survives("model.ply", MANY, &valid, model::parse);
     assert_reader_survives("ascii.ply", MANY, ASCII_PLY, model::parse);
     let primitives =

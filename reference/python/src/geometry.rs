@@ -354,13 +354,17 @@ impl Scanner {
     }
 }
 
-/// A grid: that of a scanner, or itself.
+/// A grid: that of a scan or scanner, or itself.
 pub(crate) fn grid_of(value: &Bound<'_, PyAny>) -> PyResult<scene::Grid> {
+    if let Ok(scan) = value.cast::<crate::scan::Scan>() {
+        return Ok(scan.get().0.scanner.grid);
+    }
     if let Ok(scanner) = value.cast::<Scanner>() {
         return Ok(scanner.get().0.grid);
     }
     let grid = value.cast::<Grid>();
-    let wrong = |_| crate::arrays::wrong_type("grid", value, "a trgs.Grid or a trgs.Scanner", "give scanner.grid");
+    let expected = "a trgs.Grid, trgs.Scanner or trgs.Scan";
+    let wrong = |_| crate::arrays::wrong_type("grid", value, expected, "give scanner.grid");
     Ok(grid.map_err(wrong)?.get().0)
 }
 

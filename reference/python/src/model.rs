@@ -104,7 +104,7 @@ impl Model {
         let ending = path.extension().map(|ending| ending.to_string_lossy().into_owned());
         try_run(py, || match ending.as_deref() {
             Some("npz") => model::write(&path, &self.0.parameters),
-            Some("ply") => model::ply::write(&path, &self.0, None),
+            Some("ply") => model::ply::write(&path, &self.0, None, &trgs::scene::Frame::default()),
             _ => {
                 Err(trgs::Error::invalid("path", path.display(), "a name that ends in .npz or .ply", "give model.npz"))
             }

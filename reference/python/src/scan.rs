@@ -15,6 +15,7 @@ use std::path::PathBuf;
 use trgs::reconstruction::{self, Checkpoints, Progress};
 use trgs::scene::phantom::{PHANTOMS, Phantom};
 use trgs::scene::simulate::{self, Object, Plan};
+use trgs::scene::volume_file::VolumeFile;
 use trgs::scene::{Frame, Noise, Unit, plausibility, volume_file};
 use trgs::words::visible;
 use trgs::{Config, Dataset, Method, Projections, Run, Volume};
@@ -350,23 +351,47 @@ pub(crate) fn phantoms() -> Vec<&'static str> {
 /// path : str or os.PathLike
 ///     `.npy`, `.nii.gz`, `.mha`, `.nrrd`, `.tif`, `.raw` with its size in the name, and others.
 ///
+/// scan : Scan, optional
+///     Takes the volume as one on the grid of this scan: a file that states other axes is turned to those of the scan.
+/// place : bool
+///     Whether the place is returned, too.
+///
 /// Returns
 /// -------
 /// ndarray [x, y, z], float32
+///     With `place`, a tuple of it and a dict: `spacing`, `origin` (centre of the first voxel) and `directions` (a unit
+///     vector for each axis, in the coordinates of ITK), and their `unit`. Entries that are not known are None.
 ///
 /// Raises
 /// ------
 /// OSError
 ///     For a file that cannot be read.
 /// ValueError
-///     For content that is damaged.
+///     For content that is damaged, and for a volume that is not on the grid of `scan`.
 #[pyfunction]
-pub(crate) fn load_volume(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
-    let file = try_run(py, || volume_file::read(&path))?;
+#[pyo3(signature = (path, *, scan = None, place = false))]
+pub(crate) fn load_volume<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    scan: Option<&Scan>,
+    place: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let mut file = try_run(py, || volume_file::read(&path))?;
+    if let Some(Scan(Dataset { scanner, frame, .. })) = scan {
+        let arranged = try_run(py, || frame.arrange(file, &scanner.grid).map_err(|error| error.in_file(&path)));
+        let (volume, oddities) = arranged?;
+        file = VolumeFile { oddities, ..frame.file(&volume) };
+    }
     for oddity in &file.oddities {
         warn(py, &format!("{}: {oddity}", path.display()))?;
     }
-    Ok(give(py, file.values))
+    let stated = PyDict::new(py);
+    stated.set_item("spacing", file.spacing.map(|spacing| spacing.to_array()))?;
+    stated.set_item("origin", file.origin.map(|origin| origin.to_array()))?;
+    stated.set_item("directions", file.directions.to_cols_array_2d())?;
+    stated.set_item("unit", file.unit.map(Unit::symbol))?;
+    let values = give(py, file.values);
+    if place { Ok(PyTuple::new(py, [values, stated.into_any()])?.into_any()) } else { Ok(values) }
 }
 
 /// Writes a volume with the spacing and the origin of its grid, as a whole or not at all.

@@ -273,3 +273,28 @@ def test_phantoms_and_volumes_are_simulated(scan):
         trgs.simulate("trso", scan.scanner, views=4)
     with pytest.raises(ValueError, match="noise: got loud"):
         trgs.simulate("torso", scan.scanner, views=4, noise="loud")
+
+
+def test_unit_and_place_go_from_a_scan_to_its_volume(tmp_path, scan):
+    scan.save(tmp_path / "scan")
+    assert scan.unit is None and scan.scale == 1.0
+    description = tmp_path / "scan" / "meta_data.json"
+    meta = json.loads(description.read_text())
+    meta["frame"] = {"unit": "um", "scene_units_per_unit": 0.001, "origin": [100.0, 0.0, 0.0]}
+    description.write_text(json.dumps(meta))
+    again = trgs.load_scan(tmp_path / "scan")
+    assert again.unit == "um" and again.scale == 0.001
+    spacing, origin, directions = again.place
+    assert np.allclose(spacing, 1000 * np.array(again.scanner.grid.spacing)) and np.array_equal(directions, np.eye(3))
+    again.save(tmp_path / "copy")
+    assert trgs.load_scan(tmp_path / "copy").place == again.place
+    # A file has millimetres, and attenuation per millimetre.
+    trgs.save_volume(tmp_path / "v.mha", again.truth, again)
+    values, place = trgs.load_volume(tmp_path / "v.mha", place=True)
+    assert place["unit"] == "mm" and np.allclose(1000 * np.array(place["spacing"]), spacing)
+    assert np.allclose(1000 * np.array(place["origin"]), origin) and np.allclose(values, 1000 * again.truth)
+    with pytest.warns(UserWarning, match="multiplied by 0.001"):
+        assert np.allclose(trgs.load_volume(tmp_path / "v.mha", scan=again), again.truth)
+    # In scene units without a scan.
+    trgs.save_volume(tmp_path / "v.mha", again.truth, again.scanner)
+    assert np.allclose(trgs.load_volume(tmp_path / "v.mha", place=True)[1]["spacing"], again.scanner.grid.spacing)

@@ -20,7 +20,8 @@ use trgs::{Error, Result};
 /// Convert volumes, models, scans and raw projections between formats
 #[derive(Args)]
 #[command(after_help = "Examples:
-  trgs convert run/volume.npy volume.nii.gz --scanner scan
+  trgs convert run/volume.npy volume.nii.gz
+  trgs convert scan/vol_gt.npy truth.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
   trgs convert thorax_in_hu.nii.gz thorax.npy --mu-water 1
   trgs convert run/model.npz model.ply --scanner scan
@@ -37,8 +38,10 @@ and MATLAB 7.3; FILE.h5:/group/name names an array, [z, y, x] or [view, v, u], a
 Exchange or NXtomo brings its fields and angles. A .raw states size and type in its name \
 (name_256x256x256_uint8.raw, name_256x256_uint16be.raw for a slice), in that of its folder, or in a side file \
 name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\": \"little\", \"spacing\": [0.5, \
-0.5, 1], \"origin\": [0, 0, 0], \"skip_bytes\": 0}, of which shape and type are required. Volumes are written as f32 \
-with axes in the order of the source. Models: .npz, .ply (physical values, coloured by confidence or nu), \
+0.5, 1], \"origin\": [0, 0, 0], \"unit\": \"mm\", \"skip_bytes\": 0}, of which shape and type are required. Volumes \
+are written as f32 with axes in the order of the source. A run keeps spacing, place and unit of its volume.npy in \
+volume.npy.json beside it. The unit of a scan's lengths is that of \"unit\": \"mm\" (or um, cm, m) in its \
+meta_data.json; where it is known, files state lengths in mm and hold attenuation per mm. Models: .npz, .ply (physical values, coloured by confidence or nu), \
 R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a \
 folder, written as a folder in scene units.
 
@@ -63,7 +66,7 @@ pub(super) struct Convert {
     out: PathBuf,
     #[command(flatten)]
     replace: Replace,
-    /// Scan that gives a volume its spacing and origin, or a .ply its confidence; scanner of a stack
+    /// Scan that gives a volume its spacing, place and unit, or a .ply its confidence; scanner of a stack
     #[arg(long, value_name = "DATASET|meta_data.json")]
     scanner: Option<PathBuf>,
     /// Read a volume as Hounsfield units: write attenuation X (1 + HU/1000), where X is that of water

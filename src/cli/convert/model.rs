@@ -7,7 +7,7 @@ use std::path::Path;
 use trgs::confidence::{Coverage, Settings, Spread};
 use trgs::output::check_file;
 use trgs::primitives::{KernelKind, Primitives, model};
-use trgs::scene::Dataset;
+use trgs::scene::{Dataset, Frame};
 use trgs::{Error, Result};
 
 /// The result of the command.
@@ -42,13 +42,16 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         "ply" => model::ply::read(&command.source)?,
         _ => (model::read(&command.source)?, None),
     };
-    let confidence = match &command.scanner {
-        Some(scanner) => Some(confidence(&primitives, scanner)?),
-        None => known.filter(|_| to_ply),
+    let (confidence, frame) = match &command.scanner {
+        Some(scan) => {
+            let (confidence, frame) = confidence(&primitives, scan)?;
+            (Some(confidence), frame)
+        }
+        None => (known.filter(|_| to_ply), Frame::default()),
     };
     check_file(&command.out)?;
     interrupt::shielded(|| match (to_ply, command.r2) {
-        (true, _) => model::ply::write(&command.out, &primitives, confidence.as_deref()),
+        (true, _) => model::ply::write(&command.out, &primitives, confidence.as_deref(), &frame),
         (_, true) => model::r2::write(&command.out, &primitives),
         _ => model::write(&command.out, &primitives.parameters),
     })?;
@@ -65,8 +68,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     }))
 }
 
-/// The confidence of each primitive over a scan's training views, with default settings.
-fn confidence(primitives: &Primitives, scan: &Path) -> Result<Vec<f64>> {
-    let Dataset { scanner, train, .. } = Dataset::read(scan)?;
-    Ok(Coverage::new(Settings::default()).confidence(primitives, &scanner, &train))
+/// The confidence of each primitive over a scan's training views, with default settings; and the frame of the scan.
+fn confidence(primitives: &Primitives, scan: &Path) -> Result<(Vec<f64>, Frame)> {
+    let Dataset { scanner, train, frame, .. } = Dataset::read(scan)?;
+    Ok((Coverage::new(Settings::default()).confidence(primitives, &scanner, &train), frame))
 }

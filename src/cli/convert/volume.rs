@@ -4,13 +4,16 @@ use super::{Convert, Converted, extension, warn};
 use crate::cli::Output;
 use crate::cli::messages::hounsfield_to_attenuation;
 use trgs::output::check_file;
+use trgs::scene::Unit;
 use trgs::scene::dataset::Description;
 use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Unit, Volume};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
-    let (source, out) = (&command.source, &command.out);
+    let out = &command.out;
+    // The folder of a run stands for its volume.
+    let of_run = command.source.join("volume.npy");
+    let source = if of_run.exists() { &of_run } else { &command.source };
     let mut volume = volume_file::read(source)?;
     let mut notes = Vec::new();
     if let Some(path) = &command.scanner {
@@ -21,8 +24,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
             let remedy = "give the scan that the volume was reconstructed from";
             return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
         }
-        let oddities = volume.oddities;
-        volume = VolumeFile { oddities, ..frame.file(&Volume { grid, values: volume.values }) };
+        let (arranged, oddities) = frame.arrange(volume, &grid).map_err(|error| error.in_file(source))?;
+        volume = VolumeFile { oddities, ..frame.file(&arranged) };
     }
     warn(source, &volume.oddities);
     if let Some(mu_water) = command.mu_water {

@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::numeric::elementary::log;
 use crate::output::write_atomically;
 use crate::primitives::{KernelKind, Parameters, Primitives};
+use crate::scene::Frame;
 use colorous::VIRIDIS;
 use serde::{Deserialize, Serialize};
 use serde_ply::{PlyReader, SerializeOptions};
@@ -125,7 +126,7 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
 ///
 /// # Panics
 /// When the number of confidences is not the number of primitives.
-pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>) -> Result<()> {
+pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>, frame: &Frame) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     assert!(confidence.is_none_or(|c| c.len() == density.len()), "one confidence for each primitive");
     let (of, place) = match (confidence, primitives.kernel) {
@@ -159,13 +160,17 @@ pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>) -
         }
     };
     let file = Ply { vertex: (0..density.len()).map(vertex).collect() };
-    let comments = [
+    let mut comments = vec![
         "primitives of trgs: physical values in scene units, not the pre-activation ones of 3D Gaussian splatting"
             .into(),
         "rotation is a quaternion (w, x, y, z) of any length; without nu the kernel is Gaussian".into(),
         format!("colour: viridis of {of}"),
     ];
-    let options = SerializeOptions::binary_le().with_comments(comments.into());
+    if *frame != Frame::default() {
+        let [x, y, z] = frame.origin.to_array();
+        comments.push(format!("unit of length of the scan: {}; the scene's origin is at {x}, {y}, {z}", frame.words()));
+    }
+    let options = SerializeOptions::binary_le().with_comments(comments);
     write_atomically(path, |out| serde_ply::to_writer(&file, options, out).map_err(io::Error::other))
 }
 
@@ -179,6 +184,7 @@ fn spread(values: Vec<f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Unit;
 
     fn primitives(nu: [f64; 2]) -> Primitives {
         let parameters = Parameters {
@@ -197,7 +203,7 @@ mod tests {
         let path = folder.path().join("model.ply");
         for nu in [[3.0, 30.0], [f64::INFINITY; 2]] {
             for confidence in [None, Some(vec![0.25, 1.0])] {
-                write(&path, &primitives(nu), confidence.as_deref()).unwrap();
+                write(&path, &primitives(nu), confidence.as_deref(), &Frame::default()).unwrap();
                 assert_eq!(read(&path).unwrap(), (primitives(nu), confidence));
             }
         }
@@ -207,10 +213,12 @@ mod tests {
     fn the_header_says_what_the_values_are_and_no_viewer_of_splats_knows_the_names() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
-        write(&path, &primitives([3.0, 30.0]), Some(&[0.0, 1.0])).unwrap();
+        let frame = Frame { unit: Some(Unit::Millimetre), ..Frame::scaled(0.01) };
+        write(&path, &primitives([3.0, 30.0]), Some(&[0.0, 1.0]), &frame).unwrap();
         let content = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
         let (header, _) = content.split_once("end_header").unwrap();
         assert!(header.contains("comment primitives of trgs: physical values"), "{header}");
+        assert!(header.contains("1 mm is 0.01 scene units"), "{header}");
         assert!(header.contains("format binary_little_endian 1.0") && header.contains("element vertex 2"), "{header}");
         for name in ["double nu", "double confidence", "uchar red"] {
             let alias = name.replace("double", "float64").replace("uchar", "uint8");

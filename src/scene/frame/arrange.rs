@@ -4,7 +4,7 @@ use super::{Frame, Unit};
 use crate::error::{Error, Result};
 use crate::scene::arrays::Volume;
 use crate::scene::geometry::Grid;
-use crate::scene::volume_file::VolumeFile;
+use crate::scene::volume_file::{STRAIGHT, VolumeFile};
 use glam::DVec3;
 use ndarray::{Array3, Axis};
 
@@ -115,6 +115,10 @@ fn scaled(values: Array3<f32>, factor: f64) -> Array3<f32> {
 
 /// The axis of the array along each axis of the scan, if they are parallel within half a voxel at the ends.
 fn axes(file: &VolumeFile, frame: &Frame) -> Option<[(usize, bool); 3]> {
+    if file.origin.is_none() && file.directions == STRAIGHT {
+        // Formats that state no place state no axes, either: the array is in the order of the scan.
+        return Some([(0, false), (1, false), (2, false)]);
+    }
     let relative = frame.directions.transpose() * file.directions;
     let mut axes = [None; 3];
     for (axis, &n) in file.values.shape().iter().enumerate() {
