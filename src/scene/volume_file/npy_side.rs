@@ -93,7 +93,9 @@ impl NpySide {
             return Err(wrong(path, format!("{self:?}")));
         }
         let (spacing, origin) = (DVec3::from_array(self.spacing), DVec3::from_array(self.origin));
-        Ok(VolumeFile { unit, ..VolumeFile::new(volume.values, Some(spacing), Some(origin), axes) })
+        let placed = VolumeFile::new(volume.values, Some(spacing), Some(origin), axes);
+        // Its directions are those of a scan, and nothing unusual.
+        Ok(VolumeFile { unit, oddities: Vec::new(), ..placed })
     }
 }
 
