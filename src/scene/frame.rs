@@ -53,9 +53,12 @@ pub enum Unit {
     Inch,
 }
 
+/// A unit, its symbol, its millimetres, and other names in lower case.
+type Row = (Unit, &'static str, f64, &'static [&'static str]);
+
 impl Unit {
     /// All units, with their symbols, millimetres, and other names in lower case.
-    const ALL: [(Self, &'static str, f64, &'static [&'static str]); 6] = [
+    const ALL: [Row; 6] = [
         (Self::Nanometre, "nm", 1e-6, &["nanometer", "nanometre", "nanometers", "nanometres"]),
         (
             Self::Micrometre,
@@ -69,7 +72,7 @@ impl Unit {
         (Self::Inch, "in", 25.4, &["inch", "inches"]),
     ];
 
-    fn row(self) -> &'static (Self, &'static str, f64, &'static [&'static str]) {
+    fn row(self) -> &'static Row {
         Self::ALL.iter().find(|(unit, ..)| *unit == self).expect("every unit has a row")
     }
 
