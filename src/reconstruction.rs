@@ -28,6 +28,7 @@ use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::path::Path;
 
 /// What a method found.
 #[derive(Clone, Debug)]
@@ -55,6 +56,8 @@ pub struct Reconstruction {
 pub enum Progress<'a> {
     /// So many iterations on primitives are done; now and then with a record.
     Iteration(usize, Option<&'a Record>),
+    /// So many iterations of the pilot run are done, which has [`PILOT_PART`] of those of the run.
+    Pilot(usize, Option<&'a Record>),
     /// An iteration on voxels.
     Pass(&'a Pass),
     /// A setting of this name is being chosen; now and then with a trial.
@@ -101,12 +104,12 @@ fn reconstruct_with(
 ) -> Result<Reconstruction> {
     let voxels::Found { volume, choice, unit } = match (config.method, config.precision) {
         (Method::TrGs | Method::R2Gaussian, _) => {
-            let keeps = checkpoints.is_some();
+            let file = checkpoints.as_ref().map(|checkpoints| checkpoints.file.clone());
             let checkpoints = checkpoints.map(of_training).transpose()?;
             let mut watch = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
             let found = train(dataset, config, checkpoints, &mut watch)?;
-            return after_training(found, dataset, config, observe).map_err(|error| match error {
-                Error::Interrupted { step, .. } => Error::interrupted(step, keeps),
+            return after_training(found, dataset, config, file.as_deref(), observe).map_err(|error| match error {
+                Error::Interrupted { .. } => Error::interrupted(config.iterations, file.is_some()),
                 other => other,
             });
         }
@@ -122,18 +125,29 @@ fn reconstruct_with(
 }
 
 /// The volume of trained primitives, sampled and finished as `config` has it.
+///
+/// A decision of a pilot run is kept in the `checkpoint`: it is made once, also when the run is continued later.
 fn after_training(
     found: train::TrainedModel,
     dataset: &Dataset,
     config: &Config,
+    checkpoint: Option<&Path>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let train::TrainedModel { primitives, volume, log, unit, continued } = found;
+    let train::TrainedModel { primitives, volume, log, unit, continued, decision } = found;
+    let asked = config;
     // The pilot run has fewer views, which would make another unit.
     let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
-    let piloted = match config.has_pilot() {
-        true => pilot::choose(dataset, config, observe)?,
-        false => None,
+    let piloted = match decision.filter(|_| config.has_pilot()) {
+        Some(decision) => Some(decision.into()),
+        None if config.has_pilot() => {
+            let found = pilot::choose(dataset, config, observe)?;
+            if let (Some(found), Some(file)) = (&found, checkpoint) {
+                train::Checkpoint::decide(file, asked, found.decision(config.iterations))?;
+            }
+            found
+        }
+        None => None,
     };
     let (sampled, chosen) = match piloted {
         Some(pilot::Found { sampled, choice }) => (sampled, Some(choice)),

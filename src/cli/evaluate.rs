@@ -87,3 +87,19 @@ pub(super) fn answer(evaluation: &Evaluation, mut context: Value) -> Output {
                   own range instead.";
     Output::judged_table(&context, header, rows, &[remark.into()], true)
 }
+
+/// [`answer`] from the metrics that a run has written.
+pub(super) fn answer_again(metrics: Value, mut context: Value) -> Output {
+    let names = Metrics::NAMES.into_iter().chain(Metrics::RANGE_NAMES);
+    let rows: Vec<_> = names
+        .filter_map(|name| {
+            let metric = metrics.get(name)?;
+            let definition = metric["definition"].as_str()?;
+            Some([name.into(), format!("{:.4}", metric["value"].as_f64()?), definition.to_owned()])
+        })
+        .collect();
+    if let (Some(context), Value::Object(metrics)) = (context.as_object_mut(), metrics) {
+        context.extend(metrics);
+    }
+    Output::table(&context, ["metric", "value", "definition"], rows)
+}

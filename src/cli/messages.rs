@@ -15,13 +15,10 @@ use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::{FmtContext, fmt};
 use tracing_subscriber::registry::LookupSpan;
 use trgs::Error;
-use trgs::classical::algebraic::{Pass, Trial};
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::output::Destination;
 use trgs::scene::hounsfield;
-use trgs::train::Record;
-use trgs::words;
 use trgs::words::{is_command, visible};
 
 /// Sends all tracing events to standard error, in the requested format.
@@ -82,13 +79,13 @@ pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, m
     Ok(())
 }
 
-/// Progress of a training run.
+/// Progress of an experiment or of a check.
 pub(super) struct ProgressBar {
     bar: Option<indicatif::ProgressBar>,
 }
 
 impl ProgressBar {
-    /// A bar on a terminal, otherwise one line per report.
+    /// A bar on a terminal, otherwise one line per step.
     pub(super) fn new(iterations: usize, global: &Global) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}{rate}, {eta} left");
@@ -101,80 +98,7 @@ impl ProgressBar {
         Self { bar: wanted.then(|| indicatif::ProgressBar::new(iterations as u64).with_style(style)) }
     }
 
-    /// Call after every iteration; breaks when the user interrupts.
-    pub(super) fn observe(&mut self, iteration: usize, record: Option<&Record>) -> ControlFlow<()> {
-        if let Some(bar) = &self.bar {
-            bar.set_position(iteration as u64);
-            if let Some(record) = record {
-                bar.set_message(format!("loss {:.5}, {} primitives, ", record.loss, record.primitives));
-            }
-        } else if let Some(Record { iterations, loss, l1, d_ssim, tv, primitives, seconds, .. }) = record {
-            tracing::info!(
-                iteration,
-                iterations,
-                loss,
-                l1,
-                d_ssim,
-                tv,
-                primitives,
-                seconds,
-                "iteration {iteration} of {iterations}: loss {loss:.5} (L1 {l1:.5}, 1-SSIM {d_ssim:.4}, TV {tv:.5}), \
-                 {primitives} primitives, {seconds:.1} s"
-            );
-        }
-        go_on()
-    }
-
-    /// [`Self::observe`] for iterations on voxels.
-    pub(super) fn pass(&mut self, pass: &Pass, seconds: f64) -> ControlFlow<()> {
-        let Pass { iteration, iterations, residual, objective, change } = *pass;
-        let change = change.map_or(String::new(), |change| format!(", step {change:.1e} of the volume"));
-        let shown = if (0.01..1e6).contains(&residual) { format!("{residual:.4}") } else { format!("{residual:.4e}") };
-        if let Some(bar) = &self.bar {
-            bar.set_position(iteration as u64);
-            bar.set_message(format!("residual {shown}, "));
-        } else {
-            tracing::info!(
-                iteration,
-                iterations,
-                residual,
-                objective,
-                seconds,
-                "iteration {iteration} of {iterations}: residual {shown}{change}, {seconds:.1} s"
-            );
-        }
-        go_on()
-    }
-
-    /// [`Self::observe`] for an iteration of the finish on voxels: the bar stays full.
-    pub(super) fn finish(&mut self, pass: &Pass) -> ControlFlow<()> {
-        let Pass { iteration, iterations, residual, .. } = *pass;
-        let objective = pass.objective.unwrap_or_default();
-        match &self.bar {
-            Some(bar) => bar.set_message(format!("finishing on voxels, {iteration} of {iterations}, ")),
-            None => tracing::info!(
-                finish = iteration,
-                residual,
-                objective,
-                "finish on voxels, iteration {iteration} of {iterations}: residual {residual:.5e}, objective {objective:.5e}"
-            ),
-        }
-        go_on()
-    }
-
-    /// [`Self::observe`] for the choice of a setting.
-    pub(super) fn trial(&mut self, key: &str, trial: Option<&Trial>) -> ControlFlow<()> {
-        if let Some(Trial { value, error }) = trial {
-            let shown = words::value(*value);
-            match &self.bar {
-                Some(bar) => bar.set_message(format!("{key} {shown}: held-out error {error:.5}, ")),
-                None => tracing::info!(key, value, error, "{key} {shown}: held-out error {error:.5}"),
-            }
-        }
-        go_on()
-    }
-
-    /// [`Self::observe`] for the cells of an experiment.
+    /// Call after every cell of an experiment.
     ///
     /// `seconds` counts from the start of the first cell; `first` is the number of cells finished before.
     pub(super) fn cell(&mut self, done: &Done<'_>, first: usize, seconds: f64) {
@@ -196,7 +120,7 @@ impl ProgressBar {
         }
     }
 
-    /// [`Self::observe`] for the steps of a check.
+    /// Call after every step of a check; breaks when the user interrupts.
     pub(super) fn step(&mut self, step: &Step) -> ControlFlow<()> {
         let Step { what, done, steps } = *step;
         if let Some(bar) = &self.bar {

@@ -20,10 +20,12 @@ mod messages;
 mod oracle;
 mod output;
 mod pace;
+mod progress;
 mod reconstruct;
 mod render;
 mod report;
 mod run_folder;
+mod run_log;
 mod simulate;
 mod table;
 mod views;
@@ -35,6 +37,7 @@ use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
 use output::Output;
 use std::process::ExitCode;
 use trgs::numeric::threads;
+use trgs::words::counted;
 use trgs::{Error, Result, limit};
 
 const CHECK_SAID_NO: u8 = 1;
@@ -118,6 +121,7 @@ pub(crate) fn main() -> ExitCode {
     interrupt::install();
     trgs::input::record();
     std::env::args_os().skip(1).for_each(|argument| trgs::output::recover(argument.as_ref()));
+    tell_of_threads(cli.global.threads.into());
     let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
     match answer.flatten().and_then(|answer| answer.print(cli.global.json).map(|()| answer.approves())) {
         Ok(true) => ExitCode::SUCCESS,
@@ -148,6 +152,17 @@ impl Command {
             Self::Inspect(command) => command.run(global),
             Self::Convert(command) => command.run(),
         }
+    }
+}
+
+/// Warns of more worker threads than the machine has cores.
+fn tell_of_threads(threads: usize) {
+    let cores = std::thread::available_parallelism().map_or(usize::MAX, Into::into);
+    if threads > cores {
+        tracing::warn!(
+            "--threads {threads}: this machine has {}; more threads than cores only wait for each other",
+            counted(cores, "core")
+        );
     }
 }
 

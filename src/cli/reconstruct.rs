@@ -1,17 +1,18 @@
 //! `trgs reconstruct`: reconstructs a volume from a dataset and writes the folder of a run.
 
-use super::arguments::{Replace, choice, positive, seed};
-use super::evaluate::answer;
-use super::messages::{ProgressBar, warning};
-use super::pace::Pace;
-use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file};
+use super::arguments::{Replace, choice, positive, seed, word};
+use super::evaluate::{answer, answer_again};
+use super::flags::with_flags;
+use super::messages::warning;
+use super::progress::RunProgress;
+use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file, metrics_of_results};
 use super::{Global, Output, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Instant;
-use trgs::config::{Config, Method, Precision, Preset, Start};
+use trgs::config::{Config, Method, Precision, Preset, Sampling, Start};
 use trgs::evaluation::Metrics;
 use trgs::input;
 use trgs::memory::Estimate;
@@ -21,9 +22,9 @@ use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
 use trgs::scene::{Dataset, Volume, plausibility};
-use trgs::train::{primitives_of_model, with_points_of_model};
+use trgs::train::{Decision, primitives_of_model, with_points_of_model};
 use trgs::words;
-use trgs::{Error, Result, limit};
+use trgs::{Error, Result, Setting, limit};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
 const AUTO: usize = 10;
@@ -50,7 +51,8 @@ The config.toml of any run lists and documents all keys.
 
 --resume with more --iterations continues a run beyond its end. Other methods end with the bits \
 of a run of so many iterations. tr-gs and r2-gaussian follow the schedule of the longer run (learning rates, sampler, \
-density control) from the iteration reached; this is deterministic, but differs from the longer run from its start."
+density control) from the iteration reached; this is deterministic, but differs from the longer run from its start. They \
+keep the sampling and the finish that the pilot run of the shorter run chose, unless --choose-again is given."
 )]
 pub(super) struct Reconstruct {
     /// Folder of the scan, its meta_data.json, or a pickle of NAF
@@ -97,6 +99,9 @@ pub(super) struct Reconstruct {
     /// Continue from the last checkpoint of RUN, bit-identical to an uninterrupted run; with more --iterations see below
     #[arg(long)]
     resume: bool,
+    /// With --resume: let a pilot run choose sampling and finish again; without it the earlier choice is kept
+    #[arg(long, requires = "resume")]
+    choose_again: bool,
 }
 
 impl Reconstruct {
@@ -128,18 +133,43 @@ impl Reconstruct {
         if let Some(saved) = &mut checkpoint {
             extend(saved, config.iterations)?;
             saved.check_config(&config)?;
-            tell_of_pilot(saved, &config);
+            saved.check_data(&dataset)?;
+            if let Some(metrics) = metrics_of_results(&self.out, saved.results(), &config)? {
+                tracing::info!("{} is complete: nothing is left to do", self.out.display());
+                return Ok(answer_again(metrics, self.context(config.method)));
+            }
+            tell_of_decision(saved, &config);
         } else if config.method.fits_primitives() && config.initialisation.from == Start::Model {
             let (_, remarks) = primitives_of_model(&dataset.scanner.grid, &config)?;
             remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
         }
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
         let inputs = input::digests()?;
-        let outcome = reconstruct(&dataset, &config, claim, inputs, Some(checkpoints), None, global)?;
-        let report = self.out.join("report.html");
-        tracing::info!("wrote {}: open it in a browser", report.display());
-        let context = json!({ "run": words::name(&self.out), "method": config.method, "seconds": outcome.seconds, "report": words::name(&report) });
+        let outcome = reconstruct(&dataset, &config, claim, inputs, Some(checkpoints), None, global)
+            .map_err(|error| self.with_command(error))?;
+        tracing::info!("wrote {}: open it in a browser", self.out.join("report.html").display());
+        let mut context = self.context(config.method);
+        context["seconds"] = json!(outcome.seconds);
         Ok(answer(&outcome.evaluation, context))
+    }
+
+    /// What the result says besides the metrics.
+    fn context(&self, method: Method) -> Value {
+        json!({ "run": words::name(&self.out), "method": method, "report": words::name(self.out.join("report.html")) })
+    }
+
+    /// The error of an interrupted run with the command that goes on with it: its settings are in the checkpoint.
+    fn with_command(&self, error: Error) -> Error {
+        match error {
+            Error::Interrupted { step, remedy } if remedy.contains(&Setting::Resume.to_string()) => {
+                let views = self.views.map_or(String::new(), |n| format!(" --views {n}"));
+                let [dataset, out] = [&self.dataset, &self.out].map(|path| words::quoted_path(path));
+                let remedy =
+                    format!("its state is saved; go on with: trgs reconstruct {dataset} --out {out}{views} --resume");
+                Error::Interrupted { step, remedy }
+            }
+            other => other,
+        }
     }
 
     /// The memory that the run needs, as far as it is known before the scan is read.
@@ -164,7 +194,16 @@ impl Reconstruct {
             tracing::warn!("{} does not exist: starting from the beginning", file.display());
             return Ok(None);
         }
-        let checkpoint = Checkpoint::read(&file)?;
+        let mut checkpoint = Checkpoint::read(&file)?;
+        if self.choose_again {
+            match &mut checkpoint {
+                Checkpoint::Primitives(saved) => saved.forget_decision(),
+                Checkpoint::Voxels(_) => {
+                    let expected = "a run of tr-gs or r2-gaussian: a run on voxels began with its choice";
+                    return Err(Error::invalid("--choose-again", "a run of another method", expected, "leave it out"));
+                }
+            }
+        }
         tracing::info!("resuming after iteration {}", checkpoint.iteration());
         Ok(Some(checkpoint))
     }
@@ -221,12 +260,20 @@ fn extend(checkpoint: &mut Checkpoint, iterations: usize) -> Result<()> {
     Ok(())
 }
 
-/// Says that a pilot run decides again for a run that was continued.
-fn tell_of_pilot(checkpoint: &Checkpoint, config: &Config) {
-    if matches!(checkpoint, Checkpoint::Primitives(saved) if saved.is_continued()) && config.has_pilot() {
-        tracing::warn!(
-            "a pilot run of the new length decides sampling and finish anew; what it decided before can be kept with \
-             --set sampling=... --set tv.weight=... --set tv.finish_iterations=..., from the report of the shorter run"
+/// Says which choice a run keeps that goes on with another length than it was made for.
+fn tell_of_decision(checkpoint: &Checkpoint, config: &Config) {
+    let Checkpoint::Primitives(saved) = checkpoint else { return };
+    let Some(Decision { iterations, sampling, finish, .. }) = saved.decision(config) else { return };
+    if *iterations != config.iterations && config.has_pilot() {
+        let number = finish.iterations.map_or(String::new(), |n| format!(" and {n} iterations"));
+        let finish = match config.has_open_finish() {
+            true => format!(", a finish with tv.weight {}{number}", words::value(finish.value)),
+            false => String::new(),
+        };
+        tracing::info!(
+            "kept from the run of {iterations} iterations: sampling {}{finish}; --choose-again lets a pilot run of the \
+             new length choose",
+            word(sampling)
         );
     }
 }
@@ -248,47 +295,49 @@ pub(super) fn reconstruct(
         // Checked again with sizes that are known only after reading.
         estimate.check(limit::bytes())?;
         let folder = RunFolder::begin(claim, config, estimate.peak(), inputs)?;
-        tracing::info!(memory = estimate.peak(), "needs at most {estimate}");
+        tracing::info!(memory = estimate.peak(), parts = %estimate, "memory: at most {}", ByteSize(estimate.peak()));
         if let Some(installed) = limit::available().filter(|&installed| installed < estimate.peak()) {
             tracing::warn!("this machine has only {} of memory: the run may be slow or be killed", ByteSize(installed));
         }
         let began = Instant::now();
-        let mut bar = ProgressBar::new(config.iterations, global);
-        let done =
-            checkpoints.as_ref().and_then(|checkpoints| checkpoints.from.as_ref()).map_or(0, Checkpoint::iteration);
-        let (mut passes, mut pace) = (Vec::new(), Pace::new(config, done));
+        let from = checkpoints.as_ref().and_then(|checkpoints| checkpoints.from.as_ref());
+        let done = from.map_or(0, Checkpoint::iteration);
+        let is_decided = from.is_some_and(|from| from.is_decided(config));
+        let mut progress = RunProgress::new(dataset, config, done, is_decided, global);
+        let mut passes = Vec::new();
+        let keeps = checkpoints.is_some();
+        let mut log = keeps.then(|| folder.log(from));
         let run = Run::new(dataset, config).observe(|step| {
-            pace.tell(&step);
-            match step {
-                Progress::Iteration(iteration, record) => bar.observe(iteration, record),
-                Progress::Choosing(key, trial) => bar.trial(key, trial),
-                Progress::Pass(pass) if config.method.fits_primitives() => bar.finish(pass),
-                Progress::Pass(pass) => {
-                    let seconds = began.elapsed().as_secs_f64();
-                    passes.push(TimedPass { pass: pass.clone(), seconds });
-                    bar.pass(pass, seconds)
+            match (&step, &mut log) {
+                (Progress::Iteration(_, Some(record)), Some(log)) => log.write(record),
+                (Progress::Pass(pass), log) if !config.method.fits_primitives() => {
+                    let pass = TimedPass { pass: (*pass).clone(), seconds: began.elapsed().as_secs_f64() };
+                    log.iter_mut().for_each(|log| log.write(&pass));
+                    passes.push(pass);
                 }
+                _ => {}
             }
+            progress.see(&step)
         });
         let run = match checkpoints {
             Some(checkpoints) => run.checkpoints(checkpoints),
             None => run,
         };
         let found = run.reconstruct()?;
-        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued } = found;
-        drop(bar);
-        if let Some(unit) = unit {
-            tracing::info!(unit, "a density of {unit:.4e} per scene unit counted as 1 (density_unit)");
-        }
-        if let Some(TimedPass { pass, .. }) = passes.last().filter(|last| last.pass.iteration < last.pass.iterations) {
-            tracing::info!("converged after iteration {} of {}", pass.iteration, pass.iterations);
-        }
         let seconds = began.elapsed().as_secs_f64();
+        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued } = found;
+        progress.evaluating();
         let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
         let metrics = |volume: &Volume| Metrics::compute(dataset.truth.as_ref().map(|truth| (truth, volume)), None);
         let unfinished = unfinished.map(|volume| metrics(&volume).map(|metrics| (volume, metrics))).transpose()?;
+        drop(progress);
+        if let Some(TimedPass { pass, .. }) = passes.last().filter(|last| last.pass.iteration < last.pass.iterations) {
+            tracing::info!("converged after iteration {} of {}", pass.iteration, pass.iterations);
+        }
         if let Some(sampled) = &sampled {
-            tracing::info!("{sampled}");
+            let other = if sampled.sampling == Sampling::Interpolant { "point" } else { "interpolant" };
+            let remedy = sampled.evidence.map_or(String::new(), |_| format!("; `sampling={other}` takes the other"));
+            tracing::info!("{}", with_flags(&format!("volume: {sampled}{remedy}")));
         }
         let method = config.method;
         let outcome = Outcome {
@@ -305,7 +354,7 @@ pub(super) fn reconstruct(
             sampled,
             continued,
         };
-        folder.finish(dataset, config, &outcome, beside)?;
+        folder.finish(dataset, config, &outcome, beside, keeps)?;
         Ok(outcome)
     })
 }

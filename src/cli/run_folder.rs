@@ -2,6 +2,7 @@
 
 use super::arguments::word;
 use super::messages::moved;
+use super::run_log::{RunLog, to_line};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -13,9 +14,8 @@ use trgs::evaluation::Metrics;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_atomically};
 use trgs::primitives::{Primitives, model};
-use trgs::provenance::{Provenance, digest_file};
-use trgs::reconstruction::Evaluation;
-use trgs::reconstruction::Sampled;
+use trgs::provenance::{Provenance, digest_bytes, digest_file};
+use trgs::reconstruction::{Checkpoint, Evaluation, Sampled};
 use trgs::report::{self, Curve, Report};
 use trgs::scene::volume_file::NpySide;
 use trgs::scene::{Dataset, Volume, npy};
@@ -23,6 +23,8 @@ use trgs::train::Record;
 use trgs::words::{self, counted};
 use trgs::{Error, Result};
 
+/// The records of a run, a line each.
+const LOG: &str = "log.jsonl";
 /// Folder with the state of an iterative run.
 const CHECKPOINTS: &str = "checkpoints";
 /// The volume, and its place beside it: spacing, origin, directions and unit.
@@ -142,13 +144,20 @@ impl RunFolder {
         Ok(Self { claim, destination, provenance })
     }
 
-    /// Writes all files and moves the folder to its target. `beside` is shown on the page for comparison.
+    /// The log that grows while the run goes on.
+    pub(super) fn log(&self, from: Option<&Checkpoint>) -> RunLog {
+        RunLog::begin(self.claim.folder().join(LOG), from.map_or(&[], Checkpoint::log))
+    }
+
+    /// Writes all files and moves the folder to its target. `beside` is shown on the page for comparison; `keeps` says that
+    /// the run has a checkpoint.
     pub(super) fn finish(
         mut self,
         dataset: &Dataset,
         config: &Config,
         outcome: &Outcome,
         beside: Option<&Outcome>,
+        keeps: bool,
     ) -> Result<()> {
         self.provenance.density_unit = outcome.unit;
         self.provenance.continued.clone_from(&outcome.continued);
@@ -169,17 +178,23 @@ impl RunFolder {
         }
         let lines: String = outcome.log.iter().map(to_line).chain(outcome.passes.iter().map(to_line)).collect();
         if !lines.is_empty() {
-            write_text(&at("log.jsonl"), &lines)?;
-        }
-        // The run's last state replaces earlier states together with the results.
-        let last = checkpoint_file(self.claim.folder());
-        if last.exists() {
-            let kept = checkpoint_file(&staged.path());
-            create_folder(&at(CHECKPOINTS))?;
-            std::fs::copy(&last, &kept).map_err(|source| Error::write(&kept, source))?;
+            write_text(&at(LOG), &lines)?;
         }
         for name in TIMELESS.into_iter().filter(|name| at(name).exists()) {
             self.provenance.outputs.insert(name.into(), digest_file(&at(name))?);
+        }
+        // The run's last state replaces earlier states together with the results, and has their digests.
+        let last = checkpoint_file(self.claim.folder());
+        if keeps && last.exists() {
+            match Checkpoint::read(&last) {
+                Ok(mut checkpoint) => {
+                    checkpoint.set_results(self.provenance.outputs.clone());
+                    create_folder(&at(CHECKPOINTS))?;
+                    checkpoint.write(&checkpoint_file(&staged.path()))?;
+                }
+                // Another program may have changed the file; the results are not lost for that.
+                Err(error) => tracing::warn!("the run cannot be continued: {error}"),
+            }
         }
         write_text(&at("report.html"), &page(dataset, config, outcome, beside, &self.provenance)?)?;
         write_text(&at("provenance.json"), &json(&self.provenance))?;
@@ -291,14 +306,28 @@ pub(super) fn checkpoint_file(run: &Path) -> PathBuf {
     run.join(CHECKPOINTS).join("last.msgpack")
 }
 
+/// The metrics of a finished run of `config`; `None` where its results are not those with these digests.
+pub(super) fn metrics_of_results(
+    run: &Path,
+    digests: &BTreeMap<String, String>,
+    config: &Config,
+) -> Result<Option<serde_json::Value>> {
+    let of_config =
+        digests.get("config.toml").is_some_and(|digest| *digest == digest_bytes(config.to_toml().as_bytes()));
+    let is_intact =
+        |(name, digest): (&String, &String)| digest_file(&run.join(name)).is_ok_and(|found| found == *digest);
+    if !of_config || !run.join("report.html").exists() || !digests.iter().all(is_intact) {
+        return Ok(None);
+    }
+    let path = run.join("metrics.json");
+    let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+    Ok(serde_json::from_slice(&text).ok())
+}
+
 fn write_text(path: &Path, text: &str) -> Result<()> {
     write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
 fn json(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).expect("results have string keys and no foreign serialisers") + "\n"
-}
-
-fn to_line(record: &impl Serialize) -> String {
-    serde_json::to_string(record).expect("a record consists of numbers") + "\n"
 }

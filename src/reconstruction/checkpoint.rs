@@ -7,9 +7,10 @@ use crate::output::create_folder;
 use crate::provenance::digest_parts;
 use crate::scene::Dataset;
 use crate::sealed::{self, Kind, are_finite, require};
-use crate::train;
+use crate::train::{self, Record};
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Where a run keeps its state, and what it goes on from.
@@ -58,6 +59,8 @@ pub struct VoxelCheckpoint {
     /// What was shown before.
     pub(super) passes: Vec<Pass>,
     pub(super) state: VoxelState,
+    /// Digests of the results of a finished run, by file; empty until they are written.
+    pub(super) results: BTreeMap<String, String>,
 }
 
 impl Checkpoint {
@@ -74,6 +77,60 @@ impl Checkpoint {
                 found.check_content().map_err(|error| error.in_file(path))?;
                 Ok(Self::Voxels(Box::new(found)))
             }
+        }
+    }
+
+    /// Writes it as a whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.write(path),
+            Self::Voxels(checkpoint) => sealed::write(path, Kind::Voxels, checkpoint),
+        }
+    }
+
+    /// Digests of the results of a finished run, by file; empty for the state of an unfinished one.
+    pub fn results(&self) -> &BTreeMap<String, String> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.results(),
+            Self::Voxels(checkpoint) => &checkpoint.results,
+        }
+    }
+
+    /// States the results of the run, which is finished.
+    pub fn set_results(&mut self, results: BTreeMap<String, String>) {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.set_results(results),
+            Self::Voxels(checkpoint) => checkpoint.results = results,
+        }
+    }
+
+    /// The records of a run on primitives. Those of a run on voxels are reported again when it goes on.
+    pub fn log(&self) -> &[Record] {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.log(),
+            Self::Voxels(_) => &[],
+        }
+    }
+
+    /// Whether a run of `config` that goes on from it chooses nothing on held-out views any more.
+    pub fn is_decided(&self, config: &Config) -> bool {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.decision(config).is_some(),
+            Self::Voxels(_) => true,
+        }
+    }
+
+    /// Refuses other projections than those of the run.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_data(&self, dataset: &Dataset) -> Result<()> {
+        match self {
+            Self::Primitives(checkpoint) => checkpoint.check_data(dataset),
+            Self::Voxels(checkpoint) => checkpoint.check_data(dataset),
         }
     }
 
@@ -127,7 +184,7 @@ impl VoxelCheckpoint {
     /// Without a state yet.
     pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>) -> Self {
         let (config, data) = (config.to_toml(), digest(dataset));
-        Self { config, data, choice, passes: Vec::new(), state: VoxelState::default() }
+        Self { config, data, choice, passes: Vec::new(), state: VoxelState::default(), results: BTreeMap::new() }
     }
 
     /// Writes it with a state, which is not kept, as a whole or not at all.
@@ -180,6 +237,7 @@ impl VoxelCheckpoint {
         train::check_extension(iterations, self.state.iteration())?;
         config.iterations = iterations;
         self.config = config.to_toml();
+        self.results.clear();
         self.passes.iter_mut().for_each(|pass| pass.iterations = iterations);
         Ok(())
     }
@@ -192,6 +250,10 @@ impl VoxelCheckpoint {
     /// Refuses another configuration and other data.
     pub(super) fn check(&self, dataset: &Dataset, config: &Config) -> Result<()> {
         self.check_config(config)?;
+        self.check_data(dataset)
+    }
+
+    fn check_data(&self, dataset: &Dataset) -> Result<()> {
         if self.data != digest(dataset) {
             return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
         }

@@ -24,7 +24,7 @@ use crate::error::Result;
 use crate::numeric::Real;
 use crate::reconstruction::Evidence;
 use crate::scene::{Dataset, Projections, Volume, interpolant};
-use crate::train::{Record, TrainedModel, train};
+use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, train};
 use std::ops::ControlFlow;
 
 /// Iterations of the pilot as a fraction of those of the run.
@@ -36,8 +36,6 @@ const FIRST: f64 = 4e-4;
 /// corrected. There the error still falls a little while edges are smoothed.
 const NEAR: f64 = 0.005;
 const NEAR_CORRECTED: f64 = 0.02;
-/// Most iterations of a finish that are tried.
-const MOST_ITERATIONS: usize = 200;
 
 /// What a pilot run found.
 pub(super) struct Found {
@@ -45,6 +43,22 @@ pub(super) struct Found {
     pub(super) sampled: Sampled,
     /// Weight and number of iterations of the finish.
     pub(super) choice: Choice,
+}
+
+impl Found {
+    /// What a checkpoint keeps of a run of so many iterations.
+    pub(super) fn decision(&self, iterations: usize) -> Decision {
+        let Sampled { sampling, evidence } = self.sampled;
+        let errors = evidence.map(|evidence| [evidence.point, evidence.interpolant]);
+        Decision { iterations, sampling, errors, finish: self.choice.clone() }
+    }
+}
+
+impl From<Decision> for Found {
+    fn from(Decision { sampling, errors, finish, .. }: Decision) -> Self {
+        let evidence = errors.map(|[point, interpolant]| Evidence { point, interpolant });
+        Self { sampled: Sampled { sampling, evidence }, choice: finish }
+    }
 }
 
 /// Sampling and finish of a run by a pilot run; none where there are too few views to hold any out.
@@ -64,7 +78,7 @@ fn choose_as<R: Real>(dataset: &Dataset, config: &Config, observe: &mut Observe<
     let config = shorter(&config.resolved(&dataset.scanner, dataset.train.len()));
     let held = dataset.train.select(&held_views);
     let part = dataset.of_views(&train_views);
-    let mut watch = |_, _: Option<&Record>| observe(Progress::Choosing("tv.weight", None));
+    let mut watch = |iteration, record: Option<&Record>| observe(Progress::Pilot(iteration, record));
     let pilot = train(&part, &config, None, &mut watch)?;
     let mut choice_of = |sampling| finish_of::<R>(&pilot, sampling, [&part.train, &held], &projector, &config, observe);
     let mut found = match config.sampling {

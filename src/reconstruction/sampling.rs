@@ -50,13 +50,16 @@ impl Evidence {
 impl fmt::Display for Sampled {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.sampling {
-            Sampling::Interpolant => write!(f, "the volume interpolates to the primitives' field")?,
-            _ => write!(f, "the volume holds the primitives' field at the voxel centres")?,
+            Sampling::Interpolant => write!(f, "its interpolation is the field of the primitives")?,
+            _ => write!(f, "the field of the primitives at the voxel centres")?,
         }
-        let Some(evidence) = self.evidence else { return Ok(()) };
-        let kind = if evidence.is_interpolated() { "an interpolated volume" } else { "a continuous object" };
-        let ratio = evidence.log_ratio();
-        write!(f, "; held-out views are those of {kind} (log ratio of errors {ratio:.3}; above 0: interpolated)")
+        let Some(Evidence { point, interpolant }) = self.evidence else { return Ok(()) };
+        let (kind, [error, against]) = match self.sampling {
+            Sampling::Interpolant => ("an interpolated volume", [interpolant, point]),
+            _ => ("a continuous object", [point, interpolant]),
+        };
+        let [error, against] = [error, against].map(|error| 100.0 * error);
+        write!(f, ", since held-out views are those of {kind} (error {error:.2} %, otherwise {against:.2} %)")
     }
 }
 

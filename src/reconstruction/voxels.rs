@@ -1,6 +1,6 @@
 //! The iterative methods on voxels and the networks, with what is chosen for them by views held out.
 
-use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint};
+use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint, chooses};
 use super::{Observe, Progress};
 use crate::classical::algebraic::{
     AsdPocsRun, AsdPocsSettings, CglsRun, Choice, Passes, SartRun, Trial, TvRun, TvSettings, VoxelRun, VoxelState,
@@ -41,6 +41,7 @@ pub(super) fn iterate<R: Real>(
     let (mut run, choice, mut saved) = match from {
         Some(Checkpoint::Voxels(mut saved)) => {
             saved.check(dataset, config)?;
+            saved.results.clear();
             for pass in &saved.passes {
                 stop(observe(Progress::Pass(pass)).is_break(), pass.iteration, true)?;
             }
@@ -86,16 +87,11 @@ fn choose<R: Real>(
 ) -> Result<Option<Choice>> {
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
     let passes = match config.method {
-        Method::Tv if config.tv.weight.fixed().is_none() => {
-            return choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch).map(Some);
-        }
+        _ if chooses(config).is_none() => return Ok(None),
+        Method::Tv => return choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch).map(Some),
         Method::Cgls => Passes::Cgls(config.iterations),
-        Method::Sart | Method::OsSart => Passes::Sart(config.sart()),
-        _ => return Ok(None),
+        _ => Passes::Sart(config.sart()),
     };
-    if !config.algebraic.auto {
-        return Ok(None);
-    }
     choose_passes::<R>(projector, &dataset.train, passes, &mut watch).map(Some)
 }
 

@@ -1,15 +1,21 @@
 //! The checkpoint of a run: its state, its configuration and the digest of its data.
 
+use super::record::Record;
 use super::state::State;
-use crate::config::Config;
+use crate::classical::algebraic::Choice;
+use crate::config::{Config, Sampling};
 use crate::error::{Error, Result, start_again};
 use crate::output::create_folder;
 use crate::provenance::digest_parts;
 use crate::scene::Dataset;
-use crate::sealed::{self, Kind, Sealed, require};
+use crate::sealed::{self, Kind, Sealed, are_finite, require};
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// Most iterations of a finish that a pilot run tries.
+pub(crate) const MOST_ITERATIONS: usize = 200;
 
 /// The state of a run, with its configuration and the digest of its data.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -19,6 +25,23 @@ pub struct Checkpoint {
     /// Digest of scanner, angles and training projections.
     data: String,
     pub(super) state: State,
+    /// What a pilot run decided, with the configuration's `sampling`, `finish` and `tv`.
+    pub(super) decision: Option<Decision>,
+    /// Digests of the results of a finished run, by file; empty until they are written.
+    results: BTreeMap<String, String>,
+}
+
+/// What a pilot run decided about the steps after training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    /// Iterations of the run that it was made for.
+    pub iterations: usize,
+    /// How the volume is sampled.
+    pub sampling: Sampling,
+    /// Held-out errors with point samples and with the interpolant, where both were tried.
+    pub errors: Option<[f64; 2]>,
+    /// Weight and iterations of the finish.
+    pub finish: Choice,
 }
 
 /// The file of a run's checkpoints, and the checkpoint to resume from.
@@ -32,8 +55,38 @@ pub struct Checkpoints {
 
 impl Checkpoint {
     /// `data` is the [`digest`] of the run's dataset.
-    pub(super) fn new(config: &Config, data: String, state: State) -> Self {
-        Self { config: config.to_toml(), data, state }
+    pub(super) fn new(config: &Config, data: String, state: State, decision: Option<Decision>) -> Self {
+        Self { config: config.to_toml(), data, state, decision, results: BTreeMap::new() }
+    }
+
+    /// Adds the decision of a pilot run to the file of a run of `config` whose training is done.
+    pub(crate) fn decide(path: &Path, config: &Config, decision: Decision) -> Result<()> {
+        let mut checkpoint = Self::read(path)?;
+        (checkpoint.config, checkpoint.decision) = (config.to_toml(), Some(decision));
+        checkpoint.write(path)
+    }
+
+    /// What a pilot run decided, if a run of `config` keeps it: with the same settings of the steps after training.
+    pub fn decision(&self, config: &Config) -> Option<&Decision> {
+        let saved = self.config().ok()?;
+        let settings = |config: &Config| (config.sampling, config.finish, config.tv.clone());
+        self.decision.as_ref().filter(|_| settings(&saved) == settings(config))
+    }
+
+    /// Forgets the decision of a pilot run, so that the run makes another one.
+    pub fn forget_decision(&mut self) {
+        self.decision = None;
+        self.results.clear();
+    }
+
+    /// Digests of the results of a finished run, by file.
+    pub fn results(&self) -> &BTreeMap<String, String> {
+        &self.results
+    }
+
+    /// States the results of the run, which is finished.
+    pub fn set_results(&mut self, results: BTreeMap<String, String>) {
+        self.results = results;
     }
 
     /// Reads a checkpoint.
@@ -58,6 +111,15 @@ impl Checkpoint {
         let config = self.config()?;
         config.validate()?;
         require(config.method.fits_primitives(), "method of the checkpoint", "another", "one that fits primitives")?;
+        let ranged = self.decision.as_ref().is_none_or(|decision| {
+            let fewer = |n: usize| n <= MOST_ITERATIONS || config.tv.finish_iterations.fixed() == Some(n);
+            let Decision { sampling, errors, finish, .. } = decision;
+            *sampling != Sampling::Auto
+                && finish.is_valid()
+                && finish.iterations.is_none_or(fewer)
+                && errors.as_ref().is_none_or(are_finite)
+        });
+        require(ranged, "decision of the pilot run", "another", "finite numbers of the settings")?;
         self.state.check(&config)
     }
 
@@ -75,6 +137,11 @@ impl Checkpoint {
             missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
         }
         written
+    }
+
+    /// The records of the iterations done.
+    pub fn log(&self) -> &[Record] {
+        &self.state.log
     }
 
     /// Iterations done.
@@ -111,13 +178,9 @@ impl Checkpoint {
         check_extension(iterations, self.iteration())?;
         config.iterations = iterations;
         self.config = config.to_toml();
+        self.results.clear();
         self.state.continued.push(self.state.iteration);
         Ok(())
-    }
-
-    /// Whether the run was given another number of iterations after its start.
-    pub fn is_continued(&self) -> bool {
-        !self.state.continued.is_empty()
     }
 
     /// Rejects another configuration. Settings of the steps after training may differ: `sampling`, `finish` and the table
@@ -133,9 +196,21 @@ impl Checkpoint {
         Err(Error::other_run(key, now, format!("{then}, as in the checkpoint")))
     }
 
+    /// Rejects other projections than those of the run.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_data(&self, dataset: &Dataset) -> Result<()> {
+        self.check_digest(&digest(dataset))
+    }
+
     /// Rejects another configuration and other data.
     pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
+        self.check_digest(data)
+    }
+
+    fn check_digest(&self, data: &str) -> Result<()> {
         if self.data != data {
             return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
         }

@@ -17,8 +17,8 @@ mod start;
 mod state;
 mod views;
 
-pub(crate) use checkpoint::check_extension;
-pub use checkpoint::{Checkpoint, Checkpoints};
+pub use checkpoint::{Checkpoint, Checkpoints, Decision};
+pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model, with_points_of_model};
 
@@ -63,6 +63,8 @@ pub struct TrainedModel {
     pub unit: f64,
     /// Iterations after which the run was given another number of iterations: see [`Checkpoint::extend`].
     pub continued: Vec<usize>,
+    /// What a pilot run decided before the run was resumed, if it is kept: see [`Checkpoint::decision`].
+    pub decision: Option<Decision>,
 }
 
 /// Reconstructs a dataset by fitting primitives to its training views.
@@ -126,6 +128,8 @@ struct Trainer<'a, R: Kernels> {
     current: IterationState<R>,
     /// The checkpoint's file, and the digest of the data that it belongs to.
     checkpoint: Option<(PathBuf, String)>,
+    /// What a pilot run decided before.
+    decision: Option<Decision>,
 }
 
 impl<'a, R: Kernels> Trainer<'a, R> {
@@ -146,6 +150,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let images = (0..dataset.train.len()).map(|view| SsimTarget::new(&ssim, image(view).view())).collect();
         let (checkpoint, from) = checkpoints.map_or((None, None), |(c, data)| (Some((c.file, data)), c.from));
         let resumed = from.is_some();
+        let decision = from.as_ref().and_then(|from| from.decision(config).cloned());
         let state = match (from, &checkpoint) {
             (Some(from), Some((_, data))) => {
                 from.check(data, config)?;
@@ -172,6 +177,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             state,
             current: IterationState::new(&activation, config.cutoff),
             checkpoint,
+            decision,
         };
         if resumed {
             trainer.find_targets();
@@ -200,7 +206,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             let stop = observe(iteration, self.state.log.last().filter(|_| report)).is_break();
             let save = iteration.is_multiple_of(self.config.checkpoint_every) || iteration == iterations || stop;
             if save && let Some((file, data)) = &self.checkpoint {
-                Checkpoint::new(self.config, data.clone(), self.state.clone()).write(file)?;
+                let (state, decision) = (self.state.clone(), self.decision.clone());
+                Checkpoint::new(self.config, data.clone(), state, decision).write(file)?;
             }
             if stop {
                 return Err(Error::interrupted(iteration, self.checkpoint.is_some()));
@@ -213,7 +220,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let grid = self.dataset.scanner.grid;
         let volume = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
         let State { log, continued, .. } = self.state;
-        Ok(TrainedModel { primitives, volume, log, unit: self.unit, continued })
+        Ok(TrainedModel { primitives, volume, log, unit: self.unit, continued, decision: self.decision })
     }
 
     /// One iteration: one view, one or two blocks, one step of the optimisers; density control and confidence if due.

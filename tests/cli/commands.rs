@@ -495,11 +495,23 @@ fn messages_go_to_standard_error_in_the_format_asked_for() {
     let sandbox = Sandbox::with_scan();
     let run = |flags: &str| sandbox.run(&format!("reconstruct scan --out run {SHORT} {flags}"));
     let text = stderr(&run(""));
-    assert!(text.contains("iteration 2 of 6: loss ") && text.contains("iteration 6 of 6"), "{text}");
+    assert!(text.contains("iteration 2 of 6: loss ") && !text.contains("needs"), "{text}");
     assert_eq!(stderr(&run("--quiet")), "");
     let lines = stderr(&run("--log-format json"));
     let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.iter().filter_map(|line| line["iteration"].as_u64()).collect::<Vec<_>>(), [2, 4, 6]);
+    let first = lines.iter().find_map(|line| Some((line["iteration"].as_u64()?, line["part"].as_str()?)));
+    assert_eq!(first, Some((2, "training")));
+    assert!(lines.iter().any(|line| line["parts"].as_str().is_some_and(|parts| parts.contains("among them"))));
+    // A line every five seconds at most, however short the iterations are.
+    for method in ["naf --set neural.rays=16 --set neural.samples=8", "sart", "tv", "tr-gs --points 50"] {
+        let began = std::time::Instant::now();
+        let said = stderr(&sandbox.run(&format!("reconstruct scan --out other --method {method} --iterations 60")));
+        let lines = said.lines().filter(|line| line.contains(" of 60: ") || line.contains("held-out error")).count();
+        assert!((1..=1 + began.elapsed().as_secs() as usize / 5).contains(&lines), "{method}: {said}");
+        std::fs::remove_dir_all(sandbox.path("other")).unwrap();
+    }
+    let said = stderr(&sandbox.run("inspect scan --threads 1000"));
+    assert!(said.starts_with("warning: --threads 1000: this machine has ") && said.contains("only wait"), "{said}");
     let error = stderr(&sandbox.run("inspect nowhere --log-format json --quiet"));
     let error: Value = serde_json::from_str(&error).unwrap();
     assert!(error["message"].as_str().unwrap().contains("nowhere"));
@@ -532,7 +544,7 @@ fn an_interrupt_leaves_nothing_half_written() {
             .spawn()
             .unwrap();
         let mut messages = BufReader::new(child.stderr.take().unwrap()).lines();
-        for beginning in ["needs at most", "iteration 1 of"] {
+        for beginning in ["memory: at most ", "iteration 1 of"] {
             let line = messages.next().unwrap().unwrap();
             assert!(line.starts_with(beginning), "{line}");
         }
@@ -541,7 +553,7 @@ fn an_interrupt_leaves_nothing_half_written() {
         assert_eq!(child.wait().unwrap().code(), Some(130));
         assert!(last.starts_with("error: interrupted at iteration") && last.contains("--resume"), "{last}");
         assert_eq!(sandbox.names(), ["run", "scan"]);
-        assert_eq!(sandbox.names_in("run"), [".trgs.json", "checkpoints"]);
+        assert_eq!(sandbox.names_in("run"), [".trgs.json", "checkpoints", "log.jsonl"]);
         assert_eq!(sandbox.names_in("run/checkpoints"), ["last.msgpack"]);
     }
 }

@@ -161,7 +161,7 @@ fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
 fn a_run_that_fits_runs_and_says_what_it_needs() {
     let sandbox = Sandbox::with_scan();
     let output = sandbox.run("reconstruct scan --out run --method fdk --max-memory 500MB");
-    assert!(output.status.success() && stderr(&output).contains("needs at most"), "{}", stderr(&output));
+    assert!(output.status.success() && stderr(&output).contains("memory: at most "), "{}", stderr(&output));
     let provenance: Value = serde_json::from_str(&sandbox.text("run/provenance.json")).unwrap();
     assert!(provenance["memory"].as_u64().unwrap() > 1 << 20);
 }

@@ -65,7 +65,7 @@ impl Sandbox {
         let message = stderr(&output);
         // A run that rejects its input late has announced its memory before.
         let message = match message.split_once('\n') {
-            Some((first, rest)) if first.starts_with("needs at most ") => rest.to_owned(),
+            Some((first, rest)) if first.starts_with("memory: at most ") => rest.to_owned(),
             _ => message,
         };
         assert_eq!(output.status.code(), Some(2), "{name}: {message}");

@@ -28,6 +28,18 @@ fn spawn(sandbox: &Sandbox, arguments: &str) -> Child {
         .unwrap()
 }
 
+/// The lines of a log without their seconds. The last line of a log that grows may be half-written.
+fn log(sandbox: &Sandbox, run: &str, is_whole: bool) -> Vec<serde_json::Value> {
+    let text = fs::read_to_string(sandbox.path(&format!("{run}/log.jsonl"))).unwrap_or_default();
+    let whole = if is_whole { &text } else { text.rsplit_once('\n').map_or("", |(lines, _)| lines) };
+    let timeless = |line: &str| {
+        let mut record: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|_| panic!("{line}"));
+        record.as_object_mut().unwrap().remove("seconds");
+        record
+    };
+    whole.lines().map(timeless).collect()
+}
+
 /// A scan, with the time and the results of an uninterrupted run.
 fn undisturbed(method: &str) -> (Sandbox, Duration, Vec<Vec<u8>>) {
     let sandbox = Sandbox::with_scan();
@@ -42,7 +54,7 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
     for method in ["tr-gs", "r2-gaussian"] {
         let (sandbox, duration, expected) = undisturbed(method);
         let storm = format!("{RUN} storm --method {method} --resume");
-        let mut killed = 0;
+        let (mut killed, mut most) = (0, 0);
         // Irregular times; all processes together pass about once through the run.
         for k in 0..10_u32 {
             let mut child = spawn(&sandbox, &storm);
@@ -50,10 +62,16 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
             // SIGKILL: no signal handler runs.
             child.kill().unwrap();
             killed += u32::from(!child.wait().unwrap().success());
+            // The log grows while the run goes on, with the records of the undisturbed one.
+            let (grown, whole) = (log(&sandbox, "storm", false), log(&sandbox, "calm", true));
+            assert!(grown == whole[..grown.len()], "{method}: {grown:?}");
+            most = most.max(grown.len());
         }
+        assert!(most > 1, "{method}: a log of {most} lines");
         assert!(killed >= 5, "{method}: only {killed} of 10 processes were still running when they were killed");
         sandbox.done(&storm);
         assert!(results(&sandbox, "storm") == expected, "{method}: other results after {killed} kills");
+        assert!(log(&sandbox, "storm", true) == log(&sandbox, "calm", true), "{method}");
     }
 }
 
@@ -77,8 +95,8 @@ fn total_variation_that_is_killed_ends_with_the_bits_of_an_undisturbed_run() {
     }
     sandbox.done(&storm);
     assert!(results("storm") == results("calm"));
-    let log = |run: &str| sandbox.text(&format!("{run}/log.jsonl")).lines().count();
-    assert_eq!((log("storm"), log("calm")), (600, 600));
+    let [storm, calm] = ["storm", "calm"].map(|run| log(&sandbox, run, true));
+    assert!(storm == calm && calm.len() == 600);
     assert!(sandbox.text("calm/metrics.json").contains("tv.weight"));
     assert!(sandbox.text("calm/report.html").contains("Choice of tv.weight"));
 }
@@ -95,14 +113,25 @@ fn an_interrupt_saves_the_state_and_says_how_to_go_on() {
     let output = child.wait_with_output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(130), "{message}");
-    assert!(message.contains("--resume") && message.contains("saved"), "{message}");
+    let command = message.trim_end().rsplit_once("its state is saved; go on with: trgs ").expect(&message).1;
+    assert_eq!(command, "reconstruct scan --out calm2 --resume");
     assert!(sandbox.path("calm2/checkpoints/last.msgpack").exists() && !sandbox.path("calm2/model.npz").exists());
 
-    let again = sandbox.run(&format!("{RUN} calm2 --resume"));
+    let again = sandbox.run(command);
     assert!(stderr(&again).contains("resuming after iteration"), "{}", stderr(&again));
     assert!(results(&sandbox, "calm2") == expected);
-    // A finished run stays unchanged when resumed again.
-    sandbox.done(&format!("{RUN} calm2 --resume"));
+    // A finished run is complete: nothing is done, and the metrics are said again.
+    let before = sandbox.content();
+    let again = sandbox.run(&format!("{RUN} calm2 --resume --json"));
+    assert!(again.status.success() && stderr(&again).contains("calm2 is complete"), "{}", stderr(&again));
+    let said: serde_json::Value = serde_json::from_slice(&again.stdout).unwrap();
+    let metrics: serde_json::Value = serde_json::from_str(&sandbox.text("calm2/metrics.json")).unwrap();
+    assert!(said["psnr_3d"] == metrics["psnr_3d"] && said["psnr_3d"]["value"].is_number(), "{said}");
+    assert!(sandbox.content() == before);
+    // Results that are missing are made again, without another pilot run.
+    fs::remove_file(sandbox.path("calm2/volume.npy")).unwrap();
+    let again = sandbox.run(&format!("{RUN} calm2 --resume"));
+    assert!(!stderr(&again).contains("complete") && !stderr(&again).contains("pilot"), "{}", stderr(&again));
     assert!(results(&sandbox, "calm2") == expected);
 }
 
@@ -187,15 +216,26 @@ fn more_iterations_after_the_end_of_a_run_continue_it_with_the_same_bits_on_any_
     sandbox.done(&format!("{run} --out straight --iterations 200"));
     for out in ["one", "three", "killed"] {
         fs::create_dir_all(sandbox.path(&format!("{out}/checkpoints"))).unwrap();
-        let last = "checkpoints/last.msgpack";
-        fs::copy(sandbox.path(&format!("short/{last}")), sandbox.path(&format!("{out}/{last}"))).unwrap();
+        for file in [".trgs.json", "checkpoints/last.msgpack"] {
+            fs::copy(sandbox.path(&format!("short/{file}")), sandbox.path(&format!("{out}/{file}"))).unwrap();
+        }
     }
     let output = sandbox.run("reconstruct scan --out one --resume --iterations 200 --threads 1");
     let said = stderr(&output);
     assert!(said.contains("continuing after iteration 80 to 200 instead of 80: learning rates"), "{said}");
     assert!(said.contains("differs from a run of 200 from its start"), "{said}");
-    assert!(said.contains("a pilot run of the new length decides sampling and finish anew"), "{said}");
+    assert!(
+        said.contains("kept from the run of 80 iterations: sampling ") && said.contains("--choose-again"),
+        "{said}"
+    );
+    let decision = |run: &str| {
+        let metrics: serde_json::Value = serde_json::from_str(&sandbox.text(&format!("{run}/metrics.json"))).unwrap();
+        [metrics["choice"].clone(), metrics["sampled"].clone()]
+    };
+    assert_eq!(decision("one"), decision("short"));
+    assert!(decision("short").iter().all(|value| value.is_object()));
     sandbox.done("reconstruct scan --out three --resume --iterations 200 --threads 3");
+    let three = results(&sandbox, "three");
     // Continued in two parts with the length of the second.
     let mut child = spawn(&sandbox, "reconstruct scan --out killed --resume --iterations 200");
     sleep(Duration::from_millis(300));
@@ -203,7 +243,10 @@ fn more_iterations_after_the_end_of_a_run_continue_it_with_the_same_bits_on_any_
     child.wait().unwrap();
     sandbox.done("reconstruct scan --out killed --resume --iterations 200");
     let one = results(&sandbox, "one");
-    assert!(results(&sandbox, "three") == one && results(&sandbox, "killed") == one);
+    // Forgotten, the decision is that of a pilot run of 100 iterations.
+    sandbox.done("reconstruct scan --out three --resume --choose-again");
+    assert_ne!(decision("three")[0], decision("one")[0]);
+    assert!(three == one && results(&sandbox, "killed") == one);
     assert!(sandbox.read("straight/model.npz") != sandbox.read("one/model.npz"));
     let log: Vec<serde_json::Value> =
         sandbox.text("one/log.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();

@@ -519,10 +519,14 @@ pub(crate) fn configure(config: &mut Config, table: &str, settings: &Bound<'_, P
 
 fn event(progress: Progress<'_>) -> Option<Event> {
     match progress {
-        Progress::Iteration(_, None) | Progress::Choosing(_, None) => None,
+        Progress::Iteration(_, None) | Progress::Pilot(_, None) | Progress::Choosing(_, None) => None,
         Progress::Iteration(iteration, Some(record)) => {
             let values = serde_json::to_value(record).expect("a record is JSON");
             Some(Event { stage: "primitives", iteration, iterations: record.iterations, values })
+        }
+        Progress::Pilot(iteration, Some(record)) => {
+            let values = serde_json::to_value(record).expect("a record is JSON");
+            Some(Event { stage: "pilot", iteration, iterations: record.iterations, values })
         }
         Progress::Pass(pass) => Some(pass_event(pass)),
         Progress::Choosing(key, Some(trial)) => {

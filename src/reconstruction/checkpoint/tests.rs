@@ -98,7 +98,7 @@ fn change(value: &mut Value, draw: &mut impl FnMut(usize) -> usize) {
         Value::Integer(_) => [0, 1, 5, 1 << 20, u64::from(u32::MAX), u64::MAX][draw(6)].into(),
         Value::String(text) => {
             let text = text.as_str().unwrap_or_default();
-            Value::from(text[..draw(text.len() + 1)].trim_end_matches(|c: char| !c.is_ascii()))
+            Value::from(text.chars().take(draw(text.len() + 1)).collect::<String>())
         }
         Value::Boolean(is) => Value::Boolean(!*is),
         _ => Value::from(7),

@@ -92,7 +92,7 @@ class Progress(NamedTuple):
     """A report of a run."""
 
     stage: str
-    """"primitives", "voxels" or "choosing"."""
+    """"primitives", "pilot" (the pilot run), "voxels" or "choosing"."""
     iteration: int
     """Iterations done; 0 of a choice."""
     iterations: int
