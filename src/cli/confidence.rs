@@ -1,17 +1,26 @@
 //! `trgs confidence`: coverage of each primitive of a model by the rays of given views.
 
 use super::arguments::finite;
-use super::views::ViewArgs;
+use super::cost::announce;
+use super::views::{ViewArgs, Views};
 use super::{Output, interrupt};
 use clap::{Args, value_parser};
 use ndarray::{ArrayView, aview0, aview1};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 use trgs::confidence::{Alpha, Coverage, Histogram, MOST_POINTS, Settings, Spread, nu_target, spearman};
 use trgs::primitives::activation::Interval;
-use trgs::primitives::model;
+use trgs::primitives::{Primitives, model};
+use trgs::projector::sample;
 use trgs::scene::npz::{self, Entry};
+use trgs::words::counted;
 use trgs::{Error, Result};
+
+/// Points on the sphere of a primitive from which the duration is estimated.
+const SAMPLED_POINTS: usize = 256;
+/// Points of all primitives in all views that take a few seconds at most.
+const LITTLE: f64 = 1e9;
 
 /// Compute the ray confidence of each primitive, and the degrees of freedom that follow from it
 #[derive(Args)]
@@ -76,6 +85,8 @@ impl Confidence {
         let (settings, nu) = (self.settings()?, self.nu()?);
         let primitives = model::read(&self.model)?;
         let views = self.views.read()?;
+        let seconds = seconds(&primitives, &views, settings);
+        announce(&format!("the confidence of {}", counted(primitives.len(), "primitive")), seconds, || None);
         let c = Coverage::new(settings).confidence(&primitives, &views.scanner, views.trajectory());
         let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
         let alpha = settings.alpha.constant(&primitives);
@@ -131,6 +142,20 @@ impl Confidence {
         }
         npz::write(&self.out, &arrays)
     }
+}
+
+/// How long the confidence will take, about, from a few primitives and points; 0 for little work.
+fn seconds(primitives: &Primitives, views: &Views, settings: Settings) -> f64 {
+    let work = primitives.len() as f64 * views.angles.len() as f64 * settings.sphere_points as f64;
+    if work <= LITTLE {
+        return 0.0;
+    }
+    let (sample, factor) = sample(primitives);
+    let points = settings.sphere_points.min(SAMPLED_POINTS);
+    let began = Instant::now();
+    let few = Settings { sphere_points: points, ..settings };
+    let _ = Coverage::new(few).confidence(&sample, &views.scanner, views.trajectory());
+    began.elapsed().as_secs_f64() * factor * settings.sphere_points as f64 / points as f64
 }
 
 fn alpha(text: &str) -> std::result::Result<Alpha, String> {

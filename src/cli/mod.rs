@@ -8,6 +8,7 @@ mod arguments;
 mod compare;
 mod confidence;
 mod convert;
+mod cost;
 mod demo;
 mod evaluate;
 mod explain;
@@ -140,8 +141,8 @@ impl Command {
             Self::Simulate(command) => command.run(),
             Self::Reconstruct(command) => command.run(global),
             Self::Evaluate(command) => command.run(),
-            Self::Render(command) => command.run(),
-            Self::Voxelize(command) => command.run(),
+            Self::Render(command) => command.run(global),
+            Self::Voxelize(command) => command.run(global),
             Self::Confidence(command) => command.run(),
             #[cfg(feature = "oracle")]
             Self::Oracle(command) => command.run(),

@@ -1,9 +1,10 @@
 //! `trgs render`: projections of a model, and the gradient of a function of them.
 
 use super::arguments::{choice, cutoff, list};
+use super::cost::{Steps, announce};
 use super::explain::{self, Written};
 use super::views::{ViewArgs, Views};
-use super::{Output, interrupt};
+use super::{Global, Output, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
 use serde::Serialize;
@@ -11,11 +12,15 @@ use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Parameters, Primitives, model};
-use trgs::projector::{Field, Kernels, Projection, forward, vjp};
+use trgs::projector::{Field, Kernels, Projection, forward_seen, seconds_to_project, vjp};
 use trgs::scene::npy;
 use trgs::scene::npy::Element;
 use trgs::words;
+use trgs::words::counted;
 use trgs::{Error, Result, limit};
+
+/// The cutoff that makes sampling fast.
+pub(super) const FAST_CUTOFF: f64 = 1e-3;
 
 /// Compute projections of a model, and the gradient of a function of the projections
 #[derive(Args)]
@@ -74,14 +79,14 @@ struct Pixel {
 }
 
 impl Render {
-    pub(super) fn run(&self) -> Result<Output> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         match self.kernel.precision {
-            Precision::F32 => self.render::<f32>(),
-            Precision::F64 => self.render::<f64>(),
+            Precision::F32 => self.render::<f32>(global),
+            Precision::F64 => self.render::<f64>(global),
         }
     }
 
-    fn render<R: Kernels + Element>(&self) -> Result<Output> {
+    fn render<R: Kernels + Element>(&self, global: &Global) -> Result<Output> {
         let primitives = model::read(&self.model)?;
         let views = self.views.read()?;
         let Views { scanner, angles, .. } = &views;
@@ -90,7 +95,7 @@ impl Render {
             explain::check_index(pixel, shape, ["view", "row", "column"])?;
         }
         let written = match &self.out {
-            Some(out) => Some(self.write::<R>(out, &primitives, &views)?),
+            Some(out) => Some(self.write::<R>(out, &primitives, &views, global)?),
             None => None,
         };
         match (self.explain, written) {
@@ -110,6 +115,7 @@ impl Render {
         out: &'a Path,
         primitives: &Primitives,
         views: &Views,
+        global: &Global,
     ) -> Result<Written<'a>> {
         let (projection, cutoff, scanner) = (self.projection, self.kernel.cutoff, &views.scanner);
         // The projections, one more of each view at work, and the cotangent as read and in this arithmetic.
@@ -117,7 +123,15 @@ impl Render {
         let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
         let shape = [views.angles.len(), scanner.detector.rows, scanner.detector.columns];
         limit::allow_array("projections", &shape, bytes).map_err(|error| error.or_instead("fewer views or pixels"))?;
-        let images = forward::<R>(primitives, scanner, views.trajectory(), projection, cutoff);
+        let fast = || seconds_to_project::<f32>(primitives, scanner, views.trajectory(), projection, FAST_CUTOFF);
+        let seconds = seconds_to_project::<R>(primitives, scanner, views.trajectory(), projection, cutoff);
+        let pixels = counted(scanner.detector.pixels() * views.angles.len(), "pixel");
+        let what = format!("{} in {pixels}", counted(primitives.len(), "primitive"));
+        announce(&what, seconds, || (!self.kernel.is_fast()).then(fast));
+        let mut steps = Steps::new("views", global);
+        let mut see = |done, all| steps.see(done, all);
+        let images = forward_seen::<R>(primitives, scanner, views.trajectory(), projection, cutoff, &mut see);
+        drop(steps);
         let vjp_of = |d: &Array3<R>| vjp(primitives, scanner, views.trajectory(), projection, cutoff, d.view());
         self.kernel.write(out, &images, vjp_of)?;
         Ok(Written {
@@ -140,6 +154,11 @@ impl Render {
 }
 
 impl KernelArgs {
+    /// Whether sampling is fast already.
+    pub(super) fn is_fast(&self) -> bool {
+        self.precision == Precision::F32 && self.cutoff >= FAST_CUTOFF
+    }
+
     /// Writes the output and, if requested, the gradient that `vjp_of` computes from the cotangent.
     ///
     /// Both are computed before either is written.

@@ -1,9 +1,10 @@
 //! `trgs voxelize`: a model sampled at voxel centres, and the gradient of a function of them.
 
-use super::Output;
 use super::arguments::list;
+use super::cost::{Steps, announce};
 use super::explain::{self, Written};
-use super::render::KernelArgs;
+use super::render::{FAST_CUTOFF, KernelArgs};
+use super::{Global, Output};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
@@ -11,11 +12,12 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::primitives::{Primitives, model};
-use trgs::projector::{Field, Kernels, voxelize, voxelize_vjp};
+use trgs::projector::{Field, Kernels, seconds_to_voxelize, voxelize_vjp};
 use trgs::scene::Grid;
 use trgs::scene::dataset::read_scanner;
 use trgs::scene::npy::Element;
 use trgs::words;
+use trgs::words::counted;
 use trgs::{Result, limit};
 
 /// Sample a model on a grid, and compute the gradient of a function of the volume
@@ -24,6 +26,7 @@ use trgs::{Result, limit};
     allow_negative_numbers = true,
     after_help = "Examples:
   trgs voxelize out/torso/model.npz --scanner data/torso --out volume.npy
+  trgs voxelize out/torso/model.npz --scanner data/torso --precision f32 --cutoff 1e-3 --out volume.npy
   trgs voxelize model.npz --grid 128,128,64 --box=-1,-1,-0.5,1,1,0.5 --out volume.npy
   trgs voxelize model.npz --grid 64,64,64 --out volume.npy \\
       --vjp cotangent.npy --grad-out grad.npz
@@ -69,21 +72,21 @@ struct Voxel {
 }
 
 impl Voxelize {
-    pub(super) fn run(&self) -> Result<Output> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         match self.kernel.precision {
-            Precision::F32 => self.voxelize::<f32>(),
-            Precision::F64 => self.voxelize::<f64>(),
+            Precision::F32 => self.voxelize::<f32>(global),
+            Precision::F64 => self.voxelize::<f64>(global),
         }
     }
 
-    fn voxelize<R: Kernels + Element>(&self) -> Result<Output> {
+    fn voxelize<R: Kernels + Element>(&self, global: &Global) -> Result<Output> {
         let primitives = model::read(&self.model)?;
         let grid = self.grid()?;
         if let Some(voxel) = self.explain {
             explain::check_index(voxel, grid.shape, ["x", "y", "z"])?;
         }
         let written = match &self.out {
-            Some(out) => Some(self.write::<R>(out, &primitives, &grid)?),
+            Some(out) => Some(self.write::<R>(out, &primitives, &grid, global)?),
             None => None,
         };
         match (self.explain, written) {
@@ -101,13 +104,21 @@ impl Voxelize {
         out: &'a Path,
         primitives: &Primitives,
         grid: &Grid,
+        global: &Global,
     ) -> Result<Written<'a>> {
         let cutoff = self.kernel.cutoff;
         // The volume, its slices as they are computed, and the cotangent as read and in this arithmetic.
         let (real, asks) = (size_of::<R>(), self.kernel.grad_out.is_some());
         let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
         limit::allow_array("volume", &grid.shape, bytes).map_err(|error| error.or_instead("fewer voxels"))?;
-        let volume = voxelize::<R>(primitives, grid, cutoff);
+        let fast = || seconds_to_voxelize::<f32>(primitives, grid, FAST_CUTOFF);
+        let seconds = seconds_to_voxelize::<R>(primitives, grid, cutoff);
+        let what = format!("{} in {}", counted(primitives.len(), "primitive"), counted(grid.voxels(), "voxel"));
+        announce(&what, seconds, || (!self.kernel.is_fast()).then(fast));
+        let mut steps = Steps::new("slices", global);
+        let field = Field::<R>::new(primitives, cutoff);
+        let volume = field.on(grid).voxels_seen(&mut |done, all| steps.see(done, all));
+        drop((steps, field));
         let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
         self.kernel.write(out, &volume, vjp_of)?;
         Ok(Written {

@@ -136,11 +136,23 @@ pub fn forward<'a, R: Kernels>(
     projection: Projection,
     cutoff: f64,
 ) -> Array3<R> {
-    let views = views.into();
+    forward_seen(primitives, scanner, views.into(), projection, cutoff, &mut |_, _| {})
+}
+
+/// [`forward`], calling `see` after each view with the views done and all of them.
+pub fn forward_seen<R: Kernels>(
+    primitives: &Primitives,
+    scanner: &Scanner,
+    views: Trajectory<'_>,
+    projection: Projection,
+    cutoff: f64,
+    see: &mut dyn FnMut(usize, usize),
+) -> Array3<R> {
     let field = Field::<R>::new(primitives, cutoff);
     let mut images = Array3::from_elem((views.len(), scanner.detector.rows, scanner.detector.columns), R::ZERO);
     for (number, mut image) in images.outer_iter_mut().enumerate() {
         image.assign(&field.seen_in(&views.view(scanner, number), projection).image());
+        see(number + 1, views.len());
     }
     images
 }

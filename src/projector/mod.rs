@@ -24,6 +24,7 @@
 //! Per-primitive setup is vectorised over 8 primitives; results are bit-identical to the scalar path.
 
 mod contributions;
+mod cost;
 mod field;
 mod image;
 mod kernel;
@@ -35,8 +36,9 @@ mod volume;
 mod whitened;
 
 pub use contributions::{Contribution, rank};
+pub use cost::{sample, seconds_to_project, seconds_to_voxelize};
 pub(crate) use field::bytes;
-pub use field::{Field, forward, vjp, voxelize, voxelize_vjp};
+pub use field::{Field, forward, forward_seen, vjp, voxelize, voxelize_vjp};
 pub use image::kernels::ImageKernels;
 pub use image::profile::profile;
 pub use image::view::ViewField;

@@ -23,6 +23,8 @@ use std::array::from_fn;
 const CHUNK: usize = 64;
 /// Slices of one task: as many pairs as an ellipsoid computes the column ends of at a time.
 const SLAB: usize = 8;
+/// Slabs for each worker between two reports.
+const SLABS_OF_WORKER: usize = 2;
 
 /// The gradients of eight primitives from the sums over all their slices, in the axes of [`Ellipsoid`].
 fn primitive_gradients(sums: &[Sums; LANES], primitives: [&WhitenedPrimitive; LANES]) -> [PrimitiveGradient; LANES] {
@@ -111,16 +113,35 @@ impl<'a, R: Kernels> GridField<'a, R> {
         volume
     }
 
+    /// [`Self::voxels`], the same bits; calls `see` now and then with the slices done and those of the grid.
+    pub fn voxels_seen(&self, see: &mut dyn FnMut(usize, usize)) -> Array3<R> {
+        let [nx, ny, nz] = self.grid.shape;
+        let mut volume = Array3::default((nx, ny, nz));
+        let together = SLABS_OF_WORKER * threads::count();
+        let values = volume.as_slice_mut().expect("standard layout");
+        for (number, values) in values.chunks_mut(together * SLAB * ny * nz).enumerate() {
+            self.slabs_into(number * together, values);
+            see(nx.min((number + 1) * together * SLAB), nx);
+        }
+        volume
+    }
+
     /// [`Self::voxels`] into an existing array.
     pub fn voxels_into(&self, volume: &mut Array3<R>) {
-        let Self { workspace, grid, ellipsoids, .. } = self;
-        let [nx, ny, nz] = grid.shape;
+        let [nx, ny, nz] = self.grid.shape;
         if volume.dim() != (nx, ny, nz) {
             *volume = Array3::default((nx, ny, nz));
         }
-        let volume = volume.as_slice_mut().expect("volumes are in standard layout");
+        self.slabs_into(0, volume.as_slice_mut().expect("volumes are in standard layout"));
+    }
+
+    /// The values of slabs from the first one on.
+    fn slabs_into(&self, first: usize, values: &mut [R]) {
+        let Self { workspace, grid, ellipsoids, .. } = self;
+        let [nx, ny, nz] = grid.shape;
         let kernel = self.kernels().forward;
-        threads::for_each_chunk_in(volume, SLAB * ny * nz, &workspace.scratch, |slab, voxels, scratch| {
+        threads::for_each_chunk_in(values, SLAB * ny * nz, &workspace.scratch, |slab, voxels, scratch| {
+            let slab = first + slab;
             let slices = slab * SLAB..nx.min((slab + 1) * SLAB);
             let region = GridRegion { slices: slices.clone(), rows: ny, columns: 0..nz };
             let mut buffer = workspace.volumes.take();
