@@ -91,22 +91,23 @@ fn unpack(
     let most = content.len().saturating_mul(packing.most()).saturating_add(content.len());
     let claimed = size.saturating_mul(places.len()).min(most.saturating_sub(file.len()));
     limit::allow("unpacked pages", file.len().saturating_add(claimed) as u64)?;
-    file.try_reserve_exact(claimed).map_err(|error| error.to_string())?;
+    // And the lists of places and sizes, of at most eight bytes each.
+    file.try_reserve_exact(claimed + 16 * places.len()).map_err(|error| error.to_string())?;
     let (mut starts, mut sizes) = (Vec::new(), Vec::new());
     for (at, count) in places.into_iter().zip(packed_sizes) {
         let packed = slice(content, at, count).ok_or("compressed data outside of the file")?;
         let start = file.len();
         let size = size.min(packed.len().saturating_mul(packing.most()));
+        if size > most.saturating_sub(start) {
+            let found = format!("more than {most} bytes in {}: strips that share their bytes", content.len());
+            return Err(found.into());
+        }
         match packing {
             Packing::Zstd => {
                 let decoder = StreamingDecoder::new(packed).map_err(|error| error.to_string())?;
                 decoder.take(size as u64).read_to_end(file).map_err(|error| error.to_string())?;
             }
             Packing::Lzw => unpack_lzw(packed, size, file)?,
-        }
-        if file.len() > most {
-            let found = format!("more than {most} bytes in {}: strips that share their bytes", content.len());
-            return Err(found.into());
         }
         starts.push(start as u64);
         sizes.push((file.len() - start) as u64);
