@@ -344,6 +344,23 @@ fn tiffs() -> Vec<Case> {
             .scaled(1e-3)
             .no_origin()
             .odd("converted to millimetres"),
+        bare(one(
+            "TIFF: tifffile's frames as planes of one page",
+            "a.tif",
+            tiff(
+                &floats(),
+                &[with(
+                    all(0),
+                    &[
+                        (270, Tag::Text("{\"shape\": [5, 4, 3]}")),
+                        (262, Tag::Short(2)),
+                        (277, Tag::Short(5)),
+                        (279, Tag::Long(240)),
+                        (284, Tag::Short(2)),
+                    ],
+                )],
+            ),
+        )),
         bare(
             one(
                 "TIFF: ImageJ's 16 bits with c0=-32768",

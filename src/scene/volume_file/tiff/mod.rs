@@ -45,6 +45,8 @@ const ROWS_PER_STRIP: u64 = 278;
 const BYTE_COUNTS: u64 = 279;
 const X_RESOLUTION: u64 = 282;
 const Y_RESOLUTION: u64 = 283;
+/// 2 where the numbers of a pixel are in planes of their own.
+const PLANES: u64 = 284;
 const TILE_WIDTH: u64 = 322;
 const TILE_HEIGHT: u64 = 323;
 const TILE_OFFSETS: u64 = 324;
@@ -263,7 +265,11 @@ fn add_contiguous(
 ) -> Result<()> {
     let number = |tag| single(form, content, leader, tag);
     let compression = number(COMPRESSION).unwrap_or(1);
-    let kind = match (number(SAMPLES).unwrap_or(1), number(FORMAT_OF_SAMPLES).unwrap_or(1), number(BITS)) {
+    // Python's tifffile takes three or four frames for the colours of one page, in planes one after another.
+    let is_planes =
+        number(PLANES) == Some(2) && number(SAMPLES) == Some(shape[2]) && follow_each_other(form, content, leader);
+    let samples = if is_planes { 1 } else { number(SAMPLES).unwrap_or(1) };
+    let kind = match (samples, number(FORMAT_OF_SAMPLES).unwrap_or(1), number(BITS)) {
         (1, 1, Some(8)) => Some(Number::U8),
         (1, 1, Some(16)) => Some(Number::U16),
         (1, 1, Some(32)) => Some(Number::U32),
@@ -295,6 +301,14 @@ fn add_contiguous(
     })?;
     pages.add(voxels.values.t().iter().copied());
     Ok(())
+}
+
+/// Whether each strip of a page begins where the one before ends.
+fn follow_each_other(form: Form, content: &[u8], page: &Directory) -> bool {
+    let numbers = |tag| first(page, tag).and_then(|entry| form.numbers(content, entry).ok());
+    let (Some(starts), Some(sizes)) = (numbers(OFFSETS), numbers(BYTE_COUNTS)) else { return false };
+    let ends = starts.iter().zip(&sizes).map(|(start, size)| start.checked_add(*size));
+    starts.len() == sizes.len() && ends.zip(starts.iter().skip(1)).all(|(end, next)| end == Some(*next))
 }
 
 /// Writes one single-precision page per z.
