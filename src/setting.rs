@@ -24,6 +24,8 @@ macro_rules! settings {
 }
 
 settings! {
+    /// The air to subtract from line integrals: [`AirCorrection`](crate::scene::corrections::AirCorrection).
+    Air = "air",
     /// The file of the angles of a stack.
     Angles = "angles",
     /// Voxels along each side of the middle of a larger volume, which an experiment is about.
@@ -40,6 +42,8 @@ settings! {
     Level = "level",
     /// Whether the data are line integrals already.
     LineIntegrals = "line_integrals",
+    /// The pixels to interpolate: [`PixelCorrection`](crate::scene::corrections::PixelCorrection).
+    MaskPixels = "mask_pixels",
     /// The limit of [`Estimate::check`](crate::memory::Estimate::check).
     MaxMemory = "max_memory",
     /// The attenuation of water, which turns Hounsfield units into attenuation.

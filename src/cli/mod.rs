@@ -8,6 +8,7 @@ mod arguments;
 mod compare;
 mod confidence;
 mod convert;
+mod corrections;
 mod cost;
 mod demo;
 mod evaluate;

@@ -1,6 +1,7 @@
 //! `trgs reconstruct`: reconstructs a volume from a dataset and writes the folder of a run.
 
 use super::arguments::{Replace, choice, positive, seed, word};
+use super::corrections::CorrectionArgs;
 use super::evaluate::{answer, answer_again};
 use super::flags::with_flags;
 use super::messages::warning;
@@ -41,6 +42,7 @@ const AUTO: usize = 10;
   trgs reconstruct data/torso --out out/cgls --method cgls --auto
   trgs reconstruct data/torso --out out/r2 --method r2-gaussian
   trgs reconstruct data/torso --out out/base --set confidence.enabled=false --set wavelet.enabled=false
+  trgs reconstruct data/torso --out out/clean --method tv --air auto --mask-pixels auto
   trgs reconstruct data/torso --out out/torso --resume
   trgs reconstruct data/torso --out out/torso --max-memory 3GB
   trgs reconstruct data/torso --out out/torso --resume --iterations 5000
@@ -96,6 +98,8 @@ pub(super) struct Reconstruct {
     /// Set a configuration key, for example loss.tv=0.1; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    #[command(flatten)]
+    corrections: CorrectionArgs,
     /// Continue from the last checkpoint of RUN, bit-identical to an uninterrupted run; with more --iterations see below
     #[arg(long)]
     resume: bool,
@@ -115,11 +119,13 @@ impl Reconstruct {
         let config = self.config(&mut checkpoint)?;
         self.estimate(&config)?.check(limit::bytes())?;
         let mut dataset = Dataset::read(&self.dataset)?;
-        for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
-            warning(&self.dataset, oddity);
-        }
         for note in &dataset.notes {
             tracing::info!("{}: {note}", self.dataset.display());
+        }
+        self.corrections.refuse_region("a scan")?;
+        self.corrections.apply(&mut dataset, [false; 2])?;
+        for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
+            warning(&self.dataset, oddity);
         }
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;

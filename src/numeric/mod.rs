@@ -5,6 +5,7 @@ pub mod exponentials;
 mod fused;
 pub mod lanes;
 mod polynomials;
+pub mod rank;
 mod real;
 pub mod rearrange;
 pub mod reduce;

@@ -2,8 +2,10 @@
 //!
 //! Not in the paper. The profile of a view along one axis of the detector is the mean over the other axis. A border is
 //! the mean of the outermost two entries of a profile, or its last one if it is short. The object is *cut off* there in
-//! a view whose border exceeds [`CLEARLY`] of the view's largest entry.
+//! a view whose border exceeds [`CLEARLY`] of the view's largest entry and [`NOISE`] standard errors. Air ([`Air`]) is
+//! subtracted before, and the mean of noise that was clipped at 0.
 
+use super::air::Air;
 use crate::numeric::Real;
 use crate::words::counted;
 use ndarray::{ArrayView1, ArrayView3, Axis};
@@ -13,6 +15,8 @@ use std::ops::Range;
 const LONG: usize = 32;
 /// A reading clearly above air, in units of the largest entry of the view's profile.
 pub const CLEARLY: f64 = 0.05;
+/// A reading clearly above noise, standard errors.
+const NOISE: f64 = 5.0;
 /// Share of the views from which on a border counts as cut off: single damaged views do not.
 const VIEWS: f64 = 0.02;
 
@@ -67,34 +71,44 @@ pub struct Borders {
     pub sides: [Border; 4],
     /// Columns whose profile is clearly above air in more than single views; empty without an object.
     pub columns: Range<usize>,
+    /// The air of the projections, if they see any.
+    pub air: Option<Air>,
 }
 
 impl Borders {
     /// Examines images `[view, v, u]`. Views without any positive profile are skipped.
     pub fn of<R: Real>(images: ArrayView3<'_, R>) -> Self {
-        let (views, _, columns) = images.dim();
+        let (views, rows, columns) = images.dim();
         let mut sides = [Border::default(); 4];
         let mut seen = vec![0.0; columns];
         let one = 1.0 / views.max(1) as f64;
-        for image in images.outer_iter() {
+        let air = Air::of(images);
+        let (noise, bias) = air.as_ref().map_or((0.0, 0.0), |air| (air.noise, air.bias));
+        for (view, image) in images.outer_iter().enumerate() {
+            let base = air.as_ref().map_or(0.0, |air| air.at(view));
             let mean = |line: ArrayView1<'_, R>| {
                 line.iter().map(|&value| Real::to_f64(value)).sum::<f64>() / line.len().max(1) as f64
             };
             for (across, first) in [(Axis(1), 0), (Axis(0), 2)] {
-                let profile: Vec<f64> = image.axis_iter(across).map(mean).collect();
+                let profile: Vec<f64> = image.axis_iter(across).map(|line| mean(line) - base).collect();
                 let peak = profile.iter().fold(0.0, |a: f64, &b| if b > a { b } else { a });
                 let n = profile.len().min(if profile.len() < LONG { 1 } else { 2 });
                 if peak <= 0.0 || n == 0 {
                     continue;
                 }
                 let border = |part: &[f64]| part.iter().sum::<f64>() / (part.len() as f64 * peak);
+                let entry = if first == 0 { rows } else { columns };
+                let is_clear = |level: f64, entries: usize| {
+                    let above = level * peak - bias;
+                    above > CLEARLY * peak && above > NOISE * noise / ((entries * entry) as f64).sqrt()
+                };
                 let levels = [border(&profile[..n]), border(&profile[profile.len() - n..])];
                 for (side, level) in sides[first..first + 2].iter_mut().zip(levels) {
                     side.level = if level > side.level { level } else { side.level };
-                    side.share += if level > CLEARLY { one } else { 0.0 };
+                    side.share += if is_clear(level, n) { one } else { 0.0 };
                 }
                 if first == 0 {
-                    let above = seen.iter_mut().zip(&profile).filter(|(_, value)| **value > CLEARLY * peak);
+                    let above = seen.iter_mut().zip(&profile).filter(|(_, value)| is_clear(**value / peak, 1));
                     above.for_each(|(count, _)| *count += one);
                 }
             }
@@ -104,7 +118,7 @@ impl Borders {
             (Some(first), Some(last)) => first..last + 1,
             _ => 0..0,
         };
-        Self { sides, columns }
+        Self { sides, columns, air }
     }
 
     /// A border.

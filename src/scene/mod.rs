@@ -1,8 +1,10 @@
 //! Scan data: geometry, volumes, projections, phantoms, noise and file formats.
 
+pub mod air;
 pub mod array_path;
 pub mod arrays;
 pub mod borders;
+pub mod corrections;
 pub mod dataset;
 pub mod describe;
 pub mod frame;
@@ -17,6 +19,7 @@ pub mod noise;
 pub mod npy;
 pub mod npz;
 pub mod phantom;
+pub mod pixels;
 pub mod plausibility;
 pub mod simulate;
 pub mod stack;
@@ -25,7 +28,9 @@ pub mod trilinear;
 pub mod truncation;
 pub mod volume_file;
 
+pub use air::Air;
 pub use arrays::{Projections, Volume};
+pub use corrections::Corrections;
 pub use dataset::Dataset;
 pub use frame::{Frame, Unit};
 pub use geometry::{Beam, Detector, Deviation, Grid, Pose, Ray, Scanner, Trajectory, View};

@@ -5,7 +5,7 @@ use crate::classical::{measured, pass_event};
 use crate::geometry::{Grid, Scanner};
 use crate::model::Model;
 use crate::work::{Event, Watch, python, raise, run, try_run};
-use ndarray::{Array1, Ix3};
+use ndarray::{Array1, Ix2, Ix3};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyList, PyString, PyTuple};
@@ -13,6 +13,7 @@ use serde_json::json;
 use std::ffi::CString;
 use std::path::PathBuf;
 use trgs::reconstruction::{self, Checkpoints, Progress};
+use trgs::scene::corrections::{Corrections, PixelCorrection};
 use trgs::scene::phantom::{PHANTOMS, Phantom};
 use trgs::scene::simulate::{self, Object, Plan};
 use trgs::scene::volume_file::VolumeFile;
@@ -179,6 +180,54 @@ impl Scan {
     #[getter]
     fn remarks(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         try_run(py, || Ok(plausibility::remarks(&self.0)))
+    }
+
+    /// The scan with corrected projections; `notes` say what was changed.
+    ///
+    /// Parameters
+    /// ----------
+    /// air : "auto" or float, optional
+    ///     The line integral of air to subtract: "auto" measures it at the borders, for each view if it varies.
+    /// mask_pixels : "auto" or ndarray [v, u], bool, optional
+    ///     The pixels to interpolate from their neighbours: "auto" finds those that differ from them in all views.
+    ///
+    /// Returns
+    /// -------
+    /// Scan
+    ///
+    /// Raises
+    /// ------
+    /// TypeError
+    ///     For arguments of another type.
+    /// ValueError
+    ///     For air that no border sees, and a mask of another shape.
+    #[pyo3(signature = (*, air = None, mask_pixels = None))]
+    fn correct(
+        &self,
+        py: Python<'_>,
+        air: Option<&Bound<'_, PyAny>>,
+        mask_pixels: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let word = |value: &Bound<'_, PyAny>| value.cast::<PyString>().ok().map(|text| text.to_string());
+        let air = match air {
+            None => None,
+            Some(value) => Some(match (word(value), value.extract::<f64>()) {
+                (Some(text), _) => text.parse().map_err(raise)?,
+                (None, Ok(number)) => number.to_string().parse().map_err(raise)?,
+                (None, Err(_)) => return Err(wrong_type("air", value, "\"auto\" or a number", "give one of them")),
+            }),
+        };
+        let pixels = match mask_pixels {
+            None => None,
+            Some(value) if word(value).as_deref() == Some("auto") => Some(PixelCorrection::Auto),
+            Some(value) => {
+                let mask = read::<bool, Ix2>(value, "mask_pixels", "[v, u]")?;
+                Some(PixelCorrection::Mask(mask.as_array().to_owned()))
+            }
+        };
+        let mut scan = self.0.clone();
+        try_run(py, || scan.correct(&Corrections { air, pixels }))?;
+        Ok(Self(scan))
     }
 
     /// Writes the scan as a folder in the format of R²-Gaussian, as a whole or not at all.

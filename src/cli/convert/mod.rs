@@ -7,6 +7,7 @@ mod stack;
 mod volume;
 
 use crate::cli::arguments::Replace;
+use crate::cli::corrections::CorrectionArgs;
 use crate::cli::{Output, messages};
 use clap::Args;
 use protocol::Protocol;
@@ -30,6 +31,8 @@ use trgs::{Error, Result};
   trgs convert chest.pickle scan
   trgs convert walnut scan --pseudo-truth --views 25 --test-views 100
   trgs convert frames scan --scanner meta_data.json --flat flats.tif --dark darks.tif --angles angles.txt --degrees
+  trgs convert frames scan --scanner meta_data.json --flat flats.tif --air auto --mask-pixels auto
+  trgs convert walnut corrected --air 0.02 --mask-pixels dead.png
 
 Volumes: .npy, .mha, .mhd, .nrrd, .nhdr, .nii, .nii.gz, .tif and .raw; read only are .npz with one array of three \
 axes, .png, .jpg, a folder of .tif, .png, .jpg or .raw with one slice each, a folder with a DICOM series, and a \
@@ -55,8 +58,13 @@ Gaps in the numbers of the names, several patterns of names and different types 
 
 Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the \
 detector), its line integrals are too small by a constant of that frame, the views contradict each other, and no \
-volume explains them all. Without a flat field, one value is therefore used for all frames. --air, a region that sees \
-air in every frame, corrects a drifting source.")]
+volume explains them all. Without a flat field, one value is therefore used for all frames. --air with a region that \
+sees air in every frame corrects a drifting source.
+
+--air auto measures the line integral of air at the borders and subtracts it: one constant, or one for each view if it \
+varies by more than its error. --mask-pixels auto finds pixels that differ from their neighbours in all views, and \
+columns that cause rings. Both say what they changed, and note it in the scan. --mask-pixels FILE (.npy, .tif, .png) is \
+a mask of the frames.")]
 pub(super) struct Convert {
     /// File or folder to read: a volume, model, scan or stack of projections
     #[arg(value_name = "IN")]
@@ -75,6 +83,8 @@ pub(super) struct Convert {
     /// Write a model as R²-Gaussian's arrays, with values before activation
     #[arg(long)]
     r2: bool,
+    #[command(flatten)]
+    corrections: CorrectionArgs,
     #[command(flatten)]
     protocol: Protocol,
     #[command(flatten)]
@@ -135,6 +145,9 @@ impl Convert {
             }
             (_, Some(flag)) if out != Kind::Scan => {
                 return refuse(flag, "a scan to choose views of, and a folder to write, a name without an extension");
+            }
+            _ if let (Some(flag), false) = (self.corrections.flag(), out == Kind::Scan) => {
+                return refuse(flag, "a scan or a stack to read, and a folder to write, a name without an extension");
             }
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");

@@ -12,10 +12,12 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let expected = "no --scanner: a scan has its own";
         return Err(Error::invalid("--scanner", source.display(), expected, "leave the flag out"));
     }
+    command.corrections.refuse_region("a scan")?;
     let destination = command.destination();
     destination.check()?;
-    let dataset = Dataset::read(source)?;
+    let mut dataset = Dataset::read(source)?;
     warn(source, &dataset.oddities);
+    command.corrections.apply(&mut dataset, [false; 2])?;
     warn(source, &plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(destination.clone()))?;

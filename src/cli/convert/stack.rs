@@ -10,7 +10,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::output::Destination;
 use trgs::scene::dataset::Description;
-use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame};
+use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame, wrapped};
 use trgs::scene::plausibility;
 use trgs::scene::stack::{self, Orientation, RtkGeometry, ScanFile, Series};
 use trgs::{Error, Result};
@@ -44,9 +44,6 @@ pub(super) struct StackArgs {
     /// Reading of a pixel without an object, instead of a flat field
     #[arg(long, value_name = "I0", conflicts_with = "line_integrals", value_parser = finite)]
     white: Option<f64>,
-    /// Region that sees air in every frame, ends excluded; its mean corrects the drift of the source
-    #[arg(long, value_name = "ROW0,COL0,ROW1,COL1", conflicts_with = "line_integrals")]
-    air: Option<Air>,
     /// Read the stack as line integrals, with lengths in the unit of the scanner
     #[arg(long)]
     line_integrals: bool,
@@ -108,7 +105,6 @@ impl StackArgs {
             ("--dark", self.dark.is_some()),
             ("--normalise", self.normalise.is_some()),
             ("--white", self.white.is_some()),
-            ("--air", self.air.is_some()),
             ("--line-integrals", self.line_integrals),
             ("--flip-rows", self.flip_rows),
             ("--flip-columns", self.flip_columns),
@@ -147,7 +143,7 @@ impl StackArgs {
     }
 
     /// Converts the intensities of a file to line integrals.
-    fn correct(&self, source: &Path, scan: &ScanFile) -> Result<Corrected> {
+    fn correct(&self, source: &Path, scan: &ScanFile, air: Option<Air>) -> Result<Corrected> {
         let own = |what: &str, frames: &Option<Array3<f32>>| {
             frames.as_ref().map(|frames| mean(what, frames, source)).transpose()
         };
@@ -162,7 +158,7 @@ impl StackArgs {
             Some(dark) => Some(field(DARK, dark)?),
             None => own(DARK, &scan.dark)?,
         };
-        let correction = Correction { dark, white, air: self.air.clone() };
+        let correction = Correction { dark, white, air };
         correction.apply(&scan.frames).map_err(|error| error.in_file(source))
     }
 }
@@ -172,12 +168,12 @@ fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
 }
 
 fn mean(what: &str, frames: &Array3<f32>, path: &Path) -> Result<Array2<f64>> {
-    warn(path, &full_scale(what, frames).into_iter().collect::<Vec<_>>());
+    warn(path, &full_scale(what, frames).into_iter().chain(wrapped(what, frames)).collect::<Vec<_>>());
     mean_frame(what, frames).map_err(|error| error.in_file(path))
 }
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
-    let Convert { source, out, scanner, protocol, stack: arguments, .. } = command;
+    let Convert { source, out, scanner, corrections, protocol, stack: arguments, .. } = command;
     let Some(scanner) = scanner else {
         let expected = "the description of beam, detector and volume, for a stack of projections";
         let remedy = "add --scanner meta_data.json, or end OUT with .nii.gz to write a volume";
@@ -204,16 +200,18 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         clockwise: arguments.clockwise,
     };
     let (line_integrals, correction) = if arguments.line_integrals {
+        corrections.refuse_region("line integrals")?;
         (scan.frames, None)
     } else {
-        let corrected = arguments.correct(source, &scan)?;
+        let corrected = arguments.correct(source, &scan, corrections.region())?;
         warn(source, &corrected.remarks);
         let Corrected { line_integrals, white, clamped, dead, drift, .. } = corrected;
         (line_integrals, Some(Summary { white, clamped, dead_pixels: dead, air: drift }))
     };
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     let dataset = stack::scan(&name, &description, line_integrals, angles, orientation);
-    let dataset = dataset.map_err(|error| error.in_file(source))?;
+    let mut dataset = dataset.map_err(|error| error.in_file(source))?;
+    corrections.apply(&mut dataset, [arguments.flip_rows, arguments.flip_columns])?;
     warn(scanner, &dataset.oddities);
     warn(source, &plausibility::remarks(&dataset));
     tracing::info!("{}", stack::span(&dataset.train.angles));

@@ -26,12 +26,13 @@
 
 mod range;
 
-pub use range::full_scale;
+pub use range::{full_scale, wrapped};
 
 use super::arrays::check_finite;
 use crate::error::{Error, Result};
 use crate::limit;
 use crate::numeric::elementary::log;
+use crate::numeric::rank::median;
 use crate::numeric::{reduce, threads};
 use crate::setting::Setting;
 use ndarray::{Array2, Array3};
@@ -173,13 +174,15 @@ impl Correction {
         let neighbours: Vec<Vec<usize>> = dead.iter().map(|&pixel| around(pixel, rows, columns, &lives)).collect();
         threads::for_each_chunk(&mut values, beam.len(), |_, image| {
             for (&pixel, around) in dead.iter().zip(&neighbours) {
-                image[pixel] = median(around.iter().map(|&pixel| f64::from(image[pixel])).collect()) as f32;
+                image[pixel] =
+                    median(&mut around.iter().map(|&pixel| f64::from(image[pixel])).collect::<Vec<_>>()) as f32;
             }
         });
         let line_integrals = Array3::from_shape_vec(readings.dim(), values).expect("a value for each reading");
         let mut corrected = Corrected { line_integrals, white, clamped, dead: dead.len(), drift, remarks: Vec::new() };
         corrected.remarks = self.remarks(&corrected);
         corrected.remarks.extend(full_scale("frames", readings));
+        corrected.remarks.extend(wrapped("frames", readings));
         Ok(corrected)
     }
 
@@ -293,7 +296,7 @@ fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
 
 /// Pixels that receive none of the beam, in increasing order.
 fn dead_pixels(beam: &[f64]) -> Result<Vec<usize>> {
-    let typical = median(beam.to_vec());
+    let typical = median(&mut beam.to_vec());
     if typical.is_nan() || typical <= 0.0 {
         let got = format!("{typical} above the dark field, in the median of all pixels");
         let remedy = "exchange flat and dark field, or give the fields of this scan";
@@ -349,14 +352,6 @@ fn around(pixel: usize, rows: usize, columns: usize, lives: &impl Fn(usize) -> b
     };
     let mut living = (1..).map(|reach| square(reach).filter(|&pixel| lives(pixel)).collect::<Vec<_>>());
     living.find(|pixels| !pixels.is_empty()).expect("most pixels live")
-}
-
-/// The median; the mean of the two middle values for an even number; NaN for none.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let middle = |i: usize| values.get(i).copied().unwrap_or(f64::NAN);
-    let half = values.len() / 2;
-    if values.len() % 2 == 1 { middle(half) } else { 0.5 * (middle(half.wrapping_sub(1)) + middle(half)) }
 }
 
 impl FromStr for Air {

@@ -1,4 +1,5 @@
-//! Readings at the end of their range: a saturated detector, and frames that a program has stretched.
+//! Readings at the end of their range: a saturated detector, frames that a program has stretched, and unsigned numbers
+//! that were stored as signed ones.
 
 use ndarray::{Array3, Axis};
 
@@ -6,6 +7,30 @@ use ndarray::{Array3, Axis};
 const FULL: [(u32, f32); 6] = [(8, 255.0), (10, 1023.0), (12, 4095.0), (14, 16_383.0), (15, 32_767.0), (16, 65_535.0)];
 /// Share of readings at the end from which on they are remarked on: a hot pixel is none.
 const MANY: f64 = 1e-4;
+
+/// Negative readings, in units of the range, from which on they are no noise around a dark field.
+const BELOW: f64 = 0.05;
+
+/// A remark on readings `[view, v, u]` that are unsigned numbers of 16 bits stored as signed ones.
+///
+/// Then those above 32767 are negative. `what` names the readings.
+///
+/// Not in the paper. Tests: `unsigned_numbers_stored_as_signed_are_told_from_noise`.
+pub fn wrapped(what: &str, readings: &Array3<f32>) -> Option<String> {
+    let (low, high) = readings.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &value| {
+        (if value < low { value } else { low }, if value > high { value } else { high })
+    });
+    let is_of_type = low >= -32_768.0 && high <= 32_767.0 && readings.iter().all(|value| value.fract() == 0.0);
+    let limit = -BELOW * f64::from(high.max(0.0) - low);
+    let count = readings.iter().filter(|value| f64::from(**value) < limit).count();
+    (is_of_type && low < 0.0 && count as f64 > 0.001 * readings.len() as f64).then(|| {
+        format!(
+            "the {what} have whole numbers from {low} to {high}, {:.1} % of them negative: they look like unsigned numbers of \
+             16 bits stored as signed; store them as unsigned, in Python frames.view('uint16')",
+            100.0 * count as f64 / readings.len() as f64
+        )
+    })
+}
 
 /// A remark on readings `[view, v, u]` that are cut off at the largest value of their type, or stretched to it.
 ///
@@ -43,6 +68,20 @@ pub fn full_scale(what: &str, readings: &Array3<f32>) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn unsigned_numbers_stored_as_signed_are_told_from_noise() {
+        let unsigned =
+            Array3::from_shape_fn((2, 30, 30), |(view, row, column)| 20_000 + 1000 * row + 100 * column + view);
+        let stored = |value: usize| f32::from(value as u16 as i16);
+        let found = wrapped("frames", &unsigned.mapv(stored)).unwrap();
+        assert!(found.contains("the frames have whole numbers from -") && found.contains("view('uint16')"), "{found}");
+        // All of them above 32767.
+        assert!(wrapped("flat field", &unsigned.mapv(|value| stored(value + 13_000))).is_some());
+        assert!(wrapped("frames", &unsigned.mapv(|value| value as f32)).is_none(), "not wrapped");
+        let noise = unsigned.mapv(|value| (value % 41) as f32 - 20.0 + (value % 2000) as f32);
+        assert!(wrapped("dark-corrected frames", &noise).is_none(), "noise around a dark field");
+    }
 
     #[test]
     fn saturated_and_stretched_frames_are_told_from_sound_ones() {

@@ -156,8 +156,9 @@ fn dead_pixels_have_the_median_of_their_neighbours() {
     let found = correction(White::Flat(flat.clone())).apply(&stack).unwrap();
     assert_eq!((found.dead, found.clamped), (5, 0));
     assert!(found.remarks[0].contains("5 dead pixels"), "{:?}", found.remarks);
-    let median_of =
-        |pixels: &[[usize; 2]]| median(pixels.iter().map(|&[row, column]| f64::from(p(row, column) as f32)).collect());
+    let median_of = |pixels: &[[usize; 2]]| {
+        median(&mut pixels.iter().map(|&[row, column]| f64::from(p(row, column) as f32)).collect::<Vec<_>>())
+    };
     let ring = [[4, 5], [4, 6], [4, 7], [5, 5], [5, 7], [6, 5], [6, 6], [6, 7]];
     let corner = [[0, 2], [1, 2], [2, 0], [2, 1], [2, 2]];
     for (at, expected) in [([5, 6], median_of(&ring)), ([0, 0], median_of(&corner))] {

@@ -7,6 +7,9 @@
 //! | remark | condition |
 //! |---|---|
 //! | readings instead of line integrals | the border of the mean view is its brightest part, and the object is darker |
+//! | air that is not 0 | see [`super::air`]: more than 5 standard errors, and a percent of the largest profile |
+//! | single views that differ | see `frames.rs`: blank, without object or beam, another exposure |
+//! | pixels that err in all views | see [`super::pixels`] |
 //! | whole numbers | all training values are whole numbers, and at least [`LEVELS`] differ |
 //! | another scale of the test views | the mean values differ by more than a factor of [`SCALE`] |
 //! | another scale of the true volume | its mass and that seen by the views differ by more than a factor of [`SCALE`] |
@@ -14,6 +17,9 @@
 //! | an object wider than the detector | see [`super::truncation`] |
 //! | an object taller than the detector | see [`super::truncation`] |
 
+mod air;
+mod frames;
+mod pixels;
 mod readings;
 mod scales;
 
@@ -22,6 +28,7 @@ pub use scales::SCALE;
 
 use super::borders::Borders;
 use super::dataset::Dataset;
+use super::pixels::WrongPixels;
 use super::{hounsfield, truncation};
 
 /// A scan and what several judges need of it, measured once.
@@ -29,10 +36,21 @@ pub(super) struct Evidence<'a> {
     pub(super) dataset: &'a Dataset,
     /// Those of the training views.
     pub(super) borders: Borders,
+    /// Those of the detector.
+    pub(super) wrong: WrongPixels,
     /// The training views are readings of a detector: they have no air of 0, no mass and no truncation.
     pub(super) are_readings: bool,
     /// The true volume is in Hounsfield units.
     pub(super) is_hounsfield: bool,
+}
+
+impl Evidence<'_> {
+    /// The mean air of the training views, 0 as long as it may be 0.
+    pub(super) fn air(&self) -> f64 {
+        let views = self.dataset.train.len();
+        let sum: f64 = self.borders.air.iter().flat_map(|air| (0..views).map(|view| air.at(view))).sum();
+        sum / views.max(1) as f64
+    }
 }
 
 /// A kind of remark: one sentence each, with numbers and the remedy.
@@ -41,10 +59,13 @@ type Judge = fn(&Evidence<'_>) -> Vec<String>;
 /// All kinds, in the order in which they are said.
 const JUDGES: &[Judge] = &[
     |scan| readings::remark(scan.dataset).into_iter().collect(),
-    |scan| scales::of_test(scan.dataset).into_iter().collect(),
+    air::remarks,
+    frames::remarks,
+    pixels::remarks,
+    |scan| scales::of_test(scan).into_iter().collect(),
     |scan| hounsfield_of_truth(scan.dataset).into_iter().collect(),
     |scan| scales::of_truth(scan).into_iter().collect(),
-    |scan| truncation::remarks(scan),
+    truncation::remarks,
 ];
 
 /// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
@@ -52,6 +73,7 @@ pub fn remarks(dataset: &Dataset) -> Vec<String> {
     let evidence = Evidence {
         dataset,
         borders: Borders::of(dataset.train.images.view()),
+        wrong: WrongPixels::of(&dataset.scanner, &dataset.train),
         are_readings: readings::remark(dataset).is_some(),
         is_hounsfield: hounsfield_of_truth(dataset).is_some(),
     };

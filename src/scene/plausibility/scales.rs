@@ -11,12 +11,17 @@ use crate::scene::geometry::Beam;
 pub const SCALE: f64 = 2.0;
 
 /// A remark on test views that are larger or smaller than the training views.
-pub(super) fn of_test(dataset: &Dataset) -> Option<String> {
+pub(super) fn of_test(scan: &Evidence<'_>) -> Option<String> {
+    let Dataset { train, test, .. } = scan.dataset;
+    // A value that no measurement has is named, and is all of the mean.
+    if !scan.wrong.impossible.is_empty() {
+        return None;
+    }
     let mean = |views: &Projections| {
         let values = views.images.as_slice().expect("projections are in C order");
         reduce::sum(values) / values.len() as f64
     };
-    let (train, test) = (mean(&dataset.train), mean(dataset.test.as_ref()?));
+    let (train, test) = (mean(train) - scan.air(), mean(test.as_ref()?));
     let ratio = train / test;
     (train > 0.0 && test > 0.0 && !(1.0 / SCALE..=SCALE).contains(&ratio)).then(|| {
         format!(
@@ -33,7 +38,9 @@ pub(super) fn of_truth(scan: &Evidence<'_>) -> Option<String> {
     let Dataset { scanner, train, truth, .. } = scan.dataset;
     let is_cut = Side::ALL.iter().any(|&side| scan.borders.at(side).is_cut());
     // The mass is only seen whole, and only attenuation has one.
-    let truth = truth.as_ref().filter(|_| !is_cut && !scan.are_readings && !scan.is_hounsfield)?;
+    let truth = truth
+        .as_ref()
+        .filter(|_| !is_cut && scan.wrong.impossible.is_empty() && !scan.are_readings && !scan.is_hounsfield)?;
     let values = |array: &ndarray::Array3<f32>| reduce::sum(array.as_slice().expect("arrays of scans are in C order"));
     let spacing = truth.grid.spacing;
     let mass = values(&truth.values) * spacing.x * spacing.y * spacing.z;
@@ -42,7 +49,8 @@ pub(super) fn of_truth(scan: &Evidence<'_>) -> Option<String> {
         Beam::Parallel { .. } => 1.0,
     };
     let pixel = scanner.detector.pitch_u * scanner.detector.pitch_v / (magnification * magnification);
-    let seen = values(&train.images) * pixel / train.len() as f64;
+    let pixels = train.images.len() as f64;
+    let seen = (values(&train.images) - scan.air() * pixels) * pixel / train.len() as f64;
     let ratio = seen / mass;
     (seen > 0.0 && mass > 0.0 && !(1.0 / SCALE..=SCALE).contains(&ratio)).then(|| {
         format!(

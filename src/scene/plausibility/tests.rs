@@ -3,7 +3,7 @@
 use super::remarks;
 use crate::scene::dataset::Dataset;
 use crate::scene::geometry::{Beam, Scanner};
-use crate::scene::phantom::Phantom;
+use crate::scene::phantom::{PHANTOMS, Phantom};
 use crate::scene::simulate::{Object, Plan, simulate};
 use crate::scene::{Detector, Grid, Noise};
 
@@ -66,4 +66,67 @@ fn scales_that_differ_are_found() {
     other.truth.as_mut().unwrap().values.mapv_inplace(|mu| 1000.0 * (mu - 1.0));
     let found = only(&other);
     assert!(found.contains("Hounsfield") && found.contains("`mu_water`"), "{found}");
+}
+
+#[test]
+fn sound_stand_ins_have_no_remark() {
+    let scanner = Scanner::synthetic(16, 32);
+    for (k, named) in PHANTOMS.iter().enumerate() {
+        for noise in [Noise::None, Noise::HIGH] {
+            let plan = Plan { views: [12, 18][k % 2], test_views: 0, noise, seed: 3 };
+            let phantom = Phantom::by_name(named.name, 0).unwrap();
+            let scan = simulate(named.name, Object::Phantom(&phantom), &scanner, &plan).unwrap();
+            assert_eq!(remarks(&scan), [""; 0], "{} {noise}", named.name);
+        }
+    }
+}
+
+#[test]
+fn air_is_named_with_what_it_explains() {
+    let sound = scan(44, 0.0);
+    let mut offset = sound.clone();
+    // The views see far more than the mass of the true volume, and every border far more than 0.
+    offset.train.images += 0.5;
+    let found = only(&offset);
+    for part in
+        ["air is 0.500", "at all four borders in all 18 views", "0.606 times", "`air` auto", "`flat`", "`white`"]
+    {
+        assert!(found.contains(part), "{part}: {found}");
+    }
+    offset.train.images -= 1.0;
+    let found = only(&offset);
+    assert!(found.contains("air is -0.500"), "{found}");
+    let mut drifting = sound;
+    for (view, mut image) in drifting.train.images.outer_iter_mut().enumerate() {
+        image += 0.03 * (view as f32 / 8.5 - 1.0);
+    }
+    let found = only(&drifting);
+    assert!(found.contains("air varies over the views, from -0.03") && found.contains("drifts"), "{found}");
+}
+
+#[test]
+fn single_views_that_differ_are_named() {
+    let sound = scan(44, 0.0);
+    let with = |view: usize, change: fn(f32) -> f32| {
+        let mut scan = sound.clone();
+        scan.train.images.index_axis_mut(ndarray::Axis(0), view).mapv_inplace(change);
+        only(&scan)
+    };
+    let blank = with(7, |_| 0.0);
+    assert!(blank.starts_with("view 7 counted from 0 (8 from 1) is blank: all pixels have one value"), "{blank}");
+    let open = with(3, |value| 0.001 * value);
+    assert!(open.starts_with("view 3 counted from 0 (4 from 1) is without the object"), "{open}");
+    let dark = with(0, |value| 11.0 + 0.001 * value);
+    assert!(dark.starts_with("view 0 counted from 0 (1 from 1) is without beam"), "{dark}");
+    let exposure = with(11, |value| value + 0.3);
+    assert!(
+        exposure.starts_with("view 11 counted from 0 (12 from 1) is different") && exposure.contains("`air`"),
+        "{exposure}"
+    );
+    let damaged = {
+        let mut scan = sound.clone();
+        scan.train.images[[5, 20, 20]] = 1e30;
+        only(&scan)
+    };
+    assert!(damaged.contains("first 1.000e30 in view 5 (counted from 0), row 20, column 20"), "{damaged}");
 }
