@@ -6,6 +6,8 @@ pub const SIGMA_OF_MAD: f64 = 1.482_602_218_505_602;
 pub const ERROR_OF_MEDIAN: f64 = 1.253_314_137_315_500_1;
 /// Share of normal values below the mean plus one standard deviation.
 pub const ONE_SIGMA: f64 = 0.841_344_746_068_543;
+/// Share of normal values within one standard deviation of the mean.
+pub const WITHIN_ONE_SIGMA: f64 = 0.682_689_492_137_086;
 
 /// The median; the mean of the two middle values for an even number; NaN for none. Sorts the values.
 pub fn median(values: &mut [f64]) -> f64 {

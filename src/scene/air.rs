@@ -9,11 +9,12 @@
 //! agree with the lowest ones, if these are a fifth of all places and lie at opposite sides. The air of a scan is the
 //! median over the views, if at least half of them see any.
 //!
-//! "Agree" means within [`AGREE`] standard errors of a median. The noise of a pixel is the distance from the median to the
-//! quantile of one standard deviation above it, which noise that was clipped at 0 leaves as it is.
+//! "Agree" means within [`AGREE`] standard errors of a median. They follow from second differences along the strips, which
+//! a slope of the object leaves as they are. The mean step from the inner to the outer strips of a view must be 0 in the
+//! median over the views: a slope that noise hides in one view is none of air.
 
 use crate::numeric::Real;
-use crate::numeric::rank::{ERROR_OF_MEDIAN, ONE_SIGMA, median, quantile, spread};
+use crate::numeric::rank::{ERROR_OF_MEDIAN, ONE_SIGMA, WITHIN_ONE_SIGMA, median, quantile, spread};
 use crate::scene::borders::Side;
 use ndarray::{ArrayView2, ArrayView3};
 use std::ops::Range;
@@ -69,6 +70,7 @@ struct OfView {
     error: f64,
     noise: f64,
     bias: f64,
+    step: f64,
     seen: [bool; 4],
 }
 
@@ -94,6 +96,12 @@ impl Air {
         let (level, view_error, spread) = (middle(|view| view.level), middle(|view| view.error), spread(&levels));
         let sees = |side: &Side| 2 * seen.iter().filter(|view| view.seen[*side as usize]).count() >= seen.len();
         let root = (seen.len() as f64).sqrt();
+        let steps: Vec<f64> = seen.iter().map(|view| view.step).collect();
+        if middle(|view| view.step).abs()
+            > AGREE * ERROR_OF_MEDIAN * self::spread(&steps) / root + ROUNDING * peak.abs()
+        {
+            return None;
+        }
         Some(Self {
             level,
             error: (ERROR_OF_MEDIAN * spread).max(view_error) / root,
@@ -154,18 +162,17 @@ impl OfView {
             place: usize,
             level: f64,
             step: f64,
-            noise: f64,
             error: f64,
             pixels: Vec<f64>,
         }
-        let measure = |(place, Place { outer, inner, .. }): (usize, &Place)| {
+        let measure = |(place, Place { side, outer, inner }): (usize, &Place)| {
+            let noise = noise(image, *side, outer, inner);
             let (mut outer, mut inner) = (pixels(outer), pixels(inner));
             let (a, b) = (median(&mut outer), median(&mut inner));
             let count = outer.len().min(inner.len()) as f64;
             outer.append(&mut inner);
-            let noise = quantile(&mut outer, ONE_SIGMA) - median(&mut outer);
             let error = ERROR_OF_MEDIAN * noise / count.sqrt();
-            Measured { place, level: 0.5 * (a + b), step: (a - b).abs(), noise, error, pixels: outer }
+            Measured { place, level: 0.5 * (a + b), step: a - b, error, pixels: outer }
         };
         let all: Vec<Measured> = places.iter().enumerate().map(measure).collect();
         let mut errors: Vec<f64> = all.iter().map(|place| place.error).collect();
@@ -173,7 +180,8 @@ impl OfView {
         errors.truncate(errors.len().div_ceil(2));
         let close = AGREE * median(&mut errors) + rounding;
         // The difference of two medians has √2 times the error of one.
-        let flat: Vec<&Measured> = all.iter().filter(|place| place.step <= std::f64::consts::SQRT_2 * close).collect();
+        let flat: Vec<&Measured> =
+            all.iter().filter(|place| place.step.abs() <= std::f64::consts::SQRT_2 * close).collect();
         let mut level = quantile(&mut flat.iter().map(|place| place.level).collect::<Vec<_>>(), 0.1);
         let mut members: Vec<&Measured> = Vec::new();
         for _ in 0..3 {
@@ -187,16 +195,49 @@ impl OfView {
             return None;
         }
         let mut pool: Vec<f64> = members.iter().flat_map(|member| member.pixels.iter().copied()).collect();
-        let noise = median(&mut members.iter().map(|member| member.noise).collect::<Vec<_>>());
         let levels: Vec<f64> = members.iter().map(|member| member.level).collect();
         let level = median(&mut pool);
+        // Above the median, noise that was clipped at 0 is as it was.
+        let noise = quantile(&mut pool, ONE_SIGMA) - level;
+        let step = members.iter().map(|member| member.step).sum::<f64>() / members.len() as f64;
         let of_places = spread(&levels) / (levels.len() as f64).sqrt();
         let of_pixels = noise / (pool.len() as f64).sqrt();
         // Hot pixels are left out of the mean.
         pool.retain(|value| (value - level).abs() <= SIGNIFICANT * noise);
         let mean = pool.iter().sum::<f64>() / pool.len().max(1) as f64;
-        Some(Self { level, error: ERROR_OF_MEDIAN * of_places.max(of_pixels), noise, bias: mean - level, seen })
+        Some(Self { level, error: ERROR_OF_MEDIAN * of_places.max(of_pixels), noise, bias: mean - level, step, seen })
     }
+}
+
+/// Standard deviation of the noise of a pixel, from second differences: along the side, or across it on a single line.
+fn noise<R: Real>(image: ArrayView2<'_, R>, side: Side, outer: &[Range<usize>; 2], inner: &[Range<usize>; 2]) -> f64 {
+    let is_upright = matches!(side, Side::Left | Side::Right);
+    let along = usize::from(!is_upright);
+    let mut differences = Vec::new();
+    let mut add = |rows: Range<usize>, columns: Range<usize>, is_along_rows: bool| {
+        let (n, m) = if is_along_rows { (rows.len(), columns.len()) } else { (columns.len(), rows.len()) };
+        for line in 0..m {
+            let at = |k: usize| {
+                let at = if is_along_rows {
+                    [rows.start + k, columns.start + line]
+                } else {
+                    [rows.start + line, columns.start + k]
+                };
+                Real::to_f64(image[at])
+            };
+            differences.extend((2..n).map(|k| (at(k) - 2.0 * at(k - 1) + at(k - 2)).abs()));
+        }
+    };
+    if outer[along].len() > 2 {
+        for [rows, columns] in [outer, inner] {
+            add(rows.clone(), columns.clone(), is_upright);
+        }
+    } else {
+        let join = |i: usize| outer[i].start.min(inner[i].start)..outer[i].end.max(inner[i].end);
+        add(join(0), join(1), !is_upright);
+    }
+    // The sum of squares of the factors 1, -2 and 1 is 6.
+    if differences.is_empty() { 0.0 } else { quantile(&mut differences, WITHIN_ONE_SIGMA) / 6.0_f64.sqrt() }
 }
 
 /// The largest mean of a row.

@@ -198,7 +198,7 @@ mod tests {
         }
         let value = Corrections { air: Some("0.04".parse().unwrap()), pixels: None };
         wrong.correct(&value).unwrap();
-        assert!(wrong.notes[0].contains("air of 0.04 was subtracted"), "{:?}", wrong.notes);
+        assert!(wrong.notes.concat().contains("air of 0.04 was subtracted"), "{:?}", wrong.notes);
     }
 
     #[test]
