@@ -6,7 +6,7 @@
 //!
 //! The borders are divided into *places*: up to eight along each side, each with an outer and an inner strip. A place is
 //! flat if the medians of its two strips agree. The *air* of a view is the median of all pixels of the flat places that
-//! agree with the lowest ones, if these are a fifth of all places and lie at opposite sides. The air of a scan is the
+//! agree with the lowest ones, if these are a fifth of all places and half of those of two opposite sides. The air of a scan is the
 //! median over the views, if at least half of them see any.
 //!
 //! "Agree" means within [`AGREE`] standard errors of a median. They follow from second differences along the strips, which
@@ -188,8 +188,10 @@ impl OfView {
             members = flat.iter().copied().filter(|place| (place.level - level).abs() <= close).collect();
             level = median(&mut members.iter().map(|place| place.level).collect::<Vec<_>>());
         }
-        let mut seen = [false; 4];
-        members.iter().for_each(|member| seen[places[member.place].side as usize] = true);
+        let seen = Side::ALL.map(|side| {
+            let found = members.iter().filter(|member| places[member.place].side == side).count();
+            found > 0 && 2 * found >= places.iter().filter(|place| place.side == side).count()
+        });
         let opposite = (seen[0] && seen[1]) || (seen[2] && seen[3]);
         if !opposite || (members.len() as f64) < SHARE * places.len() as f64 {
             return None;

@@ -88,9 +88,7 @@ fn air_is_named_with_what_it_explains() {
     // The views see far more than the mass of the true volume, and every border far more than 0.
     offset.train.images += 0.5;
     let found = only(&offset);
-    for part in
-        ["air is 0.", "at all four borders in all 18 views", "0.60", "`air` auto", "`flat`", "`white`"]
-    {
+    for part in ["air is 0.", "at all four borders in all 18 views", "0.60", "`air` auto", "`flat`", "`white`"] {
         assert!(found.contains(part), "{part}: {found}");
     }
     offset.train.images -= 1.0;
