@@ -7,7 +7,7 @@ use std::str::FromStr;
 use trgs::scene::corrections::{AirCorrection, PixelCorrection};
 use trgs::scene::intensities::Air as Region;
 use trgs::scene::{Corrections, Dataset, stack};
-use trgs::{Error, Result};
+use trgs::{Error, Result, words};
 
 #[derive(Args)]
 #[command(next_help_heading = "Corrections of measured views")]
@@ -46,6 +46,17 @@ impl CorrectionArgs {
     /// The first of these flags that was given, if any.
     pub(super) fn flag(&self) -> Option<&'static str> {
         self.air.as_ref().map(|_| "--air").or(self.mask_pixels.as_ref().map(|_| "--mask-pixels"))
+    }
+
+    /// The flags as they were given, each after a space.
+    pub(super) fn again(&self) -> String {
+        let air = match &self.air {
+            Some(AirFlag::Subtract(AirCorrection::Auto)) => " --air=auto".into(),
+            Some(AirFlag::Subtract(AirCorrection::Value(value))) => format!(" --air={value}"),
+            Some(AirFlag::Region(_)) | None => String::new(),
+        };
+        let pixels = self.mask_pixels.as_deref();
+        air + &pixels.map_or(String::new(), |file| format!(" --mask-pixels {}", words::quoted_path(Path::new(file))))
     }
 
     /// The region of air of a stack of intensities.

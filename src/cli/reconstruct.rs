@@ -169,9 +169,11 @@ impl Reconstruct {
         match error {
             Error::Interrupted { step, remedy } if remedy.contains(&Setting::Resume.to_string()) => {
                 let views = self.views.map_or(String::new(), |n| format!(" --views {n}"));
+                let corrections = self.corrections.again();
                 let [dataset, out] = [&self.dataset, &self.out].map(|path| words::quoted_path(path));
-                let remedy =
-                    format!("its state is saved; go on with: trgs reconstruct {dataset} --out {out}{views} --resume");
+                let remedy = format!(
+                    "its state is saved; go on with: trgs reconstruct {dataset} --out {out}{views}{corrections} --resume"
+                );
                 Error::Interrupted { step, remedy }
             }
             other => other,
