@@ -52,6 +52,8 @@ settings! {
     Overwrite = "overwrite",
     /// Primitives at the start: the key `model.points`.
     Points = "points",
+    /// Whether the angles of a stack are radians, however large.
+    Radians = "radians",
     /// Whether a model is written with the keys of R²-Gaussian.
     R2 = "r2",
     /// The file of a conformance report.

@@ -22,7 +22,8 @@ use trgs::output::{Claim, Destination, Kind};
 use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scene::dataset::DatasetInfo;
-use trgs::scene::{Dataset, Volume, plausibility};
+use trgs::scene::plausibility::{self, AnglesFrom};
+use trgs::scene::{Dataset, Volume};
 use trgs::train::{Decision, primitives_of_model, with_points_of_model};
 use trgs::words;
 use trgs::{Error, Result, Setting, limit};
@@ -119,6 +120,7 @@ impl Reconstruct {
         let config = self.config(&mut checkpoint)?;
         self.estimate(&config)?.check(limit::bytes())?;
         let mut dataset = Dataset::read(&self.dataset)?;
+        plausibility::check(&dataset, AnglesFrom::File).map_err(|error| error.in_file(&self.dataset))?;
         for note in &dataset.notes {
             tracing::info!("{}: {note}", self.dataset.display());
         }

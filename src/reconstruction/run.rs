@@ -8,6 +8,7 @@ use crate::memory::Estimate;
 use crate::numeric::threads;
 use crate::scene::Dataset;
 use crate::scene::dataset::DatasetInfo;
+use crate::scene::plausibility::{self, AnglesFrom};
 use crate::train::with_points_of_model;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -58,10 +59,12 @@ impl<'a> Run<'a> {
     /// Runs the method.
     ///
     /// # Errors
-    /// For a setting out of its range, a run that may need more memory than the limit, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
+    /// For a setting out of its range, a scan that [`plausibility::check`] refuses, a run that may need more memory than the
+    /// limit, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
     /// the observer breaks.
     pub fn reconstruct(mut self) -> Result<Reconstruction> {
         self.config.validate()?;
+        plausibility::check(self.dataset, AnglesFrom::File)?;
         let is_resumed = self.checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
         let config = if is_resumed { self.config.clone() } else { with_points_of_model(self.config)? };
         let config = config.resolved(&self.dataset.scanner, self.dataset.train.len());

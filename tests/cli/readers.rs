@@ -3,6 +3,7 @@
 use crate::program::Sandbox;
 use ndarray::{Array3, Axis};
 use serde_json::{Value, json};
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use trgs::scene::npz::{self, Entry};
 use trgs::scene::volume_file::{self, VolumeFile};
@@ -116,6 +117,26 @@ fn tables_of_angles_are_read_by_the_name_of_their_column() {
     assert!(angles("angle_rad\n0\n1\n2\n", "--degrees").unwrap_err().contains("omit --degrees"));
     assert!(angles("a,b\n0,0\n1,0.5\n2,1\n", "").unwrap_err().contains("one column whose heading has angle"));
     assert!(angles("angle\n0\nninety\n1\n", "").unwrap_err().contains("line 3: got ninety"));
+    // A list states no unit: degrees are refused with both remedies, and nothing is written.
+    std::fs::remove_dir_all(sandbox.path("out")).unwrap();
+    let refused = angles("0\n90\n180\n", "").unwrap_err();
+    assert!(refused.contains("give --degrees if they are degrees") && refused.contains("or --radians"), "{refused}");
+    assert!(!sandbox.path("out").exists());
+    assert_eq!(angles("0\n90\n180\n", "--degrees").unwrap()[2], PI);
+    let insisted = angles("0\n9.5\n19\n", "--radians").unwrap();
+    assert_eq!(insisted, [0.0, 9.5 - TAU, 19.0_f64.rem_euclid(TAU)]);
+    // A scan of an older version, whose angles are degrees: told by inspect, refused by the others.
+    angles("0\n0.5\n1\n", "").unwrap();
+    sandbox.edit("out/meta_data.json", |meta| {
+        for (view, angle) in meta["proj_train"].as_array_mut().unwrap().iter_mut().zip([0, 120, 240]) {
+            view["angle"] = angle.into();
+        }
+    });
+    assert!(sandbox.done("inspect out")["oddities"].to_string().contains("which look like degrees"));
+    for command in ["reconstruct out --out run --method fdk", "convert out copy"] {
+        let refused = sandbox.refused(command);
+        assert!(refused.contains("multiply every angle of proj_train and proj_test"), "{refused}");
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ use trgs::Projections;
 use trgs::classical::algebraic::{self, Observe, Order, Pass};
 use trgs::classical::{self, RayModel, Turn, VoxelProjector, Window};
 use trgs::config::{AlgebraicConfig, AsdPocsConfig, Auto, Precision, TvConfig};
+use trgs::scene::plausibility;
 use trgs::{Config, Method};
 
 const RAYS: [(&str, RayModel); 2] = [("joseph", RayModel::Joseph), ("siddon", RayModel::Siddon)];
@@ -171,6 +172,12 @@ pub(crate) fn measured(projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>
     Projections::new(angles, images.as_array().to_owned()).map_err(raise)
 }
 
+/// [`measured`], refused where no method makes anything of it: views that are empty or have the wrong sign.
+fn to_reconstruct(projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
+    let measured = measured(projections, angles)?;
+    plausibility::check_views(&measured).map_err(raise).map(|()| measured)
+}
+
 /// Filtered backprojection (Feldkamp, Davis, Kress; of a parallel beam the exact one).
 ///
 /// Parameters
@@ -207,7 +214,7 @@ pub(crate) fn fdk<'py>(
     turn: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (window, turn) = (word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?);
-    let measured = measured(projections, angles)?;
+    let measured = to_reconstruct(projections, angles)?;
     fits("volume", &scanner.0.grid.shape, 2 * size_of::<f32>())?;
     Ok(give(py, try_run(py, || classical::fdk(&scanner.0, &measured, window, turn))?.values))
 }
@@ -385,7 +392,7 @@ pub(crate) fn os_sart<'py>(
     config.algebraic = algebraic;
     config.validate().map_err(raise)?;
     let sart = config.sart();
-    let (projector, measured) = (projector(scanner, rays)?, measured(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, sart, &projector, &measured, &sart, observe))
 }
@@ -454,7 +461,7 @@ pub(crate) fn asd_pocs<'py>(
     config.asd_pocs = AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon };
     config.validate().map_err(raise)?;
     let settings = config.asd_pocs();
-    let (projector, measured) = (projector(scanner, rays)?, measured(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, asd_pocs, &projector, &measured, &settings, observe))
 }
@@ -491,7 +498,7 @@ pub(crate) fn cgls<'py>(
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     check_run(iterations, scanner)?;
-    let (projector, measured) = (projector(scanner, rays)?, measured(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, cgls, &projector, &measured, iterations, observe))
 }
@@ -542,7 +549,7 @@ pub(crate) fn tv<'py>(
     config.tv = TvConfig { weight: Auto::Fixed(weight), tolerance, steps, ..config.tv };
     config.validate().map_err(raise)?;
     let settings = config.tv();
-    let (projector, measured) = (projector(scanner, rays)?, measured(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, tv, &projector, &measured, &settings, None, observe))
 }

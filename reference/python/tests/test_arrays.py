@@ -66,7 +66,7 @@ def test_words_and_numbers_out_of_range_are_refused(model, scanner):
     with pytest.raises(TypeError, match="grid: got an object of type float"):
         trgs.voxelize(model, 3.0)
     with pytest.raises(ValueError, match="algebraic.relaxation"):
-        trgs.sart(zeros(2, 9, 12, dtype=np.float32), scanner, ANGLES, relaxation=-1.0)
+        trgs.sart(np.arange(216, dtype=np.float32).reshape(2, 9, 12), scanner, ANGLES, relaxation=-1.0)
     with pytest.raises(ValueError, match="neighbours: got 1, expected at least 3"):
         trgs.wavelet_loss(zeros(2, 2, 2), np.full((2, 2, 2), 3, dtype=np.uint16), neighbours=1)
     with pytest.raises(ValueError, match=r"block: got shape \[3, 4, 4\] with 1 levels"):

@@ -262,7 +262,20 @@ def test_oddities_of_files_are_warnings(tmp_path, scan):
     meta.write_text(json.dumps(content))
     with pytest.warns(UserWarning, match="look like degrees"):
         odd = trgs.load_scan(tmp_path / "scan")
-    assert "look like degrees" in odd.oddities[0]
+    assert "look like degrees" in odd.remarks[0]
+
+
+def test_degrees_and_empty_views_are_refused(scan):
+    degrees = np.degrees(scan.angles)
+    for method in [trgs.fdk, trgs.sart, trgs.cgls]:
+        with pytest.raises(ValueError, match=r"angles: got .*look like degrees.*numpy.deg2rad\(angles\)"):
+            method(scan.projections, scan.scanner, degrees)
+        with pytest.raises(ValueError, match="training views: got the value 0 in every pixel"):
+            method(np.zeros_like(scan.projections), scan.scanner, scan.angles)
+        with pytest.raises(ValueError, match="change their sign"):
+            method(-scan.projections, scan.scanner, scan.angles)
+    with pytest.raises(ValueError, match="look like degrees"):
+        trgs.Scan(scan.scanner, degrees, scan.projections)
 
 
 def test_phantoms_and_volumes_are_simulated(scan):

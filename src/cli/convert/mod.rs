@@ -53,7 +53,8 @@ x = u; a folder of images has one view per file) becomes a scan if OUT is a name
 with the flat field F and the dark field D; with --line-integrals the stack holds p already. --scanner describes beam, \
 detector and volume like the meta_data.json of a dataset. Without --angles, the angles are those that it lists, or \
 evenly spaced over its totalAngle from startAngle. The file of --angles may be a table: the column is the one whose \
-heading has angle, theta, phi, deg or rad. Frames that are flat or dark fields, by path, content or name, are left out. \
+heading has angle, theta, phi, deg or rad. Angles of a circle beyond two turns are refused: --degrees converts them, \
+--radians insists. Frames that are flat or dark fields, by path, content or name, are left out. \
 Gaps in the numbers of the names, several patterns of names and different types of numbers are warned of.
 
 Do not normalise each frame by its own brightest pixel: if no pixel of a frame sees air (the object fills the \

@@ -3,7 +3,8 @@
 use super::{Convert, Converted, warn};
 use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
-use trgs::scene::{Dataset, plausibility};
+use trgs::scene::Dataset;
+use trgs::scene::plausibility::{self, AnglesFrom};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
@@ -16,6 +17,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let destination = command.destination();
     destination.check()?;
     let mut dataset = Dataset::read(source)?;
+    plausibility::check(&dataset, AnglesFrom::File).map_err(|error| error.in_file(source))?;
     warn(source, &dataset.oddities);
     command.corrections.apply(&mut dataset, [false; 2])?;
     warn(source, &plausibility::remarks(&dataset));

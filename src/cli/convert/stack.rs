@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use trgs::output::Destination;
 use trgs::scene::dataset::Description;
 use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame, wrapped};
-use trgs::scene::plausibility;
+use trgs::scene::plausibility::{self, AnglesFrom};
 use trgs::scene::stack::{self, Orientation, RtkGeometry, ScanFile, Series};
 use trgs::{Error, Result};
 
@@ -32,6 +32,9 @@ pub(super) struct StackArgs {
     /// Read the angles as degrees
     #[arg(long, requires = "angles")]
     degrees: bool,
+    /// Read the angles as radians, even if they look like degrees
+    #[arg(long, conflicts_with = "degrees")]
+    radians: bool,
     /// Flat field: frames without an object (any stack, or one image), which are averaged
     #[arg(long, value_name = "STACK", conflicts_with_all = ["normalise", "white", "line_integrals"])]
     flat: Option<PathBuf>,
@@ -101,6 +104,7 @@ impl StackArgs {
         let given = [
             ("--angles", self.angles.is_some()),
             ("--geometry", self.geometry.is_some()),
+            ("--radians", self.radians),
             ("--flat", self.flat.is_some()),
             ("--dark", self.dark.is_some()),
             ("--normalise", self.normalise.is_some()),
@@ -189,11 +193,18 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         description = description.with_poses(&poses).map_err(|error| error.in_file(scanner))?;
     }
     let scan = arguments.read(source)?;
-    let angles = match (&arguments.angles, &scan.angles) {
+    let mut angles = match (&arguments.angles, &scan.angles) {
         (Some(path), _) => stack::read_angles(path, arguments.degrees)?,
+        // The file states no unit, and degrees were assumed.
+        (None, Some(angles)) if arguments.radians && scan.is_unit_assumed => {
+            angles.iter().map(|angle| angle.to_degrees()).collect()
+        }
         (None, Some(angles)) if arguments.geometry.is_none() => angles.clone(),
         _ => description.angles(scan.frames.dim().0).map_err(|error| error.in_file(scanner))?,
     };
+    if arguments.radians {
+        plausibility::within_a_turn(&mut angles);
+    }
     let orientation = Orientation {
         flip_rows: arguments.flip_rows,
         flip_columns: arguments.flip_columns,
@@ -211,6 +222,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     let dataset = stack::scan(&name, &description, line_integrals, angles, orientation);
     let mut dataset = dataset.map_err(|error| error.in_file(source))?;
+    plausibility::check(&dataset, AnglesFrom::Stack).map_err(|error| error.in_file(source))?;
     corrections.apply(&mut dataset, [arguments.flip_rows, arguments.flip_columns])?;
     warn(scanner, &dataset.oddities);
     warn(source, &plausibility::remarks(&dataset));

@@ -1,17 +1,15 @@
 //! Summaries of volumes, stacks and angles: the files that `trgs convert` reads.
 
 use super::range;
+use crate::cli::flags::with_flags;
 use serde_json::{Value, json};
-use std::f64::consts::PI;
 use std::path::Path;
 use trgs::Result;
 #[cfg(feature = "hdf5")]
 use trgs::scene::hdf5::Hdf5;
+use trgs::scene::plausibility::{self, AnglesFrom};
 use trgs::scene::volume_file::{self, VolumeFile};
 use trgs::scene::{Unit, stack};
-
-/// Angles beyond two turns are probably degrees.
-const LARGEST_USUAL_ANGLE: f64 = 4.0 * PI;
 
 /// A volume, or a folder of slices: one of `.npy` is a stack of projections.
 pub(super) fn volume(path: &Path) -> Result<Value> {
@@ -93,11 +91,10 @@ pub(super) fn angles(path: &Path) -> Result<Value> {
         Ok(angles) => (angles, false),
         Err(error) => (stack::read_angles(path, true).map_err(|_| error)?, true),
     };
-    let largest = angles.iter().fold(0.0_f64, |largest, angle| largest.max(angle.abs()));
+    let unusual = plausibility::check_radians(&angles, AnglesFrom::Stack).err().filter(|_| !in_degrees);
     let oddities = [
         angles.is_empty().then(|| "there is no angle".to_owned()),
-        (!in_degrees && largest > LARGEST_USUAL_ANGLE)
-            .then(|| format!("angles reach {largest}: as radians they are more than two turns, they may be degrees")),
+        unusual.map(|error| with_flags(&error.to_string())),
         in_degrees.then(|| "its header states degrees: give --degrees to trgs convert".to_owned()),
     ];
     Ok(json!({

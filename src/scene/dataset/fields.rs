@@ -2,7 +2,10 @@
 
 use super::meta::SCANNER_FIELDS;
 use crate::error::{Error, Result};
+use crate::words::{counted, verb};
 
+/// Unread fields of one place that are named; the others are counted.
+const SHOWN: usize = 12;
 /// Fields of views that move rays; those of the scanner are [`SCANNER_FIELDS`].
 const OF_VIEWS: [&str; 4] = ["vector", "matrix", "angle", "angles"];
 /// Names of other programs for what moves something. They are not read.
@@ -86,7 +89,7 @@ pub(super) fn unread<'a>(
     fields: impl IntoIterator<Item = (&'a str, Content)>,
     read: &[&str],
 ) -> Result<Vec<String>> {
-    let mut remarks = Vec::new();
+    let (mut remarks, mut more) = (Vec::new(), 0);
     for (name, content) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
         let near = read.iter().chain(&SCANNER_FIELDS).chain(&OF_VIEWS).find(|known| are_near(name, known));
         let elsewhere = ELSEWHERE.iter().any(|other| plain(other) == plain(name));
@@ -111,8 +114,15 @@ pub(super) fn unread<'a>(
                 remedy,
             ));
         }
+        if remarks.len() == SHOWN {
+            more += 1;
+            continue;
+        }
         let neutral = if moves { ", but moves nothing" } else { "" };
         remarks.push(format!("the field {name} of {place} is not read{neutral}{hint}"));
+    }
+    if more > 0 {
+        remarks.push(format!("{} of {place} {} not read either", counted(more, "field"), verb(more, "is", "are")));
     }
     Ok(remarks)
 }
@@ -135,7 +145,8 @@ fn are_near(name: &str, known: &str) -> bool {
         5..=7 => 1,
         _ => 2,
     };
-    a == b || slips(&a, &b) <= allowed
+    // Every slip changes the length by one at most.
+    a == b || (a.len().abs_diff(b.len()) <= allowed && slips(&a, &b) <= allowed)
 }
 
 /// Letters that are missing, added, replaced or exchanged with the next between two names.
@@ -189,6 +200,17 @@ mod tests {
         for other in ["kVp", "CT", "DSI", "vol", "date", "tube_current"] {
             assert_eq!(of(other, Something).unwrap().len(), 1, "{other}");
         }
+    }
+
+    #[test]
+    fn many_unread_fields_are_counted() {
+        let names: Vec<String> = (0..60_000).map(|i| format!("some long name of a field {i}")).collect();
+        let remarks = unread("the file", names.iter().map(|name| (name.as_str(), Something)), &["vol"]).unwrap();
+        assert_eq!(remarks.len(), SHOWN + 1);
+        assert_eq!(remarks[SHOWN], "59988 fields of the file are not read either");
+        // A field that moves something is refused wherever it stands.
+        let moving = names.iter().map(String::as_str).chain(["offDetecor"]).map(|name| (name, Something));
+        assert!(unread("the scanner", moving, &["offDetector"]).is_err());
     }
 
     #[test]

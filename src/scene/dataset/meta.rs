@@ -1,6 +1,7 @@
 //! `meta_data.json` and the interpretation of its fields.
 
 use super::fields::{self, Content};
+use super::numbers;
 use super::poses::{self, Axes, Motion, PerView, Words};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -11,6 +12,7 @@ use crate::words::utf8;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Value of `noise_model` for the Beer-Lambert law.
@@ -191,8 +193,7 @@ impl Meta {
     /// Parses the file's content; `path` names it in errors.
     pub(super) fn parse(text: &[u8], path: &Path) -> Result<Self> {
         let text = &*utf8(text);
-        let parsed = serde_json::from_slice(text).and_then(|meta| Ok((meta, serde_json::from_slice(text)?)));
-        let (mut meta, value): (Self, Value) = parsed.map_err(|error| {
+        let wrong = |error: serde_json::Error| {
             Error::format(
                 path,
                 "scan description",
@@ -200,7 +201,10 @@ impl Meta {
                 "JSON with the scanner's fields and the lists proj_train and proj_test",
                 "write it like one of `trgs simulate`",
             )
-        })?;
+        };
+        let value: Value = serde_json::from_slice(text).map_err(wrong)?;
+        numbers::check(&value).map_err(|error| error.in_file(path))?;
+        let mut meta: Self = serde_json::from_slice(text).map_err(wrong)?;
         meta.unread = unread(&value).map_err(|error| error.in_file(path))?;
         meta.gather().map_err(|error| error.in_file(path))?;
         for view in meta.proj_train.iter_mut().chain(&mut meta.proj_test) {
@@ -332,14 +336,14 @@ fn unread(file: &Value) -> Result<Vec<String>> {
         &[&SCANNER_FIELDS[..], &fields::OF_GENERATORS, &["unit"]].concat(),
     )?);
     for list in ["proj_train", "proj_test"] {
-        for view in file[list].as_array().into_iter().flatten() {
-            for remark in of(list, view, &VIEW_FIELDS)? {
-                // One remark stands for all views.
-                if !remarks.contains(&remark) {
-                    remarks.push(remark);
-                }
-            }
+        // One remark stands for all views; a field is neutral if it is so in all of them.
+        let mut all: BTreeMap<&str, Content> = BTreeMap::new();
+        for (name, value) in file[list].as_array().into_iter().flatten().filter_map(Value::as_object).flatten() {
+            let content = Content::of(value);
+            let known = all.entry(name).or_insert(content);
+            *known = if content == Content::Something { content } else { *known };
         }
+        remarks.extend(fields::unread(list, all, &VIEW_FIELDS)?);
     }
     Ok(remarks)
 }

@@ -35,6 +35,8 @@ mod files;
 mod info;
 mod meta;
 mod naf;
+mod numbers;
+mod paths;
 pub(crate) mod pickle;
 mod poses;
 mod subsample;
@@ -54,9 +56,6 @@ use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
 use std::path::{Path, PathBuf};
-
-/// Angles beyond this are probably degrees; radians.
-const LARGEST_USUAL_ANGLE: f64 = 4.0 * std::f64::consts::PI;
 
 /// A scan: projections, geometry, and the true volume if it is known.
 #[derive(Clone, Debug, PartialEq)]
@@ -274,8 +273,7 @@ impl Dataset {
         if meta.vol.is_none() && meta.ct.is_some() {
             oddities.push("the volume is listed as `ct`; R²-Gaussian's own reader only knows `vol`".into());
         }
-        let stated = meta.proj_train.iter().chain(&meta.proj_test).filter_map(|view| view.angle);
-        oddities.extend(look_like_degrees(stated));
+        oddities.extend(paths::remarks(&meta));
 
         let mut read = |views: &[ViewMeta], first: usize| -> Result<Projections> {
             let angles = angles(views, &motion, first);
@@ -375,13 +373,6 @@ fn angles(views: &[ViewMeta], motion: &Motion, first: usize) -> Vec<f64> {
         Motion::Circle | Motion::Deviations(_) => 0.0,
     };
     views.iter().enumerate().map(|(number, view)| view.angle.unwrap_or_else(|| of_pose(number))).collect()
-}
-
-/// A remark on angles that look like degrees.
-pub(super) fn look_like_degrees(angles: impl Iterator<Item = f64>) -> Option<String> {
-    let largest = angles.map(f64::abs).fold(0.0, f64::max);
-    let remark = || format!("angles reach {largest}: they are read as radians, but look like degrees");
-    (largest > LARGEST_USUAL_ANGLE).then(remark)
 }
 
 /// Path of the description, given the folder or the description itself.

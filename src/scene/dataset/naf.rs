@@ -7,7 +7,7 @@ use super::fields::{self, Content};
 use super::meta::{Interpreted, SCANNER_FIELDS, ScannerMeta};
 use super::pickle::{self, Array, Value};
 use super::poses::Motion;
-use super::{Dataset, check_finite, look_like_degrees};
+use super::{Dataset, check_finite};
 use crate::error::{Error, Result};
 use crate::limit;
 use crate::scene::arrays::{Projections, Volume};
@@ -58,8 +58,6 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
     let of = |part: &Value, key: &str, first: usize| views(part, key, &scanner, scale, (&motion, first), path);
     let train = of(train, "train", 0)?;
     let test = others.map(|(key, part)| of(part, key, train.len())).transpose()?;
-    let both = || std::iter::once(&train).chain(&test);
-    oddities.extend(look_like_degrees(both().flat_map(|views| views.angles.iter().copied())));
     let truth = match data.get("image") {
         None | Some(Value::None) => None,
         Some(image) => {

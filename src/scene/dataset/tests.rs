@@ -210,8 +210,9 @@ fn the_key_ct_and_other_oddities_are_noted() {
     assert!(oddities.len() == 1 && oddities[0].contains("`ct`"), "{oddities:?}");
     let oddities = oddities_after(|json| json["scanner"]["mode"] = json!("parallel"));
     assert!(oddities.len() == 1 && oddities[0].contains("parallel"), "{oddities:?}");
-    let oddities = oddities_after(|json| json["proj_test"][1]["angle"] = json!(270.0));
-    assert!(oddities.len() == 1 && oddities[0].contains("degrees"), "{oddities:?}");
+    let oddities =
+        oddities_after(|json| json["proj_train"][2]["file_path"] = json["proj_train"][0]["file_path"].clone());
+    assert!(oddities.len() == 1 && oddities[0].contains("more than once"), "{oddities:?}");
     let oddities = oddities_after(|json| json["bbox"] = json!([[-1, -1, -1], [1, 1, 1]]));
     assert!(oddities.len() == 1 && oddities[0].contains("bbox"), "{oddities:?}");
     let oddities = oddities_after(|json| json["proj_train"][2]["radius"] = json!(8.0));

@@ -5,12 +5,14 @@
 //! | Data Exchange | `/exchange/data` | `data_white`, `data_dark` beside it | `theta` beside it |
 //! | NXtomo (NeXus) | `data` beside an `image_key`, where the key is 0 | keys 1 and 2 | any `rotation_angle` |
 //!
-//! Angles without a unit are degrees, as both layouts say. Frames with other keys are left out. Nothing else is read:
+//! Angles without a unit are degrees, as both layouts say; a remark has the arc, and that of radians where it is possible. Frames with other keys are left out. Nothing else is read:
 //! the arrays that are not are named in a remark.
 
 use super::{Entry, Hdf5, list, shorter};
 use crate::error::{Error, Result};
+use crate::scene::plausibility::{self, AnglesFrom};
 use crate::scene::stack::ScanFile;
+use crate::setting::Setting;
 use crate::words::{counted, verb};
 use ndarray::{Array3, Axis};
 
@@ -87,8 +89,7 @@ impl Hdf5 {
         let unit = Self::text(entry, "units").or_else(|| Self::text(entry, "unit"));
         let to_radians = match unit.as_deref().map(str::trim).map(str::to_lowercase) {
             None => {
-                let angles = shorter(&entry.name);
-                scan.remarks.push(format!("{angles} states no unit: degrees are read"));
+                scan.is_unit_assumed = true;
                 f64::to_radians
             }
             Some(unit) if unit.starts_with("deg") || unit == "°" => f64::to_radians,
@@ -99,7 +100,21 @@ impl Hdf5 {
                 return Err(Error::format(&self.path, what, shorter(&unit), "degree or rad", remedy));
             }
         };
-        let mut angles: Vec<f64> = self.numbers(entry)?.into_f64().into_iter().map(to_radians).collect();
+        let stated: Vec<f64> = self.numbers(entry)?.into_f64().into_iter().collect();
+        let finite = || stated.iter().copied().filter(|angle| angle.is_finite());
+        if let (true, Some(low), Some(high)) =
+            (scan.is_unit_assumed, finite().reduce(f64::min), finite().reduce(f64::max))
+        {
+            let as_radians = (high - low).to_degrees();
+            let radians = match plausibility::check_radians(&stated, AnglesFrom::Stack) {
+                Ok(()) => format!("; as radians they span {as_radians:.1}°: give {} if they are", Setting::Radians),
+                Err(_) => String::new(),
+            };
+            let angles = shorter(&entry.name);
+            scan.remarks
+                .push(format!("{angles} states no unit: degrees are read, which span {:.1}°{radians}", high - low));
+        }
+        let mut angles: Vec<f64> = stated.into_iter().map(to_radians).collect();
         if let Some((views, all)) = views
             && angles.len() == all
         {

@@ -4,13 +4,14 @@
 //! a known layout (see `Hdf5::scan`). MATLAB's files from version 7.3 on are HDF5. The axes of an array are `[z, y, x]`, and of
 //! a stack `[view, v, u]`; MATLAB writes `A(x, y, z)` in this order.
 //!
-//! Numbers are integers or floats of 32 or 64 bits, contiguous or in chunks, with the filters deflate, shuffle, LZ4,
+//! Numbers are integers, or floats of 16, 32 or 64 bits, contiguous or in chunks, with the filters deflate, shuffle, LZ4,
 //! SZIP, n-bit and scale-offset. Attributes are not read, except for the unit of angles. Of the file, only what is asked
 //! for is read.
 //!
 //! Groups are searched for arrays down to [`DEEPEST`] levels, [`MOST_GROUPS`] in all, for links may lead to one group under
 //! any number of names. A file with more is remarked on; an array beyond these limits is read by its name.
 
+mod half;
 pub(super) mod layouts;
 
 use super::array_path;
@@ -19,6 +20,7 @@ use super::volume_file::{VolumeFile, damaged, unsupported};
 use crate::error::{Error, Result};
 use crate::limit;
 use crate::words::quoted;
+use half::Half;
 use hdf5_reader::group::Group;
 use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
@@ -255,6 +257,7 @@ impl Hdf5 {
         let single = |values: ArrayD<f32>| Ok(Numbers::F32(values));
         let double = |values: ArrayD<f64>| Ok(Numbers::F64(values));
         match (size, signed, floating) {
+            (2, _, true) => single(self.values::<Half>(entry)?.mapv(|Half(value)| value)),
             (4, _, true) => single(self.values::<f32>(entry)?),
             (8, _, true) => double(self.values::<f64>(entry)?),
             (1, true, _) => single(self.values::<i8>(entry)?.mapv(f32::from)),
@@ -321,7 +324,7 @@ fn type_of(datatype: &Datatype) -> Option<String> {
         Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed, .. } => {
             Some(format!("{}int{}", if *signed { "" } else { "u" }, 8 * size))
         }
-        Datatype::FloatingPoint { size: size @ (4 | 8), .. } => Some(format!("float{}", 8 * size)),
+        Datatype::FloatingPoint { size: size @ (2 | 4 | 8), .. } => Some(format!("float{}", 8 * size)),
         _ => None,
     }
 }

@@ -16,14 +16,22 @@
 //! | Hounsfield units | the true volume has values below [`super::hounsfield::IMPOSSIBLE`] |
 //! | an object wider than the detector | see [`super::truncation`] |
 //! | an object taller than the detector | see [`super::truncation`] |
+//! | an object larger than the volume | rays that miss the volume read clearly more than air |
+//! | degrees, empty views, wrong sign | see [`check`], which refuses them |
+//! | a short arc | the views span less than 20° |
+//! | copies | training views with equal images or angles, test views with the image of a training view |
 
 mod air;
 mod frames;
+mod outside;
 mod pixels;
 mod readings;
+mod refused;
 mod scales;
+mod views;
 
 pub use readings::LEVELS;
+pub use refused::{AnglesFrom, check, check_radians, check_views, within_a_turn};
 pub use scales::SCALE;
 
 use super::borders::Borders;
@@ -66,6 +74,9 @@ const JUDGES: &[Judge] = &[
     |scan| hounsfield_of_truth(scan.dataset).into_iter().collect(),
     |scan| scales::of_truth(scan).into_iter().collect(),
     truncation::remarks,
+    |scan| outside::remark(scan).into_iter().collect(),
+    refused::remarks,
+    views::remarks,
 ];
 
 /// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
@@ -80,9 +91,24 @@ pub fn remarks(dataset: &Dataset) -> Vec<String> {
     JUDGES.iter().flat_map(|judge| judge(&evidence)).collect()
 }
 
+/// Whether a pixel is in the first or last row or column; a detector of one or two rows has no border above and below.
+fn is_at_border(row: usize, column: usize, [rows, columns]: [usize; 2]) -> bool {
+    let is_end = |i: usize, n: usize| n > 2 && (i == 0 || i + 1 == n);
+    is_end(row, rows) || is_end(column, columns) || (rows <= 2 && columns <= 2)
+}
+
+/// The smallest and the largest value; infinite for none.
+fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+        (if value < low { value } else { low }, if value > high { value } else { high })
+    })
+}
+
 fn hounsfield_of_truth(dataset: &Dataset) -> Option<String> {
     dataset.truth.as_ref().and_then(|truth| hounsfield::remark("true volume", &truth.values))
 }
 
+#[cfg(test)]
+mod kinds;
 #[cfg(test)]
 mod tests;

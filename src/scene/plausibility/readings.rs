@@ -1,5 +1,6 @@
 //! Readings of a detector instead of line integrals.
 
+use super::{ends, is_at_border};
 use crate::numeric::reduce;
 use crate::scene::dataset::Dataset;
 use crate::setting::Setting;
@@ -30,7 +31,7 @@ pub(super) fn remark(dataset: &Dataset) -> Option<String> {
     let (dark, bright) = ends(pixels.iter().copied());
     let at_border = |pixel: &usize| {
         let (row, column) = (pixel / columns, pixel % columns);
-        row == 0 || column == 0 || row + 1 == rows || column + 1 == columns
+        is_at_border(row, column, [rows, columns])
     };
     let border: Vec<f64> = (0..pixels.len()).filter(at_border).map(|pixel| pixels[pixel]).collect();
     let air = reduce::sum(&border) / border.len().max(1) as f64;
@@ -55,11 +56,4 @@ pub(super) fn remark(dataset: &Dataset) -> Option<String> {
         Setting::White,
         short(bright),
     ))
-}
-
-/// The smallest and the largest value; infinite for none.
-fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-        (if value < low { value } else { low }, if value > high { value } else { high })
-    })
 }

@@ -21,7 +21,7 @@ pub mod rtk;
 pub use rtk::RtkGeometry;
 
 use super::arrays::Projections;
-use super::dataset::{Dataset, Description, look_like_degrees};
+use super::dataset::{Dataset, Description};
 use super::geometry::Trajectory;
 use super::noise::Noise;
 use super::npy;
@@ -136,7 +136,6 @@ pub fn scan(
             images.invert_axis(axis);
         }
     }
-    let oddities = description.oddities.iter().cloned().chain(look_like_degrees(angles.iter().copied())).collect();
     let sense = if orientation.clockwise { -1.0 } else { 1.0 };
     let angles: Vec<f64> = angles.into_iter().map(|angle| sense * angle).collect();
     let poses = description.poses(&angles)?;
@@ -151,7 +150,7 @@ pub fn scan(
         test: None,
         truth: None,
         initial_points: None,
-        oddities,
+        oddities: description.oddities.clone(),
         notes: Vec::new(),
     })
 }

@@ -16,6 +16,8 @@ pub struct ScanFile {
     pub dark: Option<Array3<f32>>,
     /// Radians.
     pub angles: Option<Vec<f64>>,
+    /// Whether the file states no unit of the angles, so that they were read as degrees.
+    pub is_unit_assumed: bool,
     /// Remarks for the user, one sentence each.
     pub remarks: Vec<String>,
 }

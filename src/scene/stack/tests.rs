@@ -57,8 +57,6 @@ fn lengths_scale_line_integrals_and_flips_turn_frames_into_place() {
     let orientation = Orientation { flip_columns: true, ..Orientation::default() };
     let turned = scan("a", &description(), frames(), angles, orientation).unwrap();
     assert_eq!(turned.train.images[[1, 0, 0]], plain.train.images[[1, 0, 4]]);
-    let degrees = scan("a", &description(), frames(), vec![0.0, 30.0, 60.0], Orientation::default()).unwrap();
-    assert!(degrees.oddities[0].contains("look like degrees"), "{:?}", degrees.oddities);
 }
 
 #[test]

@@ -1,0 +1,99 @@
+//! Numbers of a description that are written as text.
+
+use crate::error::{Error, Result};
+use serde_json::Value;
+
+/// Fields of the scanner that hold numbers, or lists of them.
+const OF_SCANNER: [&str; 16] = [
+    "DSD",
+    "DSO",
+    "nDetector",
+    "sDetector",
+    "dDetector",
+    "nVoxel",
+    "sVoxel",
+    "dVoxel",
+    "offOrigin",
+    "offDetector",
+    "COR",
+    "rotDetector",
+    "vectors",
+    "matrices",
+    "totalAngle",
+    "startAngle",
+];
+/// Those of a view.
+const OF_VIEWS: [&str; 4] = ["angle", "vector", "matrix", "radius"];
+
+/// Refuses the first field of a file that should hold a number and holds something else.
+///
+/// # Errors
+/// [`Error::Invalid`] that names the field, what it holds, and what to write.
+pub(super) fn check(file: &Value) -> Result<()> {
+    for name in OF_SCANNER {
+        check_field(name, &file["scanner"][name])?;
+    }
+    for list in ["proj_train", "proj_test"] {
+        for (number, view) in file[list].as_array().into_iter().flatten().enumerate() {
+            for name in OF_VIEWS {
+                check_field(&format!("{name} of view {number} in {list}"), &view[name])?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_field(name: &str, value: &Value) -> Result<()> {
+    let Some(other) = other_than_number(value) else { return Ok(()) };
+    let remedy = match other.as_str().map(str::trim) {
+        Some(text) if text.parse::<f64>().is_ok_and(f64::is_finite) => format!("write {text} without quotation marks"),
+        _ => "write a number, without a unit".into(),
+    };
+    let got = match other {
+        Value::String(text) => format!("the text {:?}", text.chars().take(LONGEST).collect::<String>()),
+        Value::Bool(value) => format!("{value}"),
+        _ => "an object".into(),
+    };
+    Err(Error::invalid(name, got, "a number", remedy))
+}
+
+/// Characters of a text that an error repeats.
+const LONGEST: usize = 40;
+
+/// The first text, truth value or object in a field or its lists; nothing is no value.
+fn other_than_number(value: &Value) -> Option<&Value> {
+    match value {
+        Value::Null | Value::Number(_) => None,
+        Value::Array(values) => values.iter().find_map(other_than_number),
+        other => Some(other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn message(file: &Value) -> String {
+        check(file).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn numbers_as_text_are_named_with_what_to_write() {
+        for (field, value, shown) in [
+            ("DSO", json!("5.0"), "write 5.0 without quotation marks"),
+            ("sVoxel", json!([2, " 2.5 ", 2]), "write 2.5 without quotation marks"),
+            ("offDetector", json!([[0, 0], [0, "1e-3"]]), "write 1e-3 without quotation marks"),
+            ("DSD", json!("7 mm"), "write a number, without a unit"),
+            ("totalAngle", json!(true), "write a number"),
+            ("COR", json!({ "x": 1 }), "write a number"),
+        ] {
+            let found = message(&json!({ "scanner": { field: value } }));
+            assert!(found.starts_with(&format!("{field}: got ")) && found.contains("expected a number"), "{found}");
+            assert!(found.contains(shown), "{found}");
+        }
+        let found = message(&json!({ "scanner": {}, "proj_test": [{ "angle": 0.5 }, { "angle": "0.7" }] }));
+        assert!(found.starts_with("angle of view 1 in proj_test: got the text \"0.7\""), "{found}");
+        check(&json!({ "scanner": { "mode": "cone", "DSO": 5, "COR": null, "offDetector": [[0, 1]] } })).unwrap();
+    }
+}
