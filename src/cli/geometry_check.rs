@@ -1,25 +1,25 @@
 //! `trgs inspect --check-geometry`: detects the conventions of a scan.
 
-use super::messages::ProgressBar;
+use super::messages::{ProgressBar, warning};
 use super::{Global, Output};
 use std::path::Path;
 use trgs::Result;
 use trgs::classical::check_geometry as check;
 use trgs::classical::geometry_check::{Candidate, Step};
-use trgs::scene::Dataset;
+use trgs::scene::{Dataset, plausibility};
 
 /// The ranked conventions of a scan; the check fails if they differ from those stated.
 pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Output> {
     let dataset = Dataset::read(path)?;
-    for oddity in &dataset.oddities {
-        tracing::warn!("{}: {oddity}", path.display());
+    for remark in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
+        warning(path, remark);
     }
     let mut progress = ProgressBar::new(Step::ALL, global);
     let found = check(&dataset, &mut |step| progress.step(step))?;
     drop(progress);
     let header = ["class", "convention", "held-out residual", "σ worse", "offset u", "offset v", "correlation", "turn"];
     let rows = found.candidates.iter().map(row);
-    Ok(Output::judged_table(&found, header, rows, &found.verdict, found.agrees))
+    Ok(Output::judgement(&found, &found.verdict, header, rows, found.agrees))
 }
 
 fn row(candidate: &Candidate) -> [String; 8] {

@@ -40,7 +40,7 @@ pub(super) struct Inspect {
     /// Folder of a scan or a run, or a file
     #[arg(value_name = "DATASET|RUN|FILE")]
     path: PathBuf,
-    /// Detect flipped axes, reversed rotation and a shifted detector; exit with code 1 if there are any
+    /// Detect flipped axes, reversed rotation and a shifted detector; exit with code 1 if there are any; takes ten seconds
     #[arg(long)]
     check_geometry: bool,
 }

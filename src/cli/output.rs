@@ -51,6 +51,18 @@ impl Output {
         Self { json: to_json(result), text, approves }
     }
 
+    /// The outcome of a check: sentences, and the table that they rest on below them.
+    pub(super) fn judgement<const N: usize>(
+        result: &impl Serialize,
+        sentences: &[String],
+        header: [&str; N],
+        rows: impl IntoIterator<Item = [String; N]>,
+        approves: bool,
+    ) -> Self {
+        let text = format!("{}\n\n{}", sentences.join("\n"), table(&header, rows).trim_fmt());
+        Self { json: to_json(result), text, approves }
+    }
+
     /// The outcome of a check, with its own text.
     #[cfg(feature = "oracle")]
     pub(super) fn verdict(result: &impl Serialize, text: String, approves: bool) -> Self {

@@ -62,6 +62,7 @@
 mod convention;
 mod held_out;
 mod offsets;
+mod prepared;
 mod reduced;
 mod reference;
 mod stated;
@@ -72,9 +73,10 @@ pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
 use crate::error::{Error, Result};
-use crate::scene::{Beam, Dataset};
+use crate::scene::{Beam, Dataset, Projections};
 use held_out::{HeldOut, Hypothesis, held_out};
 use offsets::{Place, ROLL, Search, first_scan, refine};
+use prepared::Prepared;
 use reduced::Reduced;
 use reference::Reference;
 use serde::Serialize;
@@ -150,6 +152,12 @@ pub struct GeometryCheck {
     pub reference: Option<Source>,
     /// All conventions: the best class first, ordered by resemblance to the reference, or by simplicity.
     pub candidates: Vec<Candidate>,
+    /// Whether some convention predicts the held-out views; without it, offsets and roll mean nothing.
+    pub is_explained: bool,
+    /// Pixels `[v, u]` that err in all views; the check replaced them by their neighbours.
+    pub faulty_pixels: Vec<[usize; 2]>,
+    /// The smallest and the largest reading of air in the views, which the check subtracted; `None` if it subtracted none.
+    pub air: Option<[f64; 2]>,
     /// Number of views used.
     pub views: usize,
     /// Rows and columns of the reduced detector.
@@ -203,19 +211,21 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let stated_circle = Stated::of(dataset)?;
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;
-    let mut candidates = classes(dataset, &beam, &mut steps)?;
-    rank(&Reduced::new(dataset, &stated_circle, MEDIUM), &mut candidates, &beam)?;
+    let prepared = Prepared::new(dataset, &stated_circle);
+    let (views, air) = choose_air(&prepared, &stated_circle)?;
+    let mut candidates = classes(&views, &stated_circle, &mut steps)?;
+    rank(&Reduced::new(&views, &stated_circle, MEDIUM), &mut candidates, &beam)?;
     steps.done("conventions")?;
 
     // The stated convention is kept unless the data exclude it.
     let stated = candidates.iter().find(|c| c.convention == Convention::AS_STATED).expect("it is among all");
     let class = if stated.told_apart { 1 } else { stated.class };
-    let reference = compare(dataset, &mut candidates, class)?;
+    let reference = compare(dataset, &views, &stated_circle, &mut candidates, class)?;
     steps.done("reference")?;
     candidates.sort_by_key(|trial| (trial.class != class, trial.class, trial.is_unlike, trial.faults()));
 
     let chosen = candidates.iter().find(|c| c.class == class).expect("every class has a member").clone();
-    let fine = Reduced::new(dataset, &stated_circle, FINE);
+    let fine = Reduced::new(&views, &stated_circle, FINE);
     let convention = chosen.convention;
     let widely = refine(&fine, convention, chosen.offset, 0, ALONG_U[0])?;
     let mut along_u = refine(&fine, convention, widely.offset, 0, ALONG_U[1])?;
@@ -228,7 +238,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     steps.done("detector along v")?;
 
     let [.., stated_roll, stated_shift] = chosen.offset;
-    let coarse = Reduced::new(dataset, &stated_circle, COARSE);
+    let coarse = Reduced::new(&views, &stated_circle, COARSE);
     let place = of_v.as_ref().unwrap_or(&along_u).offset;
     let widely = refine(&coarse, convention, place, ROLL, OF_ROLL[0])?;
     let mut rolled = refine(&fine, convention, widely.offset, ROLL, OF_ROLL[1])?;
@@ -280,6 +290,9 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
         offset_v,
         reference,
         candidates: candidates.iter().map(|trial| trial.candidate([d.pitch_u, d.pitch_v])).collect(),
+        is_explained: false,
+        faulty_pixels: prepared.faulty,
+        air,
         views: fine.views.len(),
         detector: [fine.views.images.dim().1, fine.views.images.dim().2],
         grid: fine.grid().shape,
@@ -323,11 +336,29 @@ impl Trial {
     }
 }
 
+/// The views to check, and the readings of air that were subtracted: only where that lowers the held-out residual.
+///
+/// A border that an object covers evenly looks like air. Subtracting its readings contradicts the other views.
+fn choose_air(prepared: &Prepared, stated: &Stated) -> Result<(Projections, Option<[f64; 2]>)> {
+    let Some(zeroed) = prepared.with_air_at_zero() else { return Ok((prepared.views.clone(), None)) };
+    let place = [stated.scanner.detector.offset_u, stated.scanner.detector.offset_v, stated.roll, stated.axis_shift];
+    let error = |views: &Projections| -> Result<f64> {
+        let coarse = Reduced::new(views, stated, COARSE);
+        Ok(held_out(&coarse, &[(Convention::AS_STATED, place)])?[0].sum())
+    };
+    if error(&zeroed)? >= error(&prepared.views)? {
+        return Ok((prepared.views.clone(), None));
+    }
+    let ends = prepared.air.iter().flatten().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
+        [if value < low { value } else { low }, if value > high { value } else { high }]
+    });
+    Ok((zeroed, Some(ends)))
+}
+
 /// All conventions, with the offset of least residual of their class; one per class is evaluated.
-fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
-    let stated = Stated::of(dataset)?;
-    let d = &stated.scanner.detector;
-    let maybe_degrees = dataset.train.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);
+fn classes(views: &Projections, stated: &Stated, steps: &mut Steps<'_, '_>) -> Result<Vec<Trial>> {
+    let (d, beam) = (&stated.scanner.detector, &stated.scanner.beam);
+    let maybe_degrees = views.angles.iter().any(|angle| angle.abs() > LARGEST_USUAL_ANGLE);
     let all = Convention::all(d.rows == d.columns, maybe_degrees);
     let mut representatives: Vec<Convention> = Vec::new();
     for convention in &all {
@@ -335,7 +366,7 @@ fn classes(dataset: &Dataset, beam: &Beam, steps: &mut Steps<'_, '_>) -> Result<
             representatives.push(*convention);
         }
     }
-    let coarse = Reduced::new(dataset, &stated, COARSE);
+    let coarse = Reduced::new(views, stated, COARSE);
     let along_u = first_scan(d.offset_u, d.columns as f64 * d.pitch_u, coarse.pitch()[0]);
     // A class has members with the rows reversed, for which the offset has the opposite sign.
     let mut along_v = vec![d.offset_v];
@@ -399,8 +430,14 @@ fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
 }
 
 /// Compares reconstructions under the members of a class with the known object.
-fn compare(dataset: &Dataset, trials: &mut [Trial], class: usize) -> Result<Option<Source>> {
-    let coarse = Reduced::new(dataset, &Stated::of(dataset)?, COARSE);
+fn compare(
+    dataset: &Dataset,
+    views: &Projections,
+    stated: &Stated,
+    trials: &mut [Trial],
+    class: usize,
+) -> Result<Option<Source>> {
+    let coarse = Reduced::new(views, stated, COARSE);
     let Some(reference) = Reference::new(dataset, coarse.grid()) else { return Ok(None) };
     let members: Vec<usize> = (0..trials.len()).filter(|&i| trials[i].class == class).collect();
     let hypotheses: Vec<Hypothesis> = members.iter().map(|&i| (trials[i].convention, trials[i].offset)).collect();

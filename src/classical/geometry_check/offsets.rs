@@ -1,7 +1,7 @@
 //! Estimation of offset and roll of the detector.
 
 use super::Convention;
-use super::held_out::{HeldOut, held_out};
+use super::held_out::{BANDS, HeldOut, held_out};
 use super::reduced::Reduced;
 use crate::error::Result;
 use crate::numeric::reduce;
@@ -19,6 +19,9 @@ const INSIDE: f64 = 1.5;
 const SYSTEMATIC: [f64; 2] = [0.06, 0.5];
 /// The same of a roll, in units of [`Reduced::units`].
 const SYSTEMATIC_ROLL: f64 = 0.02;
+
+/// Runs of neighbouring views that a jackknife leaves out.
+const RUNS: usize = 6;
 
 /// Standard errors from which a roll differs.
 pub(super) const SIGNIFICANT_ROLL: f64 = 3.0;
@@ -189,15 +192,21 @@ pub(super) fn refine(
 
 /// The minimum of the least-squares parabola through the squared residuals at -2, -1, 0, 1, 2.
 ///
-/// The second value is its standard error, from a jackknife over the views.
+/// The second value is its standard error: the largest of four jackknives, over single views, runs of neighbouring views,
+/// bands of rows, and bands of columns. An error that several views or pixels share shows in one of them.
 fn vertex(results: &[HeldOut]) -> (f64, f64) {
     let views = results[0].residuals.len();
-    let along = |weights: [f64; 5], view: usize| {
-        results.iter().zip(weights).map(|(result, weight)| weight * result.residuals[view]).sum::<f64>()
+    let along = |weights: [f64; 5], view: usize, tile: usize| {
+        results.iter().zip(weights).map(|(result, weight)| weight * result.tiles[view][tile]).sum::<f64>()
     };
-    let slopes: Vec<f64> = (0..views).map(|view| along([-2.0, -1.0, 0.0, 1.0, 2.0], view) / 10.0).collect();
-    let bends: Vec<f64> = (0..views).map(|view| along([2.0, -1.0, -2.0, -1.0, 2.0], view) / 14.0).collect();
-    let (slope, bend) = (reduce::sum(&slopes), reduce::sum(&bends));
+    // Slope and curvature of each tile of each view.
+    let parts: Vec<(usize, usize, f64, f64)> = (0..views)
+        .flat_map(|view| (0..BANDS * BANDS).map(move |tile| (view, tile)))
+        .map(|(view, tile)| {
+            let slope = along([-2.0, -1.0, 0.0, 1.0, 2.0], view, tile) / 10.0;
+            (view, tile, slope, along([2.0, -1.0, -2.0, -1.0, 2.0], view, tile) / 14.0)
+        })
+        .collect();
     let least = |slope: f64, bend: f64| {
         // Without a minimum: downhill to the end of the range.
         if bend > 0.0 {
@@ -208,8 +217,23 @@ fn vertex(results: &[HeldOut]) -> (f64, f64) {
             0.0
         }
     };
-    let others: Vec<f64> = (0..views).map(|view| least(slope - slopes[view], bend - bends[view])).collect();
-    let mean = reduce::sum(&others) / views as f64;
-    let spread = reduce::sum_by(views, &|i| (others[i] - mean) * (others[i] - mean));
-    (least(slope, bend), (spread * (views as f64 - 1.0) / views as f64).sqrt())
+    let without = |leaves_out: &dyn Fn(usize, usize) -> bool| {
+        let kept = parts.iter().filter(|&&(view, tile, ..)| !leaves_out(view, tile));
+        let (slopes, bends): (Vec<f64>, Vec<f64>) = kept.map(|&(.., slope, bend)| (slope, bend)).unzip();
+        least(reduce::sum(&slopes), reduce::sum(&bends))
+    };
+    let jackknife = |groups: usize, group: &dyn Fn(usize, usize) -> usize| {
+        let others: Vec<f64> = (0..groups).map(|k| without(&|view, tile| group(view, tile) == k)).collect();
+        let mean = reduce::sum(&others) / groups as f64;
+        let spread = reduce::sum_by(groups, &|i| (others[i] - mean) * (others[i] - mean));
+        (spread * (groups as f64 - 1.0) / groups as f64).sqrt()
+    };
+    let runs = RUNS.min(views);
+    let errors = [
+        jackknife(views, &|view, _| view),
+        jackknife(runs, &|view, _| view * runs / views),
+        jackknife(BANDS, &|_, tile| tile / BANDS),
+        jackknife(BANDS, &|_, tile| tile % BANDS),
+    ];
+    (without(&|_, _| false), errors.into_iter().fold(0.0, f64::max))
 }

@@ -4,12 +4,10 @@ use super::Convention;
 use super::offsets::{Place, ROLL, SHIFT};
 use super::stated::Stated;
 use crate::numeric::threads;
-use crate::scene::{Beam, Dataset, Detector, Deviation, Grid, Projections, Scanner};
+use crate::scene::{Beam, Detector, Deviation, Grid, Projections, Scanner};
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
 
-/// Largest number of views used.
-const VIEWS: usize = 24;
 /// Largest extent of the grid, as a fraction of the distance to the source.
 const REACH: f64 = 0.95;
 
@@ -24,19 +22,14 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
-    /// Evenly spaced views of `dataset`, averaged to at most `pixels` rows and columns.
+    /// `views` averaged to at most `pixels` rows and columns.
     ///
     /// The grid has three voxels for four pixels of the longer side.
-    pub(super) fn new(dataset: &Dataset, stated: &Stated, pixels: usize) -> Self {
+    pub(super) fn new(views: &Projections, stated: &Stated, pixels: usize) -> Self {
         let Scanner { beam, detector: d, grid } = stated.scanner;
-        let (train, angles) = (&dataset.train, &stated.angles);
-        let mut order: Vec<usize> = (0..train.len()).collect();
-        order.sort_by(|&a, &b| angles[a].total_cmp(&angles[b]));
-        let used = train.len().min(VIEWS);
-        let chosen: Vec<usize> = (0..used).map(|i| order[i * train.len() / used]).collect();
-
+        let used = views.len();
         let [rows, columns] = [d.rows, d.columns].map(|n| n.div_ceil(n.div_ceil(pixels)));
-        let images = threads::map(used, |i| reduce(train.image(chosen[i]), rows, columns));
+        let images = threads::map(used, |i| reduce(views.image(i), rows, columns));
         let images = Array3::from_shape_vec((used, rows, columns), images.into_iter().flatten().collect());
         let detector = Detector {
             rows,
@@ -46,11 +39,8 @@ impl Reduced {
             offset_u: 0.0,
             offset_v: 0.0,
         };
-        let views = Projections {
-            poses: None,
-            angles: chosen.iter().map(|&view| angles[view]).collect(),
-            images: images.expect("every image has as many pixels"),
-        };
+        let images = images.expect("every image has as many pixels");
+        let views = Projections { poses: None, angles: views.angles.clone(), images };
         Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
     }
 

@@ -3,6 +3,7 @@
 use super::offsets::SIGNIFICANT_ROLL;
 use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
 use crate::scene::{Beam, Dataset, Scanner};
+use crate::words::verb;
 use std::f64::consts::FRAC_PI_2;
 
 /// Allowed displacement of the detector, pixels.
@@ -17,6 +18,10 @@ const VISIBLE: f64 = 1.25;
 const ROLL_TOLERANCE: f64 = 0.2;
 /// If the best relative residual exceeds this, no convention explains the data.
 const UNEXPLAINED: f64 = 0.4;
+/// Pixels named in a sentence.
+const SHOWN: usize = 5;
+/// Readings of air worth a word, scene units of length times density.
+const AIR: f64 = 0.005;
 
 /// Sets `agrees` and the sentences of the verdict.
 pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scanner) {
@@ -26,6 +31,7 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
     let as_stated = chosen.convention == Convention::AS_STATED && turns == 0;
     let least = check.candidates.iter().map(|c| c.residual).fold(f64::INFINITY, f64::min);
     let explained = least < UNEXPLAINED;
+    check.is_explained = explained;
     let displaced_u = is_displaced(&check.offset_u);
     let seen_v =
         check.offset_v.as_ref().filter(|scan| is_displaced(scan) && scan.residual_stated > VISIBLE * scan.residual);
@@ -34,13 +40,19 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
     let v = seen_v.map_or(scanner.detector.offset_v, |scan| scan.found_length);
     check.off_detector = [u / scale, (0.0 - v) / scale];
 
-    let mut verdict = vec![conventions(check, as_stated, turns)];
+    check.agrees = as_stated && explained && !displaced_u && !displaced_v && !is_rolled(&check.roll);
     if !explained {
-        verdict.push(format!(
-            "No convention explains the data: even the best leaves {}. Check DSO, DSD, sizes and the order of views.",
+        check.off_detector = [scanner.detector.offset_u / scale, (0.0 - scanner.detector.offset_v) / scale];
+        check.verdict = vec![format!(
+            "No convention explains the data: even the best leaves {}. Nothing is said about the place of the detector. \
+             Check DSO, DSD, sizes, angles and the order of views.",
             percent(least)
-        ));
+        )];
+        check.verdict.extend(removed(check));
+        return;
     }
+    let mut verdict = vec![conventions(check, as_stated, turns)];
+    verdict.extend(removed(check));
     verdict.extend(alternatives(check, chosen.class));
     verdict.push(equals(check, chosen.class, &scanner.beam));
     verdict.push(place("u", &check.offset_u, displaced_u));
@@ -62,7 +74,34 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
     let rolled = is_rolled(&check.roll);
     verdict.push(roll(&check.roll, rolled));
     check.verdict = verdict;
-    check.agrees = as_stated && explained && !displaced_u && !displaced_v && !rolled;
+}
+
+/// Sentences about errors of the data that were removed before the check.
+fn removed(check: &GeometryCheck) -> Vec<String> {
+    let mut found = Vec::new();
+    if let [first, ..] = check.faulty_pixels[..] {
+        let count = check.faulty_pixels.len();
+        let shown: Vec<String> = check.faulty_pixels.iter().take(SHOWN).map(|[v, u]| format!("[{v}, {u}]")).collect();
+        let more = if count > shown.len() { ", …" } else { "" };
+        let of = if count == 1 {
+            format!("pixel {first:?}")
+        } else {
+            format!("{count} pixels ({}{more})", shown.join(", "))
+        };
+        found.push(format!(
+            "In all views {of} of [v, u] {} from the neighbours: the check replaced {}. If {} no detail of the object, correct the flat field.",
+            verb(count, "differs", "differ"),
+            verb(count, "it", "them"),
+            verb(count, "it is", "they are"),
+        ));
+    }
+    if let Some([low, high]) = check.air.filter(|air| air[1] - air[0] > AIR || air[0].abs().max(air[1].abs()) > AIR) {
+        found.push(format!(
+            "Air reads {low:.4} to {high:.4} instead of 0 in all views: the check subtracted it; correct the flat field, I0, or \
+             the drift of the source."
+        ));
+    }
+    found
 }
 
 /// Whether the offset differs from the stated one by more than tolerance and uncertainty.
@@ -99,11 +138,16 @@ fn roll(scan: &RollScan, rolled: bool) -> String {
     // A negative number that rounds to zero has no sign.
     let shown = |degrees: f64| if degrees.abs() < 0.005 { 0.0 } else { degrees };
     let (found, stated) = (shown(found), shown(stated));
-    let text = format!("The detector is rolled by {found:.2}° ± {uncertainty:.2}°, stated {stated:.2}°");
     match rolled {
         // TIGRE counts turns about x, which points to the source.
-        true => format!("{text}: set rotDetector to [0, 0, {:.6}], radians.", -found.to_radians()),
-        false => format!("{text}."),
+        true => format!(
+            "The detector is rolled by {found:.2}° ± {uncertainty:.2}°, stated {stated:.2}°: set rotDetector to [0, 0, \
+             {:.6}], radians.",
+            -found.to_radians()
+        ),
+        false => {
+            format!("The data agree with the stated roll of {stated:.2}°: they give {found:.2}° ± {uncertainty:.2}°.")
+        }
     }
 }
 
