@@ -210,7 +210,8 @@ mod tests {
     fn images() -> Array3<f32> {
         Array3::from_shape_fn((12, 24, 26), |(view, v, u)| {
             let centre = 12.5 + 4.0 * ((view as f64 - 5.5) / 6.0);
-            let body = 1.0 - ((u as f64 - centre) / 7.0).powi(2) - ((v as f64 - 11.5) / 6.0).powi(2);
+            let (x, y) = ((u as f64 - centre) / 7.0, (v as f64 - 11.5) / 6.0);
+            let body = 1.0 - x * x - y * y;
             let noise = ((view * 7919 + v * 104_729 + u * 1299) % 1009) as f64 / 1009.0 - 0.5;
             (body.max(0.0).sqrt() + 0.002 * noise) as f32
         })
