@@ -109,6 +109,7 @@ pub mod classical;
 pub mod confidence;
 pub mod config;
 pub mod density;
+pub mod duration;
 pub mod error;
 pub mod evaluation;
 pub mod experiments;

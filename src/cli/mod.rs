@@ -159,7 +159,7 @@ impl Command {
 
 /// Warns of more worker threads than the machine has cores.
 fn tell_of_threads(threads: usize) {
-    let cores = std::thread::available_parallelism().map_or(usize::MAX, Into::into);
+    let cores = threads::cores().unwrap_or(usize::MAX);
     if threads > cores {
         tracing::warn!(
             "--threads {threads}: this machine has {}; more threads than cores only wait for each other",

@@ -61,6 +61,11 @@ pub fn side_by_side(n: usize, work: impl Fn(usize) + Sync) -> Result<()> {
     Ok(())
 }
 
+/// The number of cores that the process may use, if the system tells it.
+pub fn cores() -> Option<usize> {
+    std::thread::available_parallelism().ok().map(Into::into)
+}
+
 /// The number of workers that share the current work.
 pub fn count() -> usize {
     rayon::current_num_threads()

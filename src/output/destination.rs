@@ -4,7 +4,7 @@ use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
 use super::mark::{Mark, walk};
 use super::staging::{is_fixed, is_mount_point};
 use super::sweep::sweep;
-use super::{LOCK, step};
+use super::{LOCK, LOG, step};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ impl Kind {
 
     /// Files that change while a run goes on, so that they have no digest.
     pub(super) fn working_files(self) -> &'static [&'static str] {
-        if self == Self::Run { &["checkpoints/last.msgpack", "log.jsonl"] } else { &[] }
+        if self == Self::Run { &["checkpoints/last.msgpack", LOG] } else { &[] }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::staging::is_staging;
 use super::sweep::is_temporary;
-use super::{Kind, LOCK, MARK, write_atomically};
+use super::{Kind, LOCK, LOG, MARK, write_atomically};
 use crate::error::Result;
 use crate::provenance::digest_file;
 use crate::words;
@@ -137,11 +137,14 @@ pub(super) fn walk<T>(
     Ok(None)
 }
 
-/// Removes the mark of a folder that has no other file.
+/// Removes the mark of a folder that has no other file, and with it the log of a run that has neither state nor results.
 pub(super) fn remove_if_alone(folder: &Path) {
-    if walk(folder, "", &mut |_, _, _| Some(())).is_ok_and(|found| found.is_none()) {
-        super::step();
-        // An error leaves the mark of a folder of ours.
-        let _ = fs::remove_file(folder.join(MARK));
+    let is_log = |path: &str| path == LOG && Mark::read(folder).is_some_and(|mark| mark.files.contains_key(LOG));
+    if walk(folder, "", &mut |path, _, _| (!is_log(path)).then_some(())).is_ok_and(|found| found.is_none()) {
+        for name in [LOG, MARK] {
+            super::step();
+            // An error leaves a folder of ours.
+            let _ = fs::remove_file(folder.join(name));
+        }
     }
 }

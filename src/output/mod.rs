@@ -30,6 +30,8 @@ use tempfile::{Builder, NamedTempFile};
 
 /// Name of the mark of a folder.
 pub const MARK: &str = ".trgs.json";
+/// Name of the log of a run, which grows while the run goes on.
+const LOG: &str = "log.jsonl";
 /// Name of the lock of a folder.
 const LOCK: &str = ".trgs.lock";
 /// Beginning of the names of temporary files and folders.

@@ -24,7 +24,6 @@
 //! Per-primitive setup is vectorised over 8 primitives; results are bit-identical to the scalar path.
 
 mod contributions;
-mod cost;
 mod field;
 mod image;
 mod kernel;
@@ -36,7 +35,6 @@ mod volume;
 mod whitened;
 
 pub use contributions::{Contribution, rank};
-pub use cost::{sample, seconds_to_project, seconds_to_voxelize};
 pub(crate) use field::bytes;
 pub use field::{Field, forward, forward_seen, vjp, voxelize, voxelize_vjp};
 pub use image::kernels::ImageKernels;

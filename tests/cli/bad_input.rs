@@ -118,8 +118,8 @@ fn a_volume_larger_than_any_computer_is_refused_before_memory_is_asked_for() {
         m["scanner"]["dVoxel"] = Value::Null;
     });
     assert!(sandbox.refused("reconstruct scan --out run --method fdk").contains("60000"));
-    assert!(sandbox.refused("simulate --phantom foam --out x --size 60000").contains("volume"));
-    assert!(sandbox.refused("simulate --phantom foam --out x --detector 60000 --views 9").contains("projections"));
+    assert!(sandbox.refused("simulate --phantom foam --out x --size 60000").contains("grid shape: got [60000"));
+    assert!(sandbox.refused("simulate --phantom foam --out x --detector 60000 --views 9").contains("--max-memory"));
 }
 
 /// The arrays of a model with two primitives.

@@ -75,7 +75,7 @@ fn what_is_read_is_never_replaced() {
     sandbox.edit("scan/meta_data.json", |meta| meta["vol"] = "../volumes/true.npy".into());
     fs::create_dir(sandbox.path("volumes")).unwrap();
     fs::rename(sandbox.path("scan/vol_gt.npy"), sandbox.path("volumes/true.npy")).unwrap();
-    let message = sandbox.refused("reconstruct scan --method fdk --out volumes --overwrite");
+    let message = sandbox.refused("reconstruct scan --method fdk --out volumes --overwrite --quiet");
     assert!(message.contains("true.npy, which is read"), "{message}");
     sandbox.write("volume.npy", sandbox.read("volumes/true.npy"));
     for command in ["convert volume.npy volume.npy", "convert volume.npy ./volume.npy --mu-water 1 --quiet"] {

@@ -211,6 +211,9 @@ fn more_passes_on_voxels_after_the_end_of_a_run_are_those_of_a_longer_run() {
 #[test]
 fn more_iterations_after_the_end_of_a_run_continue_it_with_the_same_bits_on_any_threads() {
     let sandbox = Sandbox::with_scan();
+    // As many views as a pilot run needs to hold some out.
+    sandbox
+        .done("simulate --phantom torso --out scan --size 12 --detector 14,15 --views 12 --test-views 3 --noise low");
     let run = "reconstruct scan --points 200 --seed 5 --set report_every=20 --set wavelet.block=8";
     sandbox.done(&format!("{run} --out short --iterations 80"));
     sandbox.done(&format!("{run} --out straight --iterations 200"));

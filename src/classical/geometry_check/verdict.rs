@@ -2,7 +2,7 @@
 
 use super::offsets::SIGNIFICANT_ROLL;
 use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
-use crate::scene::{Beam, Dataset, Scanner};
+use crate::scene::{Beam, Dataset, Scanner, Unit};
 use crate::words::verb;
 use std::f64::consts::FRAC_PI_2;
 
@@ -66,7 +66,16 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
     }
     if displaced_u || displaced_v {
         let [u, up] = check.off_detector;
-        verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards."));
+        let frame = &dataset.frame;
+        // A converted scan has other lengths than the description it was made with.
+        let in_files = if frame.scale == scale {
+            String::new()
+        } else {
+            let [u, up] = [u, up].map(|length| length * scale / frame.scale);
+            let unit = frame.unit.map_or("the unit of the files that the scan was made from", Unit::symbol);
+            format!(", which are [{u:.6}, {up:.6}] in {unit}")
+        };
+        verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards{in_files}."));
     }
     if displaced_u {
         verdict.push(shifted_axis(&check.axis_shift, scale));

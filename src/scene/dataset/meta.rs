@@ -1,7 +1,7 @@
 //! `meta_data.json` and the interpretation of its fields.
 
 use super::fields::{self, Content};
-use super::numbers;
+use super::numbers::{self, EXACT, ROUNDED, counts, pitches, sizes};
 use super::poses::{self, Axes, Motion, PerView, Words};
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -18,10 +18,6 @@ use std::path::Path;
 /// Value of `noise_model` for the Beer-Lambert law.
 const PHYSICAL: &str = "physical";
 
-/// Relative deviation from `s = n·d` that counts as rounding to a few digits.
-const ROUNDED: f64 = 1e-3;
-/// Largest relative deviation at which the stated element size is more exact than size over number.
-const EXACT: f64 = 1e-9;
 /// Distance from source to axis where a parallel scan states none, scene units. No value depends on it.
 const PARALLEL_DSO: f64 = 5.0;
 
@@ -555,49 +551,4 @@ pub(super) fn opposite(offset: f64) -> f64 {
 /// Writes counts as integers: Python accepts 64 as a size of an array, but not 64.0.
 fn as_integers<S: serde::Serializer>(counts: &[f64], serializer: S) -> std::result::Result<S::Ok, S::Error> {
     serializer.collect_seq(counts.iter().map(|count| *count as u64))
-}
-
-/// A field with one number per axis.
-fn entries<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
-    values.try_into().map_err(|_| {
-        Error::invalid(name, format!("{values:?}"), format!("{N} numbers, one per axis"), "give one number per axis")
-    })
-}
-
-/// Numbers of pixels or voxels.
-fn counts<const N: usize>(name: &str, values: &[f64]) -> Result<[usize; N]> {
-    let values: [f64; N] = entries(name, values)?;
-    if values.iter().all(|n| n.fract() == 0.0 && (1.0..=65_536.0).contains(n)) {
-        return Ok(values.map(|n| n as usize));
-    }
-    Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "give positive whole numbers"))
-}
-
-/// Total sizes in the unit of the file.
-fn sizes<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
-    let values: [f64; N] = entries(name, values)?;
-    if values.iter().all(|s| *s > 0.0 && s.is_finite()) {
-        return Ok(values);
-    }
-    Err(Error::invalid(name, format!("{values:?}"), "positive lengths: the total size", "give the total size"))
-}
-
-/// Sizes of pixels or voxels, `s/n`, compared with `d` where that is given.
-fn pitches<const N: usize>(name: &str, n: [usize; N], s: [f64; N], d: Option<&[f64]>) -> Result<[f64; N]> {
-    let derived: [f64; N] = std::array::from_fn(|i| s[i] / n[i] as f64);
-    let Some(d) = d else { return Ok(derived) };
-    let d: [f64; N] = entries(&format!("d{name}"), d)?;
-    let within = |limit: f64| d.iter().zip(&derived).all(|(d, derived)| (d / derived - 1.0).abs() <= limit);
-    if within(EXACT) {
-        Ok(d)
-    } else if within(ROUNDED) {
-        Ok(derived)
-    } else {
-        Err(Error::invalid(
-            format!("d{name}"),
-            format!("{d:?}"),
-            format!("s{name}/n{name} = {derived:?}"),
-            format!("s{name} is the total size, not that of one element: correct it, or leave d{name} out"),
-        ))
-    }
 }

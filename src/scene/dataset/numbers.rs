@@ -1,7 +1,12 @@
-//! Numbers of a description that are written as text.
+//! Numbers of a description: those written as text, and lists with one for each axis.
 
 use crate::error::{Error, Result};
 use serde_json::Value;
+
+/// Relative deviation from `s = n·d` that counts as rounding to a few digits.
+pub(super) const ROUNDED: f64 = 1e-3;
+/// Largest relative deviation at which the stated element size is more exact than size over number.
+pub(super) const EXACT: f64 = 1e-9;
 
 /// Fields of the scanner that hold numbers, or lists of them.
 const OF_SCANNER: [&str; 16] = [
@@ -66,6 +71,51 @@ fn other_than_number(value: &Value) -> Option<&Value> {
         Value::Null | Value::Number(_) => None,
         Value::Array(values) => values.iter().find_map(other_than_number),
         other => Some(other),
+    }
+}
+
+/// A field with one number per axis.
+fn entries<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
+    values.try_into().map_err(|_| {
+        Error::invalid(name, format!("{values:?}"), format!("{N} numbers, one per axis"), "give one number per axis")
+    })
+}
+
+/// Numbers of pixels or voxels.
+pub(super) fn counts<const N: usize>(name: &str, values: &[f64]) -> Result<[usize; N]> {
+    let values: [f64; N] = entries(name, values)?;
+    if values.iter().all(|n| n.fract() == 0.0 && (1.0..=65_536.0).contains(n)) {
+        return Ok(values.map(|n| n as usize));
+    }
+    Err(Error::invalid(name, format!("{values:?}"), "whole numbers from 1 to 65536", "give positive whole numbers"))
+}
+
+/// Total sizes in the unit of the file.
+pub(super) fn sizes<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N]> {
+    let values: [f64; N] = entries(name, values)?;
+    if values.iter().all(|s| *s > 0.0 && s.is_finite()) {
+        return Ok(values);
+    }
+    Err(Error::invalid(name, format!("{values:?}"), "positive lengths: the total size", "give the total size"))
+}
+
+/// Sizes of pixels or voxels, `s/n`, compared with `d` where that is given.
+pub(super) fn pitches<const N: usize>(name: &str, n: [usize; N], s: [f64; N], d: Option<&[f64]>) -> Result<[f64; N]> {
+    let derived: [f64; N] = std::array::from_fn(|i| s[i] / n[i] as f64);
+    let Some(d) = d else { return Ok(derived) };
+    let d: [f64; N] = entries(&format!("d{name}"), d)?;
+    let within = |limit: f64| d.iter().zip(&derived).all(|(d, derived)| (d / derived - 1.0).abs() <= limit);
+    if within(EXACT) {
+        Ok(d)
+    } else if within(ROUNDED) {
+        Ok(derived)
+    } else {
+        Err(Error::invalid(
+            format!("d{name}"),
+            format!("{d:?}"),
+            format!("s{name}/n{name} = {derived:?}"),
+            format!("s{name} is the total size, not that of one element: correct it, or leave d{name} out"),
+        ))
     }
 }
 

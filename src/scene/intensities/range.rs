@@ -1,7 +1,7 @@
 //! Readings at the end of their range: a saturated detector, frames that a program has stretched, and unsigned numbers
 //! that were stored as signed ones.
 
-use ndarray::{Array3, Axis};
+use ndarray::{Array3, ArrayView2, Axis};
 
 /// The numbers of bits of detectors and of types, and their largest values.
 const FULL: [(u32, f32); 6] = [(8, 255.0), (10, 1023.0), (12, 4095.0), (14, 16_383.0), (15, 32_767.0), (16, 65_535.0)];
@@ -48,7 +48,10 @@ pub fn full_scale(what: &str, readings: &Array3<f32>) -> Option<String> {
     let count = readings.iter().filter(|value| **value == full).count();
     let share = count as f64 / readings.len() as f64;
     let views = readings.len_of(Axis(0));
-    let reach = readings.outer_iter().filter(|frame| largest(frame.view().into_dyn()) == full).count();
+    // A pixel at the end in all frames is a hot one, and says nothing of the frames.
+    let is_hot = readings.map_axis(Axis(0), |pixel| pixel.iter().all(|value| *value == full));
+    let reaches = |frame: &ArrayView2<'_, f32>| frame.iter().zip(&is_hot).any(|(value, hot)| *value == full && !hot);
+    let reach = readings.outer_iter().filter(reaches).count();
     if share >= MANY {
         return Some(format!(
             "{count} readings of the {what} ({:.2} %) are {full}, the largest number of {bits} bits: the detector was \
@@ -88,7 +91,7 @@ mod tests {
         let frames = |top: f32| {
             Array3::from_shape_fn((4, 120, 120), |(view, row, column)| {
                 let value = (top - 1.0 - (view + row + column) as f32).max(0.0);
-                if (row, column) == (50, 50) { top } else { value }
+                if (row, column) == (50, 50 + view) { top } else { value }
             })
         };
         assert!(full_scale("frames", &frames(3000.0)).is_none(), "an ordinary number");
@@ -102,7 +105,10 @@ mod tests {
         let found = full_scale("frames", &cut).unwrap();
         assert!(found.contains("are 65535, the largest number of 16 bits") && found.contains('%'), "{found}");
         assert!(full_scale("frames", &cut.mapv(|value| value + 0.25)).is_none(), "no whole numbers");
-        // One hot pixel in one view.
+        // One hot pixel in all views, and in one.
+        let mut hot = frames(3000.0);
+        hot.outer_iter_mut().for_each(|mut frame| frame[[70, 20]] = 65_535.0);
+        assert!(full_scale("frames", &hot).is_none());
         let mut hot = frames(3000.0);
         hot[[2, 50, 50]] = 4095.0;
         assert!(full_scale("frames", &hot).is_none());

@@ -53,8 +53,11 @@ pub(super) struct Evidence<'a> {
 }
 
 impl Evidence<'_> {
-    /// The mean air of the training views, 0 as long as it may be 0.
+    /// The mean air of the training views, 0 as long as it may be 0, and of readings, which are no line integrals.
     pub(super) fn air(&self) -> f64 {
+        if self.are_readings {
+            return 0.0;
+        }
         let views = self.dataset.train.len();
         let sum: f64 = self.borders.air.iter().flat_map(|air| (0..views).map(|view| air.at(view))).sum();
         sum / views.max(1) as f64

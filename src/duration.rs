@@ -1,10 +1,8 @@
 //! How long sampling a model will take, from the time of a few of its primitives.
 
-use super::field::Field;
-use super::kernels::Kernels;
-use super::projection::Projection;
 use crate::numeric::threads;
 use crate::primitives::{Parameters, Primitives};
+use crate::projector::{Field, Kernels, Projection};
 use crate::scene::{Grid, Scanner, Trajectory};
 use std::time::Instant;
 
@@ -67,7 +65,7 @@ pub fn sample(primitives: &Primitives) -> (Primitives, f64) {
 
 /// Workers that compute at the same time.
 fn workers() -> usize {
-    threads::count().min(std::thread::available_parallelism().map_or(1, Into::into)).max(1)
+    threads::count().min(threads::cores().unwrap_or(1)).max(1)
 }
 
 #[cfg(test)]
