@@ -139,7 +139,7 @@ pub fn forward<'a, R: Kernels>(
     forward_seen(primitives, scanner, views.into(), projection, cutoff, &mut |_, _| {})
 }
 
-/// [`forward`], calling `see` after each view with the views done and all of them.
+/// [`forward`] `[Eq. 4]`, `[X1]`, calling `see` after each view with the views done and all of them.
 pub fn forward_seen<R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,

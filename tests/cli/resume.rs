@@ -341,3 +341,35 @@ fn a_resumed_run_takes_its_settings_from_the_checkpoint() {
     sandbox.done("reconstruct scan --out run --resume");
     assert!(results(&sandbox, "run") == before);
 }
+
+/// As with `nohup`, and in a script's background.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_signal_that_was_ignored_before_stays_ignored() {
+    use crate::program::{is_ignored, mask};
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+    let sandbox = Sandbox::with_scan();
+    let signals = [("HUP", 1), ("INT", 2), ("TERM", 15)];
+    for (ignored, number) in signals {
+        let mut child = Command::new("sh")
+            .args(["-c", &format!("trap '' {ignored}; exec \"$0\" \"$@\"")])
+            .arg(assert_cmd::cargo::cargo_bin!("trgs"))
+            .args("reconstruct scan --out run --iterations 100000000 --set report_every=1".split(' '))
+            .current_dir(sandbox.path(""))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut messages = BufReader::new(child.stderr.take().unwrap()).lines();
+        messages.find(|line| line.as_ref().unwrap().starts_with("iteration 1 of")).unwrap().unwrap();
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap();
+        let is_in = |name: &str, signal: u32| mask(&status, name).unwrap() >> (signal - 1) & 1 == 1;
+        assert!(is_in("SigIgn:", number) && !is_in("SigCgt:", number), "{ignored}: {status}");
+        let mut handled = signals.iter().filter(|(_, other)| *other != number && !is_ignored(*other));
+        assert!(handled.clone().all(|(_, other)| is_in("SigCgt:", *other)), "{ignored}: {status}");
+        let kill = |signal: &str| Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        kill(&format!("-{ignored}"));
+        kill(&handled.next().map_or("-KILL".into(), |(name, _)| format!("-{name}")));
+        child.wait().unwrap();
+    }
+}
