@@ -9,7 +9,7 @@
 //! agree with the lowest ones, if these are a fifth of all places and half of those of two opposite sides. The air of a scan is the
 //! median over the views, if at least half of them see any.
 //!
-//! "Agree" means within [`AGREE`] standard errors of a median. They follow from second differences along the strips, which
+//! "Agree" means within `AGREE` standard errors of a median. They follow from second differences along the strips, which
 //! a slope of the object leaves as they are. The mean step from the inner to the outer strips of a view must be 0 in the
 //! median over the views: a slope that noise hides in one view is none of air.
 

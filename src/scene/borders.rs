@@ -2,7 +2,7 @@
 //!
 //! Not in the paper. The profile of a view along one axis of the detector is the mean over the other axis. A border is
 //! the mean of the outermost two entries of a profile, or its last one if it is short. The object is *cut off* there in
-//! a view whose border exceeds [`CLEARLY`] of the view's largest entry and [`NOISE`] standard errors. Air ([`Air`]) is
+//! a view whose border exceeds [`CLEARLY`] of the view's largest entry and `NOISE` standard errors. Air ([`Air`]) is
 //! subtracted before, and the mean of noise that was clipped at 0.
 
 use super::air::Air;

@@ -3,7 +3,7 @@
 //! Not in the paper. A pixel is *wrong* if it lies, in the median over the views, outside of its eight neighbours (of which
 //! the largest and the smallest do not count) by more than
 //!
-//! - [`RELEVANT`] of the largest entry of a profile, and
+//! - `RELEVANT` of the largest entry of a profile, and
 //! - `f` times the distance between the second largest and the second smallest neighbour, at this pixel and in the median
 //!   of the pixels around it.
 //!
@@ -11,7 +11,7 @@
 //! in the upper and the lower quarter of them.
 //!
 //! **False alarms.** In half of n views, h of them, a sound pixel errs with the probability `C(n, h)·p^h`, if it errs with p
-//! in one. [`quantile_of_noise`] solves `N·C(n, h)·p^h = 0.01` for N pixels and gives the quantile z of normal noise that is
+//! in one. `quantile_of_noise` solves `N·C(n, h)·p^h = 0.01` for N pixels and gives the quantile z of normal noise that is
 //! exceeded with p: one scan of a hundred has one false alarm by noise. The second largest of eight normal values is at
 //! 0.85 σ, and noise that was clipped at 0 has a distance of 0.9 σ between the two neighbours, so `f = (z - 0.85)/0.9`.
 //!
