@@ -65,6 +65,7 @@ fn volume(grid: trgs::Grid, values: &Bound<'_, PyAny>, what: &str) -> PyResult<V
 #[pymethods]
 impl Scan {
     #[new]
+    #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (scanner, angles, projections, *, truth = None, test_angles = None, test_projections = None,
         name = "scan"))]
     fn new(
