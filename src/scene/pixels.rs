@@ -25,6 +25,7 @@ use crate::numeric::elementary::{exp, log};
 use crate::numeric::rank::{ONE_SIGMA, median, quantile};
 use crate::numeric::threads;
 use ndarray::{Array2, Array3, ArrayView2, Axis};
+use serde::Serialize;
 
 /// Views in which a pixel must err, at least: fewer say nothing about all views.
 const LEAST_VIEWS: usize = 5;
@@ -46,7 +47,7 @@ const MIRRORED: f64 = 0.3;
 const IMPOSSIBLE: f64 = 100.0;
 
 /// Wrong pixels of a detector.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct WrongPixels {
     /// Single pixels: row and column.
     pub single: Vec<[usize; 2]>,

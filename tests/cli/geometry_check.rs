@@ -293,7 +293,7 @@ fn what_no_convention_explains_is_not_approved() {
     assert!(check.verdict[0].contains("No convention explains") && !check.is_explained, "{:?}", check.verdict);
     // Nothing is said about the place of a detector that no place explains.
     let said = check.verdict.join(" ");
-    assert!(!["rotDetector", "offDetector", "rolled", "±"].iter().any(|word| said.contains(word)), "{said}");
+    assert!(!["rotDetector", "offDetector", "rolled", "pixel"].iter().any(|word| said.contains(word)), "{said}");
 }
 
 /// Two bodies that are nearly of revolution together: a roll shows weakly, and errors of the data look like one.
@@ -325,10 +325,10 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
     let hot = |images: &mut Array3<f32>, [v, u]: [usize; 2]| {
         images.outer_iter_mut().for_each(|mut image| image[[v, u]] = 1.5);
     };
-    let faults: [(&str, Fault<'_>, usize); 4] = [
-        ("a hot pixel", &|images| hot(images, [11, 13]), 1),
-        ("three of them", &|images| [[11, 13], [9, 20], [20, 10]].into_iter().for_each(|at| hot(images, at)), 3),
-        ("a column", &|images| images.index_axis_mut(Axis(2), 12).mapv_inplace(|value| value + 0.1), 32),
+    let faults: [(&str, Fault<'_>, [usize; 2]); 4] = [
+        ("a hot pixel", &|images| hot(images, [11, 13]), [1, 0]),
+        ("three of them", &|images| [[11, 13], [9, 20], [20, 10]].into_iter().for_each(|at| hot(images, at)), [3, 0]),
+        ("a column", &|images| images.index_axis_mut(Axis(2), 12).mapv_inplace(|value| value + 0.1), [0, 1]),
         (
             "drift and air",
             &|images| {
@@ -336,10 +336,10 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
                     image.mapv_inplace(|value| value + 0.1 + 0.06 * (view as f32 / 7.0 - 1.0));
                 }
             },
-            0,
+            [0, 0],
         ),
     ];
-    for (name, fault, pixels) in faults {
+    for (name, fault, [single, columns]) in faults {
         let mut scan = sound.clone();
         fault(&mut scan.train.images);
         let check = checked(&scan);
@@ -347,11 +347,10 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
         assert!(check.agrees && check.is_explained, "{name}: {verdict}");
         assert!(!verdict.contains("set rotDetector") && !verdict.contains("Set offDetector"), "{name}: {verdict}");
         within!("roll, standard errors", (check.roll.found / check.roll.uncertainty).abs(), "{name}: {verdict}");
-        // Beside a column that errs, single pixels at the border of a body may stand out, too.
-        let few = pixels..=pixels + pixels / 8;
-        assert!(few.contains(&check.faulty_pixels.len()), "{name}: {:?}", check.faulty_pixels);
-        assert_eq!(verdict.contains("In all views"), pixels > 0, "{name}: {verdict}");
-        assert_eq!(verdict.contains("Air reads 0.04"), pixels == 0, "{name}: {verdict}");
+        let wrong = &check.wrong_pixels;
+        assert_eq!((wrong.single.len(), wrong.columns.len()), (single, columns), "{name}: {wrong:?}");
+        assert_eq!(verdict.contains("In all views"), single + columns > 0, "{name}: {verdict}");
+        assert_eq!(verdict.contains("Air reads 0.04"), single + columns == 0, "{name}: {verdict}");
     }
 }
 
@@ -453,11 +452,9 @@ fn assert_moved(orbit: &Orbit, noise: Noise) -> GeometryCheck {
 #[test]
 fn rolls_and_axis_shifts_are_found() {
     let moved = |degrees: f64, axis_shift| Orbit { roll: degrees.to_radians(), axis_shift, ..Orbit::CIRCLE };
-    for noise in [Noise::LOW, Noise::HIGH] {
-        assert_moved(&Orbit::CIRCLE, noise);
-        let verdict = assert_moved(&moved(0.5, 0.0), noise).verdict.join(" ");
-        assert!(verdict.contains("set rotDetector to [0, 0, -0.0") && !verdict.contains("COR"), "{verdict}");
-    }
+    assert_moved(&Orbit::CIRCLE, Noise::HIGH);
+    let verdict = assert_moved(&moved(0.5, 0.0), Noise::HIGH).verdict.join(" ");
+    assert!(verdict.contains("set rotDetector to [0, 0, -0.0") && !verdict.contains("COR"), "{verdict}");
     let verdict = assert_moved(&moved(0.0, 0.08), Noise::LOW).verdict.join(" ");
     assert!(verdict.contains("COR 0.0") && !verdict.contains("rotDetector"), "{verdict}");
     let verdict = assert_moved(&moved(-1.5, -0.05), Noise::LOW).verdict.join(" ");
@@ -482,7 +479,7 @@ fn a_roll_is_found_with_parallel_rays() {
 fn the_remedies_of_a_roll_and_a_shifted_axis_are_right() {
     let sandbox = Sandbox::new();
     sandbox.done(
-        "simulate --phantom torso --out scan --size 32 --detector 64 --views 18 --test-views 0 --noise low --roll 0.9 \
+        "simulate --phantom torso --out scan --size 24 --detector 48 --views 15 --test-views 0 --noise low --roll 0.9 \
          --axis-shift 0.09",
     );
     let stated = sandbox.done("inspect scan --check-geometry");

@@ -73,6 +73,7 @@ pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
 use crate::error::{Error, Result};
+use crate::scene::pixels::WrongPixels;
 use crate::scene::{Beam, Dataset, Projections};
 use held_out::{HeldOut, Hypothesis, held_out};
 use offsets::{Place, ROLL, Search, first_scan, refine};
@@ -154,8 +155,8 @@ pub struct GeometryCheck {
     pub candidates: Vec<Candidate>,
     /// Whether some convention predicts the held-out views; without it, offsets and roll mean nothing.
     pub is_explained: bool,
-    /// Pixels `[v, u]` that err in all views; the check replaced them by their neighbours.
-    pub faulty_pixels: Vec<[usize; 2]>,
+    /// Pixels that err in all views; the check replaced them by their neighbours.
+    pub wrong_pixels: WrongPixels,
     /// The smallest and the largest reading of air in the views, which the check subtracted; `None` if it subtracted none.
     pub air: Option<[f64; 2]>,
     /// Number of views used.
@@ -211,8 +212,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let stated_circle = Stated::of(dataset)?;
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;
-    let prepared = Prepared::new(dataset, &stated_circle);
-    let (views, air) = choose_air(&prepared, &stated_circle)?;
+    let Prepared { views, wrong, air } = Prepared::new(dataset, &stated_circle)?;
     let mut candidates = classes(&views, &stated_circle, &mut steps)?;
     rank(&Reduced::new(&views, &stated_circle, MEDIUM), &mut candidates, &beam)?;
     steps.done("conventions")?;
@@ -291,7 +291,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
         reference,
         candidates: candidates.iter().map(|trial| trial.candidate([d.pitch_u, d.pitch_v])).collect(),
         is_explained: false,
-        faulty_pixels: prepared.faulty,
+        wrong_pixels: wrong,
         air,
         views: fine.views.len(),
         detector: [fine.views.images.dim().1, fine.views.images.dim().2],
@@ -334,25 +334,6 @@ impl Trial {
             resemblance: self.resemblance,
         }
     }
-}
-
-/// The views to check, and the readings of air that were subtracted: only where that lowers the held-out residual.
-///
-/// A border that an object covers evenly looks like air. Subtracting its readings contradicts the other views.
-fn choose_air(prepared: &Prepared, stated: &Stated) -> Result<(Projections, Option<[f64; 2]>)> {
-    let Some(zeroed) = prepared.with_air_at_zero() else { return Ok((prepared.views.clone(), None)) };
-    let place = [stated.scanner.detector.offset_u, stated.scanner.detector.offset_v, stated.roll, stated.axis_shift];
-    let error = |views: &Projections| -> Result<f64> {
-        let coarse = Reduced::new(views, stated, COARSE);
-        Ok(held_out(&coarse, &[(Convention::AS_STATED, place)])?[0].sum())
-    };
-    if error(&zeroed)? >= error(&prepared.views)? {
-        return Ok((prepared.views.clone(), None));
-    }
-    let ends = prepared.air.iter().flatten().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
-        [if value < low { value } else { low }, if value > high { value } else { high }]
-    });
-    Ok((zeroed, Some(ends)))
 }
 
 /// All conventions, with the offset of least residual of their class; one per class is evaluated.

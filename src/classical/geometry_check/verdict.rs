@@ -2,7 +2,9 @@
 
 use super::offsets::SIGNIFICANT_ROLL;
 use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
+use crate::scene::pixels::WrongPixels;
 use crate::scene::{Beam, Dataset, Scanner, Unit};
+use crate::setting::Setting;
 use crate::words::verb;
 use std::f64::consts::FRAC_PI_2;
 
@@ -18,10 +20,6 @@ const VISIBLE: f64 = 1.25;
 const ROLL_TOLERANCE: f64 = 0.2;
 /// If the best relative residual exceeds this, no convention explains the data.
 const UNEXPLAINED: f64 = 0.4;
-/// Pixels named in a sentence.
-const SHOWN: usize = 5;
-/// Readings of air worth a word, scene units of length times density.
-const AIR: f64 = 0.005;
 
 /// Sets `agrees` and the sentences of the verdict.
 pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scanner) {
@@ -88,26 +86,24 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
 /// Sentences about errors of the data that were removed before the check.
 fn removed(check: &GeometryCheck) -> Vec<String> {
     let mut found = Vec::new();
-    if let [first, ..] = check.faulty_pixels[..] {
-        let count = check.faulty_pixels.len();
-        let shown: Vec<String> = check.faulty_pixels.iter().take(SHOWN).map(|[v, u]| format!("[{v}, {u}]")).collect();
-        let more = if count > shown.len() { ", …" } else { "" };
-        let of = if count == 1 {
-            format!("pixel {first:?}")
-        } else {
-            format!("{count} pixels ({}{more})", shown.join(", "))
-        };
+    let WrongPixels { single, columns, .. } = &check.wrong_pixels;
+    let count = single.len() + columns.len();
+    if count > 0 {
         found.push(format!(
-            "In all views {of} of [v, u] {} from the neighbours: the check replaced {}. If {} no detail of the object, correct the flat field.",
+            "In all views {} {} from the neighbours: the check replaced {}. If {} no detail of the object, correct the \
+             flat field, or give {} auto.",
+            check.wrong_pixels.describe(),
             verb(count, "differs", "differ"),
             verb(count, "it", "them"),
             verb(count, "it is", "they are"),
+            Setting::MaskPixels,
         ));
     }
-    if let Some([low, high]) = check.air.filter(|air| air[1] - air[0] > AIR || air[0].abs().max(air[1].abs()) > AIR) {
+    if let Some([low, high]) = check.air {
         found.push(format!(
-            "Air reads {low:.4} to {high:.4} instead of 0 in all views: the check subtracted it; correct the flat field, I0, or \
-             the drift of the source."
+            "Air reads {low:.4} to {high:.4} instead of 0: the check subtracted it. Correct the flat field, I0, or the \
+             drift of the source, or give {} auto.",
+            Setting::Air,
         ));
     }
     found
