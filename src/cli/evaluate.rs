@@ -5,19 +5,21 @@ use super::messages::warning;
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::primitives::model;
 use trgs::reconstruction::{Evaluation, evaluate};
-use trgs::scene::{Dataset, Volume, volume_file};
+use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scene::{Dataset, Frame, Grid, Volume};
 use trgs::words;
-use trgs::{Error, Result};
 
-/// Compare a reconstruction with the truth and the test views of a dataset
+/// Compare a reconstruction with the truth and the test views of a dataset, or with a volume
 #[derive(Args)]
 #[command(after_help = "Examples:
   trgs evaluate out/torso --against data/torso
   trgs evaluate volume.npy --against data/torso --json
+  trgs evaluate out/torso --against own-ct.nii.gz
 
 Projections of a run with a model are computed from its primitives, with the projection of the run. Projections of \
 a volume are exact line integrals of its trilinear interpolation.")]
@@ -25,18 +27,16 @@ pub(super) struct Evaluate {
     /// Folder of a run, or a volume [x, y, z] on the dataset's grid
     #[arg(value_name = "RUN|VOLUME")]
     result: PathBuf,
-    /// Dataset with the true volume and test views
-    #[arg(long, value_name = "DATASET")]
+    /// Dataset with the true volume and test views, or a true volume in any format
+    #[arg(long, value_name = "DATASET|VOLUME")]
     against: PathBuf,
 }
 
 impl Evaluate {
     pub(super) fn run(&self) -> Result<Output> {
+        let context = json!({ "result": words::name(&self.result), "against": words::name(&self.against) });
         if self.against.is_file() && volume_file::is_volume(&self.against) {
-            let got = format!("{}, a volume", self.against.display());
-            let expected = "the folder of a scan, in which the true volume is vol_gt.npy";
-            let remedy = "give that folder, or compare two volumes with trgs compare A.npy B.npy";
-            return Err(Error::invalid("--against", got, expected, remedy));
+            return Ok(answer(&self.against_volume()?, context));
         }
         let dataset = Dataset::read(&self.against)?;
         for note in &dataset.notes {
@@ -51,14 +51,31 @@ impl Evaluate {
         } else {
             evaluate(&dataset, &read_volume(&self.result, &dataset)?, None, &Config::default())?
         };
-        Ok(answer(&evaluation, json!({ "result": words::name(&self.result), "against": words::name(&self.against) })))
+        Ok(answer(&evaluation, context))
+    }
+
+    /// The quality against a volume alone, on the grid of whichever file states its spacing.
+    fn against_volume(&self) -> Result<Evaluation> {
+        let result = if self.result.is_dir() { &self.result.join("volume.npy") } else { &self.result };
+        let files = [volume_file::read(&self.against)?, volume_file::read(result)?];
+        let stating = usize::from(files[0].spacing.is_none() && files[1].spacing.is_some());
+        let paths = [&self.against, result];
+        let (frame, grid) = Frame::around(&files[stating]).map_err(|error| error.in_file(paths[stating]))?;
+        let [truth, volume] = files;
+        let (truth, volume) = (arrange(&frame, truth, &grid, paths[0])?, arrange(&frame, volume, &grid, paths[1])?);
+        let metrics = Metrics::compute(Some((&truth, &volume)), None)?;
+        let absent = ["psnr_2d", "ssim_2d"].map(|name| (name, "a volume has no test views")).into();
+        Ok(Evaluation { metrics, absent })
     }
 }
 
-/// A volume on the dataset's grid; a file that states other axes is turned to those of the dataset.
 fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
-    let arranged = dataset.frame.arrange(volume_file::read(path)?, &dataset.scanner.grid);
-    let (volume, remarks) = arranged.map_err(|error| error.in_file(path))?;
+    arrange(&dataset.frame, volume_file::read(path)?, &dataset.scanner.grid, path)
+}
+
+/// The volume of a file on a grid; one that states other axes is turned to those of the grid.
+fn arrange(frame: &Frame, file: VolumeFile, grid: &Grid, path: &Path) -> Result<Volume> {
+    let (volume, remarks) = frame.arrange(file, grid).map_err(|error| error.in_file(path))?;
     remarks.iter().for_each(|remark| warning(path, remark));
     Ok(volume)
 }

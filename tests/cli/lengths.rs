@@ -177,6 +177,12 @@ fn the_volume_of_a_scanned_ct_lies_over_the_ct() {
         (other.spacing, other.directions) = (Some(DVec3::new(s.z, s.x, s.y)), DMat3::from_cols(z, x, -y));
         volume_file::write(&sandbox.path("turned.nrrd"), &other).unwrap();
         assert_eq!(psnr(&sandbox.done(&format!("evaluate turned.nrrd --against {name}"))), psnr(&own), "{name}");
+        // The CT itself instead of the scan that was made of it; the test views alone are missing.
+        for result in [format!("{name}-run"), format!("{name}-run.mha"), "turned.nrrd".into()] {
+            let found = sandbox.done(&format!("evaluate {result} --against {name}.nii.gz"));
+            assert_eq!(psnr(&found), psnr(&own), "{result}");
+            assert!(found["absent"]["psnr_2d"] == "a volume has no test views" && found.get("psnr_2d").is_none());
+        }
         // In another place it is another volume.
         other.origin = other.origin.map(|origin| origin + 20.0);
         volume_file::write(&sandbox.path("elsewhere.nrrd"), &other).unwrap();
