@@ -162,7 +162,7 @@ pub(super) struct Interpreted {
 
 /// The names of the fields that are read.
 const FILE_FIELDS: [&str; 9] = ["scanner", "vol", "ct", "bbox", "proj_train", "proj_test", "notes", "unit", "frame"];
-const VIEW_FIELDS: [&str; 5] = ["file_path", "angle", "radius", "vector", "matrix"];
+pub(super) const VIEW_FIELDS: [&str; 5] = ["file_path", "angle", "radius", "vector", "matrix"];
 pub(super) const SCANNER_FIELDS: [&str; 15] = [
     "mode",
     "DSD",

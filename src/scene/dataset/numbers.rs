@@ -1,5 +1,6 @@
 //! Numbers of a description: those written as text, and lists with one for each axis.
 
+use super::meta::{SCANNER_FIELDS, VIEW_FIELDS};
 use crate::error::{Error, Result};
 use serde_json::Value;
 
@@ -8,39 +9,20 @@ pub(super) const ROUNDED: f64 = 1e-3;
 /// Largest relative deviation at which the stated element size is more exact than size over number.
 pub(super) const EXACT: f64 = 1e-9;
 
-/// Fields of the scanner that hold numbers, or lists of them.
-const OF_SCANNER: [&str; 16] = [
-    "DSD",
-    "DSO",
-    "nDetector",
-    "sDetector",
-    "dDetector",
-    "nVoxel",
-    "sVoxel",
-    "dVoxel",
-    "offOrigin",
-    "offDetector",
-    "COR",
-    "rotDetector",
-    "vectors",
-    "matrices",
-    "totalAngle",
-    "startAngle",
-];
-/// Those of a view.
-const OF_VIEWS: [&str; 4] = ["angle", "vector", "matrix", "radius"];
+/// Numbers of the scanner that only descriptions of stacks have.
+const OF_STACKS: [&str; 2] = ["totalAngle", "startAngle"];
 
 /// Refuses the first field of a file that should hold a number and holds something else.
 ///
 /// # Errors
 /// [`Error::Invalid`] that names the field, what it holds, and what to write.
 pub(super) fn check(file: &Value) -> Result<()> {
-    for name in OF_SCANNER {
+    for name in SCANNER_FIELDS.into_iter().filter(|name| *name != "mode").chain(OF_STACKS) {
         check_field(name, &file["scanner"][name])?;
     }
     for list in ["proj_train", "proj_test"] {
         for (number, view) in file[list].as_array().into_iter().flatten().enumerate() {
-            for name in OF_VIEWS {
+            for name in VIEW_FIELDS.into_iter().filter(|name| *name != "file_path") {
                 check_field(&format!("{name} of view {number} in {list}"), &view[name])?;
             }
         }
