@@ -6,7 +6,7 @@ use numpy::{Element, IntoPyArray, PyArray, PyArrayDescr, PyArrayDescrMethods, Py
 use numpy::{PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyList, PyTuple};
+use pyo3::types::{PyInt, PyList, PyTuple};
 use trgs::classical::fdk::Sample;
 use trgs::config::Precision;
 use trgs::numeric::Real;
@@ -203,7 +203,7 @@ impl Part for f64 {
 impl<T: Part, const N: usize> FromPyObject<'_, '_> for Axes<T, N> {
     type Error = PyErr;
 
-    /// PyO3 puts the argument's name before the error.
+    /// PyO3 adds the argument's name, as a note where Python has notes. Integers that are no sizes are wrong values.
     fn extract(value: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
         let is_sequence = value.is_instance_of::<PyTuple>() || value.is_instance_of::<PyList>();
         let found = if is_sequence { value.extract::<Vec<T>>().ok() } else { None };
@@ -212,7 +212,11 @@ impl<T: Part, const N: usize> FromPyObject<'_, '_> for Axes<T, N> {
             let got: String = got.chars().take(60).collect();
             let example = [T::EXAMPLE; N].join(", ");
             let expected = format!("a tuple of {N} {}", T::WHAT);
-            PyTypeError::new_err(format!("got {got}, expected {expected}; give ({example}), for example"))
+            let message = format!("got {got}, expected {expected}; give ({example}), for example");
+            let mut parts = value.try_iter().into_iter().flatten();
+            let are_integers = is_sequence && parts.all(|part| part.is_ok_and(|part| part.is_instance_of::<PyInt>()));
+            let is_value = are_integers && value.len().is_ok_and(|len| len == N);
+            if is_value { PyValueError::new_err(message) } else { PyTypeError::new_err(message) }
         })
     }
 }

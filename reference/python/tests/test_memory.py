@@ -8,6 +8,7 @@ from conftest import model_of
 from trgs import density, losses, optim
 
 HUGE = [2**20, 2**40, 2**62]
+PROJECTIONS = np.arange(3 * 8 * 8, dtype=np.float32).reshape(3, 8, 8)
 
 
 @pytest.fixture(autouse=True)
@@ -31,13 +32,13 @@ CALLS = {
     "scanner": lambda n: trgs.project(model_of(3), scanner(8, n), [0.0]),
     "support": lambda n: trgs.support(model_of(30), scanner(), np.zeros(10**7)),
     "bound": lambda n: trgs.truncation_bound(model_of(3), scanner(8, n), [0.0]),
-    "views": lambda n: trgs.simulate("torso", scanner(), n),
-    "test views": lambda n: trgs.simulate("torso", scanner(), 2, test_views=n),
+    "views": lambda n: trgs.simulate("torso", scanner(), n * 2**10),
+    "test views": lambda n: trgs.simulate("torso", scanner(), 2, test_views=n * 2**10),
     "volume": lambda n: trgs.simulate("torso", scanner(n), 2),
     "angles": lambda n: trgs.Scanner.uniform_angles(n * 2**10),
-    "fdk": lambda n: trgs.fdk(np.zeros((3, 8, 8), np.float32), scanner(n, 8), [0.0, 1.0, 2.0]),
-    "sart": lambda n: trgs.sart(np.zeros((3, 8, 8), np.float32), scanner(n, 8), [0.0, 1.0, 2.0]),
-    "tv": lambda n: trgs.tv(np.zeros((3, 8, 8), np.float32), scanner(n, 8), [0.0, 1.0, 2.0]),
+    "fdk": lambda n: trgs.fdk(PROJECTIONS, scanner(n, 8), [0.0, 1.0, 2.0]),
+    "sart": lambda n: trgs.sart(PROJECTIONS, scanner(n, 8), [0.0, 1.0, 2.0]),
+    "tv": lambda n: trgs.tv(PROJECTIONS, scanner(n, 8), [0.0, 1.0, 2.0]),
     "adjoint": lambda n: trgs.back_project(np.zeros((1, 8, 8), np.float32), scanner(n, 8), [0.0]),
     "forward": lambda n: trgs.forward_project(np.zeros((8, 8, 8), np.float32), scanner(8, n), [0.0]),
     "sphere": lambda n: trgs.confidence(model_of(3), scanner(), [0.0], sphere_points=n * 2**10),
@@ -46,7 +47,7 @@ CALLS = {
     "neighbours": lambda n: trgs.wavelet_routing(grid(4), np.zeros((3, 3)), np.zeros(3), neighbours=n),
     "routing": lambda n: trgs.wavelet_routing(grid(n), np.zeros((3, 3)), np.zeros(3)),
     "levels": lambda n: trgs.haar(np.zeros((4, 4, 4), np.float32), levels=n),
-    "copies": lambda n: density.add_and_recycle(model_of(3), np.zeros(3), growth=float(n), cap=2**63),
+    "copies": lambda n: density.ar(model_of(3), np.zeros(3), dead=0.0, recycled=0.0, growth=float(n), cap=2**63),
     "threads": lambda n: trgs.set_threads(n),
     "run": lambda n: trgs.reconstruct(trgs.simulate("torso", scanner(), 2), points=n * 2**10),
 }

@@ -145,10 +145,12 @@ def advance(work):
     thread.start()
     time.sleep(0.01)
     before, began = counter[0], time.perf_counter()
-    work()
-    steps, took = counter[0] - before, time.perf_counter() - began
-    over.set()
-    thread.join()
+    try:
+        work()
+        steps, took = counter[0] - before, time.perf_counter() - began
+    finally:
+        over.set()
+        thread.join()
     return steps, took
 
 
@@ -156,7 +158,7 @@ def test_long_calls_release_the_gil():
     scanner = trgs.Scanner.synthetic(48, 96)
     model, angles = model_of(1500), trgs.Scanner.uniform_angles(2)
     images = np.ones((2, 96, 96))
-    projections = np.ones((2, 96, 96), dtype=np.float32)
+    projections = trgs.project(model, scanner, angles, dtype=np.float32)
     volume = np.ones((48, 48, 48))
     calls = {
         "project": lambda: trgs.project(model, scanner, angles),
