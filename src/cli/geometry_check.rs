@@ -1,5 +1,6 @@
 //! `trgs inspect --check-geometry`: detects the conventions of a scan.
 
+use super::flags::with_flags;
 use super::messages::{ProgressBar, warning};
 use super::{Global, Output};
 use std::path::Path;
@@ -15,7 +16,8 @@ pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Output> {
         warning(path, remark);
     }
     let mut progress = ProgressBar::new(Step::ALL, global);
-    let found = check(&dataset, &mut |step| progress.step(step))?;
+    let mut found = check(&dataset, &mut |step| progress.step(step))?;
+    found.verdict.iter_mut().for_each(|sentence| *sentence = with_flags(sentence));
     drop(progress);
     let header = ["class", "convention", "held-out residual", "σ worse", "offset u", "offset v", "correlation", "turn"];
     let rows = found.candidates.iter().map(row);

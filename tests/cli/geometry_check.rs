@@ -341,6 +341,8 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
     ];
     for (name, fault, [single, columns]) in faults {
         let mut scan = sound.clone();
+        // Files of another unit of length.
+        scan.scale = 0.5;
         fault(&mut scan.train.images);
         let check = checked(&scan);
         let verdict = check.verdict.join(" ");
@@ -350,7 +352,7 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
         let wrong = &check.wrong_pixels;
         assert_eq!((wrong.single.len(), wrong.columns.len()), (single, columns), "{name}: {wrong:?}");
         assert_eq!(verdict.contains("In all views"), single + columns > 0, "{name}: {verdict}");
-        assert_eq!(verdict.contains("Air reads 0.04"), single + columns == 0, "{name}: {verdict}");
+        assert_eq!(verdict.contains("Air reads 0.08"), single + columns == 0, "{name}: {verdict}");
     }
 }
 
@@ -398,20 +400,26 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
     within!(found["offset_u"]["found"].as_f64().unwrap().abs(), "{found}");
     assert!(sandbox.run("inspect scan --check-geometry --quiet").stderr.is_empty());
 
-    sandbox.edit("scan/meta_data.json", |meta| {
+    // Air is not 0, and the rotation has the other sense.
+    let mut wrong = Dataset::read(&sandbox.path("scan")).unwrap();
+    wrong.train.images += 0.1;
+    wrong.write(&sandbox.path("wrong")).unwrap();
+    sandbox.edit("wrong/meta_data.json", |meta| {
         for view in meta["proj_train"].as_array_mut().unwrap() {
             view["angle"] = (-view["angle"].as_f64().unwrap()).into();
         }
     });
-    let output = sandbox.run("inspect scan --check-geometry");
+    let output = sandbox.run("inspect wrong --check-geometry");
     let text = String::from_utf8(output.stdout).unwrap();
+    let reads = ["Air reads 0.1", "Air reads 0.09"].iter().any(|reading| text.contains(reading));
+    assert!(reads && text.contains("or give --air auto."), "{text}");
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(
         text.contains("The data look like rotation in the opposite sense") && text.contains("every angle"),
         "{text}"
     );
-    assert!(stderr(&sandbox.run("inspect scan --check-geometry")).contains("step 7 of 7"));
-    let json = sandbox.run("inspect scan --check-geometry --json");
+    assert!(stderr(&sandbox.run("inspect wrong --check-geometry")).contains("step 7 of 7"));
+    let json = sandbox.run("inspect wrong --check-geometry --json");
     let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!(json["looks_like"]["rotation_reversed"], true);
 

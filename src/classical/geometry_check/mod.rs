@@ -157,7 +157,8 @@ pub struct GeometryCheck {
     pub is_explained: bool,
     /// Pixels that err in all views; the check replaced them by their neighbours.
     pub wrong_pixels: WrongPixels,
-    /// The smallest and the largest reading of air in the views, which the check subtracted; `None` if it subtracted none.
+    /// The smallest and the largest reading of air in the views, which the check subtracted, in the unit of the files; `None`
+    /// if it subtracted none.
     pub air: Option<[f64; 2]>,
     /// Number of views used.
     pub views: usize,

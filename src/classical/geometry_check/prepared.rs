@@ -18,7 +18,7 @@ pub(super) struct Prepared {
     pub(super) views: Projections,
     /// The pixels that were interpolated.
     pub(super) wrong: WrongPixels,
-    /// The smallest and the largest reading of air that was subtracted.
+    /// The smallest and the largest reading of air that was subtracted, in the unit of the files.
     pub(super) air: Option<[f64; 2]>,
 }
 
@@ -45,6 +45,7 @@ impl Prepared {
             image.mapv_inplace(|value| (f64::from(value) - level) as f32);
         }
         let ends = levels.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &level| {
+            let level = level / dataset.scale;
             [if level < low { level } else { low }, if level > high { level } else { high }]
         });
         let air = levels.iter().any(|&level| level != 0.0).then_some(ends);
