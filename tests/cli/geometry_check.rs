@@ -401,7 +401,7 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
     assert!(sandbox.run("inspect scan --check-geometry --quiet").stderr.is_empty());
 
     // Air is not 0, and the rotation has the other sense.
-    let mut wrong = Dataset::read(&sandbox.path("scan")).unwrap();
+    let mut wrong = Dataset::read(sandbox.path("scan")).unwrap();
     wrong.train.images += 0.1;
     wrong.write(&sandbox.path("wrong")).unwrap();
     sandbox.edit("wrong/meta_data.json", |meta| {
