@@ -5,10 +5,10 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use trgs::confidence::{Coverage, Settings};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::elementary::{cos, sin};
 use trgs::numeric::threads::WorkerPool;
 use trgs::primitives::{Parameters, Primitives};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const VIEWS: usize = 18;
 

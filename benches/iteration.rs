@@ -16,6 +16,7 @@ use trained::{TRAINED, Trained};
 use trgs::confidence::{Coverage, nu_loss, nu_target};
 use trgs::config::Config;
 use trgs::density::{ar, next_parameters};
+use trgs::geometry::Scanner;
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss, image_loss_into};
 use trgs::numeric::threads::WorkerPool;
@@ -24,7 +25,6 @@ use trgs::optim::{Adam, Sghmc};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, KernelKind, Primitives};
 use trgs::projector::Field;
-use trgs::scene::Scanner;
 use trgs::wavelet::{self, Router, Routing, wavelet_loss_into};
 
 const VIEWS: usize = 18;
@@ -61,7 +61,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
     let Trained { voxels, pixels, primitives, .. } = *trained;
     let name = &format!("{voxels}³ voxels, {pixels}² pixels, {primitives} primitives");
     let (scanner, physical) = (trained.scanner(), trained.primitives());
-    let (config, shares) = (Config::default().resolved(&scanner, VIEWS), Shares::default());
+    let (config, shares) = (Config::default().plan(&scanner, VIEWS).unwrap(), Shares::default());
     let (m, grid) = (physical.len(), scanner.grid);
     let angles = Scanner::uniform_angles(VIEWS, 0.0, std::f64::consts::TAU);
     let activation = Activation {

@@ -18,6 +18,7 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::config::{Config, Method};
+use trgs::geometry::Scanner;
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss_into};
 use trgs::neural::{NeuralRun, sizes};
@@ -25,8 +26,8 @@ use trgs::numeric::threads::WorkerPool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
 use trgs::projector::Field;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Noise, Phantom, Scanner};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Noise, Phantom};
 use trgs::wavelet::{self, Routing, wavelet_loss_into};
 
 type F32s = <f32 as Real>::Lanes;
@@ -241,7 +242,7 @@ fn all(c: &mut Criterion) {
     let phantom = Phantom::by_name("torso", 0).expect("a phantom of this name");
     let scan = simulate("torso", Object::Phantom(&phantom), &scanner, &plan).expect("a scan of a phantom");
     for (method, name) in [(Method::Naf, "step of naf, 64³"), (Method::SaxNerf, "step of sax-nerf, 64³")] {
-        let config = Config::of(method).resolved(&scan.scanner, scan.train.len());
+        let config = Config::of(method).plan(&scan.scanner, scan.train.len()).unwrap();
         let settings = config.neural();
         let run =
             NeuralRun::<f32>::new(&scan.scanner, &scan.train, &settings, 1.0, None).expect("a scan of this scanner");

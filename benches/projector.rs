@@ -12,10 +12,10 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::threads::WorkerPool;
 use trgs::primitives::{KernelKind, Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const CUTOFF: f64 = 1e-3;
 

@@ -9,12 +9,12 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trgs::confidence::{Coverage, Settings};
 use trgs::config::Config;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::memory::Estimate;
 use trgs::numeric::threads::{self, WorkerPool};
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::{Field, Projection};
-use trgs::scene::dataset::DatasetInfo;
-use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::scan::dataset::DatasetInfo;
 
 const CUTOFF: f64 = 1e-3;
 /// The smallest size of each parameter.
@@ -54,9 +54,10 @@ fn memory(scanner: Scanner, views: usize, points: usize, workers: usize) -> f64 
     let mut config = Config::default();
     (config.model.points, config.density_control.cap) = (points, points);
     config.initialisation.from = trgs::config::Start::Random;
+    let plan = config.plan(&scanner, views).expect("values in their ranges");
     let info =
         DatasetInfo { scanner, train: views, test: 0, is_posed: false, has_truth: false, points: 0, is_cut: false };
-    Estimate::new(&info, views, &config, workers).peak() as f64
+    Estimate::new(&info, views, &plan, workers).peak() as f64
 }
 
 fn all(c: &mut Criterion) {

@@ -12,7 +12,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 use trgs::classical::algebraic::{SartSettings, sart};
 use trgs::classical::{RayModel, Turn, VoxelProjector, Window, fdk};
-use trgs::scene::{Beam, Detector, Grid, Projections, Scanner};
+use trgs::geometry::{Beam, Detector, Grid, Projections, Scanner};
 
 fn scanner(size: usize) -> Scanner {
     let pitch = 4.0 / (2 * size) as f64;

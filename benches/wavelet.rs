@@ -7,10 +7,10 @@ use ndarray::Array3;
 use rand::RngExt;
 use std::hint::black_box;
 use std::time::Duration;
+use trgs::geometry::Grid;
 use trgs::numeric::Real;
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::threads::WorkerPool;
-use trgs::scene::Grid;
 use trgs::wavelet::{Router, Routing, Settings, route, wavelet_loss};
 
 const SIDE: usize = 32;

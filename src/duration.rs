@@ -1,9 +1,9 @@
 //! How long sampling a model will take, from the time of a few of its primitives.
 
+use crate::geometry::{Grid, Scanner, Trajectory};
 use crate::numeric::threads;
 use crate::primitives::{Parameters, Primitives};
 use crate::projector::{Field, Kernels, Projection};
-use crate::scene::{Grid, Scanner, Trajectory};
 use std::time::Instant;
 
 /// Primitives that are measured.

@@ -20,10 +20,10 @@
 //! (a view left out, a mean over nothing) is NaN here and `null` in JSON.
 
 use crate::error::{Error, Result};
+use crate::geometry::{Projections, Volume};
 use crate::loss::{Ssim, SsimTarget};
 use crate::numeric::elementary::log10;
 use crate::numeric::{reduce, threads};
-use crate::scene::{Projections, Volume};
 use ndarray::{Array2, ArrayView2, ArrayView3, Axis};
 use serde::{Deserialize, Serialize};
 
@@ -352,7 +352,7 @@ mod numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Grid;
+    use crate::geometry::Grid;
     use ndarray::Array3;
 
     fn phantom(shape: (usize, usize, usize)) -> Array3<f32> {

@@ -3,6 +3,10 @@
 //! and Ray-Confidence Modeling*, MM '26, doi 10.1145/3767308.3835527) for the CPU, with SIMD. The same input gives the
 //! same bits on every build and any number of threads.
 //!
+//! [`Preset::Paper`](config::Preset::Paper) is the paper's method. The default adds exact rays in a cone
+//! beam, a start from SART, a pilot run and a finish on voxels, which are ours. The equations alone are the package
+//! `trgs-core`.
+//!
 //! # Usage
 //!
 //! From a scan on disk to a volume, with the settings and the result of the bare command `trgs reconstruct`:
@@ -20,8 +24,8 @@
 //!
 //! ```
 //! use std::ops::ControlFlow;
-//! use trgs::scene::simulate::{Object, Plan, simulate};
-//! use trgs::scene::{Noise, Phantom};
+//! use trgs::scan::simulate::{Object, Plan, simulate};
+//! use trgs::scan::{Noise, Phantom};
 //! use trgs::{Config, Run, Scanner};
 //!
 //! let phantom = Phantom::by_name("torso", 0)?;
@@ -43,7 +47,7 @@
 //! # Ok::<(), trgs::Error>(())
 //! ```
 //!
-//! [`Dataset::read`] takes a dataset folder of R²-Gaussian or a pickle of NAF; [`scene::stack`] turns raw detector frames
+//! [`Dataset::read`] takes a dataset folder of R²-Gaussian or a pickle of NAF; [`scan::stack`] turns raw detector frames
 //! into projections. [`Config`] documents every setting. Images and gradients of given primitives come from
 //! [`projector::forward`] and [`projector::vjp`]. The programs in `reference/examples` show reconstruction, rendering with
 //! gradients, and FDK.
@@ -70,8 +74,8 @@
 //!
 //! | module | content | paper |
 //! |---|---|---|
-//! | [`scene::geometry`] | **the conventions**: every axis, sign, unit and index order | |
-//! | [`scene`] | volumes, projections, phantoms with exact line integrals, noise, files | Sec. 4.1 |
+//! | [`geometry`] | **the conventions**: every axis, sign, unit and index order | |
+//! | [`scan`] | phantoms with exact line integrals, noise, files | Sec. 4.1 |
 //! | [`primitives`] | the kernels, raw and physical parameters, initialisation | Sec. 3.1, Eq. 1–3 |
 //! | [`projector`] | primitives → images and volumes, and the gradients back | Sec. 3.1, Eq. 4–5, appendix A |
 //! | [`projector::naive`] | the same equations as plainly as they can be written | |
@@ -97,6 +101,8 @@
 //! Equation tags: `[Eq. n]` are the paper's; `[X1]` is the exact cone-beam projection, `[X2]` the support of a
 //! primitive, `[X3]` the precision of its power, all three ours and explained in [`projector`].
 
+#![forbid(unsafe_code)]
+
 #[cfg(test)]
 #[macro_use]
 #[path = "../tests/common/tolerances.rs"]
@@ -106,40 +112,33 @@ mod tolerances;
 mod damage;
 
 pub mod classical;
-pub mod confidence;
 pub mod config;
-pub mod density;
 pub mod duration;
-pub mod error;
 pub mod evaluation;
 pub mod experiments;
 pub mod input;
 pub mod limit;
-pub mod loss;
 pub mod memory;
 pub mod neural;
-pub mod numeric;
-pub mod optim;
 #[cfg(feature = "oracle")]
 pub mod oracle;
 pub mod output;
-pub mod primitives;
-pub mod projector;
 pub mod provenance;
 pub mod reconstruction;
 pub mod report;
-pub mod scene;
+pub mod scan;
 mod sealed;
-pub mod setting;
 pub mod train;
-pub mod wavelet;
-pub mod words;
 
 pub use config::{Config, Method};
-pub use error::{Error, Result};
-pub use primitives::Primitives;
-pub use projector::{Field, Projection};
 pub use reconstruction::{Run, evaluate, reconstruct};
-pub use scene::volume_file::write_volume;
-pub use scene::{Dataset, Grid, Projections, Scanner, Volume};
-pub use setting::Setting;
+pub use scan::Dataset;
+pub use scan::volume_file::write_volume;
+pub use trgs_core::geometry::{Grid, Projections, Scanner, Volume};
+pub use trgs_core::primitives::Primitives;
+pub use trgs_core::projector::{Field, Projection};
+pub use trgs_core::setting::Setting;
+pub use trgs_core::{
+    confidence, density, error, error::Error, error::Result, geometry, loss, numeric, optim, primitives, projector,
+    setting, wavelet, words,
+};

@@ -6,10 +6,10 @@
 //!
 //! Tests: `tests/cli/memory.rs` compares it with the largest resident set of runs.
 
-use crate::config::{Config, DensityControl, Finish, Method, Precision, Sampling, Start};
+use crate::config::{Config, DensityControl, Finish, Method, Plan, Precision, Sampling, Start};
 use crate::error::{Error, Result};
 use crate::projector;
-use crate::scene::dataset::DatasetInfo;
+use crate::scan::dataset::DatasetInfo;
 use crate::setting::Setting;
 use bytesize::ByteSize;
 use std::fmt;
@@ -72,9 +72,9 @@ fn sum(allocations: &[Allocation]) -> u64 {
 }
 
 impl Estimate {
-    /// Estimates a run of `config` on a scan with `views` of its training views and `threads` workers.
-    pub fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
-        let config = &config.resolved(&scan.scanner, views);
+    /// Estimates a run on a scan with `views` of its training views and `threads` workers.
+    pub fn new(scan: &DatasetInfo, views: usize, plan: &Plan, threads: usize) -> Self {
+        let config: &Config = plan;
         let sizes = Sizes::new(scan, views, config, threads);
         let mut phases = match config.method {
             Method::TrGs | Method::R2Gaussian => sizes.training(config),
@@ -418,7 +418,7 @@ fn most_primitives(points: usize, config: &Config) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Beam, Detector, Grid, Scanner};
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
 
     fn scan() -> DatasetInfo {
         let detector = Detector { rows: 64, columns: 80, pitch_v: 0.05, pitch_u: 0.05, offset_u: 0.0, offset_v: 0.0 };
@@ -440,7 +440,9 @@ mod tests {
             Method::Naf,
         ] {
             let config = Config::of(method);
-            let of = |scan: &DatasetInfo, views, config: &Config| Estimate::new(scan, views, config, 2).peak();
+            let of = |scan: &DatasetInfo, views, config: &Config| {
+                Estimate::new(scan, views, &config.plan(&scan.scanner, views).unwrap(), 2).peak()
+            };
             let base = of(&scan(), 18, &config);
             let mut finer = scan();
             finer.scanner.grid = Grid::cube(128);
@@ -470,7 +472,8 @@ mod tests {
 
     #[test]
     fn a_refusal_has_the_figure_its_parts_and_a_remedy() {
-        let estimate = Estimate::new(&scan(), 18, &Config::default(), 2);
+        let plan = Config::default().plan(&scan().scanner, 18).unwrap();
+        let estimate = Estimate::new(&scan(), 18, &plan, 2);
         estimate.check(estimate.peak()).unwrap();
         let message = estimate.check(estimate.peak() - 1).unwrap_err().to_string();
         assert!(

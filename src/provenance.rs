@@ -134,33 +134,6 @@ pub fn digest_parts(parts: &[&[u8]]) -> String {
     hex(parts.iter().fold(Sha256::new(), |hasher, part| hasher.chain_update(part)))
 }
 
-/// SHA-256 of the bits of numbers, little-endian; the shape does not enter.
-///
-/// Two arrays have the same digest if and only if they are equal bit by bit (so -0 is not 0).
-pub fn digest_f32<'a>(values: impl IntoIterator<Item = &'a f32>) -> String {
-    digest_words(values.into_iter().map(|value| value.to_le_bytes()))
-}
-
-/// [`digest_f32`] for double precision.
-pub fn digest_f64<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
-    digest_words(values.into_iter().map(|value| value.to_le_bytes()))
-}
-
-fn digest_words<const N: usize>(words: impl Iterator<Item = [u8; N]>) -> String {
-    const FULL: usize = 1 << 13;
-    let mut hasher = Sha256::new();
-    let mut bytes = Vec::with_capacity(FULL);
-    for word in words {
-        bytes.extend_from_slice(&word);
-        if bytes.len() == FULL {
-            hasher.update(&bytes);
-            bytes.clear();
-        }
-    }
-    hasher.update(&bytes);
-    hex(hasher)
-}
-
 fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -197,17 +170,6 @@ mod tests {
         std::fs::write(&path, "abc").unwrap();
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(digest_file(&path).unwrap(), expected);
-    }
-
-    #[test]
-    fn digest_of_an_array_is_that_of_its_bytes_however_long_it_is() {
-        let values: Vec<f32> = (0..5000).map(|i| i as f32 * 0.1).collect();
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("values");
-        std::fs::write(&path, bytes).unwrap();
-        assert_eq!(digest_f32(&values), digest_file(&path).unwrap());
-        assert_ne!(digest_f64(&[0.0]), digest_f64(&[-0.0]));
     }
 
     #[test]

@@ -18,12 +18,13 @@ pub use sampling::{Evidence, Sampled};
 
 use crate::classical::algebraic::{Choice, Pass, Trial};
 use crate::classical::fdk;
-use crate::config::{Auto, Config, Finish, Method, Precision, Sampling};
+use crate::config::{Auto, Config, Finish, Method, Plan, Precision, Sampling};
 use crate::error::{Error, Result, start_again};
 use crate::evaluation::Metrics;
+use crate::geometry::{Projections, Scanner, Trajectory, Volume};
 use crate::primitives::Primitives;
 use crate::projector::forward;
-use crate::scene::{Dataset, Projections, Scanner, Trajectory, Volume, trilinear};
+use crate::scan::{Dataset, trilinear};
 use crate::train::{self, Record, train};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -95,10 +96,10 @@ pub fn reconstruct(dataset: &Dataset, config: &Config) -> Result<Reconstruction>
     Run::new(dataset, config).reconstruct()
 }
 
-/// The method of `config`, whose keys are valid and complete.
+/// The method of a plan.
 fn reconstruct_with(
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
@@ -130,14 +131,14 @@ fn reconstruct_with(
 fn after_training(
     found: train::TrainedModel,
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     checkpoint: Option<&Path>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
     let train::TrainedModel { primitives, volume, log, unit, continued, decision } = found;
     let asked = config;
     // The pilot run has fewer views, which would make another unit.
-    let config = &Config { density_unit: Auto::Fixed(unit), ..config.clone() };
+    let config = &config.changed(|config| config.density_unit = Auto::Fixed(unit));
     let piloted = match decision.filter(|_| config.has_pilot()) {
         Some(decision) => Some(decision.into()),
         None if config.has_pilot() => {

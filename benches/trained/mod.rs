@@ -2,9 +2,9 @@
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::primitives::{Parameters, Primitives};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 /// Statistics of the primitives of a default run on the chest (`chest_fnndsc`, 18 views, low noise).
 pub(crate) struct Trained {

@@ -6,8 +6,8 @@
 
 use trgs::classical::{Turn, Window, fdk};
 use trgs::evaluation::psnr_3d;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Noise, Phantom};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Noise, Phantom};
 use trgs::{Dataset, Scanner};
 
 fn main() -> trgs::Result<()> {

@@ -6,8 +6,8 @@
 
 use std::ops::ControlFlow;
 use trgs::reconstruction::{Checkpoints, Progress};
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Noise, Phantom};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Noise, Phantom};
 use trgs::{Config, Dataset, Run, Scanner};
 
 fn main() -> trgs::Result<()> {

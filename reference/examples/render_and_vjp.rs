@@ -6,8 +6,9 @@
 
 use std::f64::consts::TAU;
 use std::path::Path;
-use trgs::primitives::{Parameters, model};
+use trgs::primitives::Parameters;
 use trgs::projector::{forward, vjp};
+use trgs::scan::model;
 use trgs::{Primitives, Projection, Scanner};
 
 fn main() -> trgs::Result<()> {

@@ -1,7 +1,7 @@
 """Insert each fault of mutations.toml into a copy of the sources and check that the tests fail: the program's own answers
 to the conformance vectors first, then lanes, unit tests, parity and determinism.
 
-    python run.py                 all faults, and the table of reference/README.md
+    python run.py                 all faults, and the table of reference/mutations/README.md
     python run.py --sample 2      two at random (seeded by the day, or --seed)
 
 Needs Python 3.11 or newer, its standard library and cargo. A fault that does not compile or that survives is an error.

@@ -3,7 +3,8 @@
 use super::algebraic::{SartSettings, sart};
 use super::{RayModel, VoxelProjector};
 use crate::error::Result;
-use crate::scene::{Dataset, Projections, Scanner};
+use crate::geometry::{Projections, Scanner};
+use crate::scan::Dataset;
 use std::borrow::Cow;
 use std::ops::ControlFlow;
 
@@ -71,8 +72,9 @@ pub(crate) fn in_unit(dataset: &Dataset, unit: f64) -> Cow<'_, Dataset> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Beam, Detector, Grid, Noise, Phantom};
+    use crate::geometry::{Beam, Detector, Grid};
+    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::scan::{Noise, Phantom};
     use crate::tolerances::relative;
 
     fn scan(beam: Beam, rows: usize, pitch: f64) -> Dataset {

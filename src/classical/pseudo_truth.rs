@@ -10,8 +10,9 @@
 
 use super::fdk::{Turn, Window, fdk};
 use crate::error::Result;
+use crate::geometry::Volume;
 use crate::limit;
-use crate::scene::{Dataset, Volume};
+use crate::scan::Dataset;
 
 /// The dataset with FDK of all its training views, without negative values, as the truth `[FDK84]`.
 ///
@@ -38,9 +39,10 @@ pub fn with_pseudo_truth(dataset: Dataset) -> Result<Dataset> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::phantom::Phantom;
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Beam, Detector, Grid, Noise, Scanner};
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
+    use crate::scan::Noise;
+    use crate::scan::phantom::Phantom;
+    use crate::scan::simulate::{Object, Plan, simulate};
 
     #[test]
     fn the_pseudo_truth_is_fdk_without_negative_values() {

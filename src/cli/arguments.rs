@@ -2,9 +2,9 @@
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use documented::DocumentedVariants;
 use serde::Serialize;
 use std::str::FromStr;
+use trgs::words::Described;
 
 /// What to do with an older folder.
 #[derive(Args, Clone, Copy)]
@@ -25,12 +25,9 @@ pub(super) struct ReplaceFiles {
 /// Parses the name of one of the library's variants: the name that files have, explained by its documentation.
 pub(super) fn choice<T>(variants: &'static [T]) -> impl TypedValueParser<Value = T>
 where
-    T: Copy + Serialize + DocumentedVariants + Send + Sync + 'static,
+    T: Copy + Serialize + Described + Send + Sync + 'static,
 {
-    let values = variants.iter().map(|variant| {
-        let docs = variant.get_variant_docs();
-        PossibleValue::new(word(variant)).help(docs.strip_suffix('.').unwrap_or(docs))
-    });
+    let values = variants.iter().map(|variant| PossibleValue::new(word(variant)).help(variant.description()));
     PossibleValuesParser::new(values)
         .map(|text| *variants.iter().find(|variant| word(variant) == text).expect("clap accepts no other value"))
 }

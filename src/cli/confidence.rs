@@ -11,9 +11,10 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use trgs::confidence::{Alpha, Coverage, Histogram, MOST_POINTS, Settings, Spread, nu_target, spearman};
 use trgs::duration::sample;
+use trgs::primitives::Primitives;
 use trgs::primitives::activation::Interval;
-use trgs::primitives::{Primitives, model};
-use trgs::scene::npz::{self, Entry};
+use trgs::scan::model;
+use trgs::scan::npz::{self, Entry};
 use trgs::words::counted;
 use trgs::{Error, Result};
 

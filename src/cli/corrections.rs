@@ -4,9 +4,9 @@ use clap::Args;
 use ndarray::Array2;
 use std::path::Path;
 use std::str::FromStr;
-use trgs::scene::corrections::{AirCorrection, PixelCorrection};
-use trgs::scene::intensities::Air as Region;
-use trgs::scene::{Corrections, Dataset, stack};
+use trgs::scan::corrections::{AirCorrection, PixelCorrection};
+use trgs::scan::intensities::Air as Region;
+use trgs::scan::{Corrections, Dataset, stack};
 use trgs::{Error, Result, words};
 
 #[derive(Args)]

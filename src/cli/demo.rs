@@ -13,10 +13,11 @@ use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::{Metric, Metrics};
 use trgs::experiments::{Matching, Scale};
+use trgs::geometry::Scanner;
 use trgs::output::{Destination, Kind, Mark};
 use trgs::reconstruction::Evaluation;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Dataset, Noise, Phantom, Scanner};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Dataset, Noise, Phantom};
 
 /// The paper's experiment at a quarter of its size in every direction.
 const SCALE: Scale = Scale { size: 64, matching: Matching::Edge };
@@ -71,7 +72,7 @@ impl Demo {
             if method.fits_primitives() {
                 config.iterations = ITERATIONS;
             }
-            let config = config.resolved(&dataset.scanner, dataset.train.len());
+            let config = config.plan(&dataset.scanner, dataset.train.len())?;
             reconstruct(&dataset, &config, claim, inputs.clone(), None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");

@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
-use trgs::primitives::model;
+use trgs::geometry::{Grid, Volume};
 use trgs::reconstruction::{Evaluation, evaluate};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Dataset, Frame, Grid, Volume};
+use trgs::scan::model;
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{Dataset, Frame};
 use trgs::words;
 
 /// Compare a reconstruction with the truth and the test views of a dataset, or with a volume

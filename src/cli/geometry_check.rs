@@ -7,7 +7,7 @@ use std::path::Path;
 use trgs::Result;
 use trgs::classical::check_geometry as check;
 use trgs::classical::geometry_check::{Candidate, Step};
-use trgs::scene::{Dataset, plausibility};
+use trgs::scan::{Dataset, plausibility};
 
 /// The ranked conventions of a scan; the check fails if they differ from those stated.
 pub(super) fn check_geometry(path: &Path, global: &Global) -> Result<Output> {

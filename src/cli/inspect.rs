@@ -10,14 +10,16 @@ use serde_json::{Value, json};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
-use trgs::primitives::{Group, KernelKind, Primitives, model};
+use trgs::geometry::{Beam, Projections, Scanner, Volume};
+use trgs::primitives::{Group, KernelKind, Primitives};
 use trgs::provenance::Provenance;
-use trgs::scene::describe::trajectory_words;
-use trgs::scene::npy::{self, Npy, Numbers};
-use trgs::scene::npz::Npz;
-use trgs::scene::stack::RtkGeometry;
-use trgs::scene::volume_file::NpySide;
-use trgs::scene::{Beam, Dataset, Frame, Projections, Scanner, Volume, array_path, plausibility, volume_file};
+use trgs::scan::model;
+use trgs::scan::npy::{self, Npy, Numbers};
+use trgs::scan::npz::Npz;
+use trgs::scan::stack::RtkGeometry;
+use trgs::scan::trajectory;
+use trgs::scan::volume_file::NpySide;
+use trgs::scan::{Dataset, Frame, array_path, plausibility, volume_file};
 use trgs::words::{counted, verb};
 use trgs::{Error, Result};
 
@@ -83,7 +85,7 @@ fn dataset(path: &Path) -> Result<Value> {
     let Dataset { name, scanner, frame, noise, train, test, truth, initial_points, notes, mut oddities, .. } = dataset;
     oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
-    let poses = trajectory_words(&scanner, &train);
+    let poses = trajectory::words(&scanner, &train);
     let beam = match scanner.beam {
         Beam::Cone { dso, dsd } => json!({ "kind": "cone", "dso": dso, "dsd": dsd }),
         Beam::Parallel { .. } => json!({ "kind": "parallel" }),

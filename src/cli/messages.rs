@@ -18,7 +18,7 @@ use trgs::Error;
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::output::Destination;
-use trgs::scene::hounsfield;
+use trgs::scan::hounsfield;
 use trgs::words::{is_command, visible};
 
 /// Sends all tracing events to standard error, in the requested format.

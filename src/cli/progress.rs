@@ -11,7 +11,7 @@ use trgs::classical::VoxelProjector;
 use trgs::classical::algebraic::{Pass, Trial};
 use trgs::config::Config;
 use trgs::reconstruction::Progress;
-use trgs::scene::Dataset;
+use trgs::scan::Dataset;
 use trgs::train::Record;
 use trgs::words;
 

@@ -13,18 +13,19 @@ use clap::Args;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Instant;
-use trgs::config::{Config, Method, Precision, Preset, Sampling, Start};
+use trgs::config::{Config, Method, Plan, Precision, Preset, Sampling, Start};
 use trgs::evaluation::Metrics;
+use trgs::geometry::Volume;
 use trgs::input;
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind};
 use trgs::projector::Projection;
 use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
-use trgs::scene::dataset::DatasetInfo;
-use trgs::scene::plausibility::{self, AnglesFrom};
-use trgs::scene::{Dataset, Volume};
-use trgs::train::{Decision, primitives_of_model, with_points_of_model};
+use trgs::scan::Dataset;
+use trgs::scan::dataset::DatasetInfo;
+use trgs::scan::plausibility::{self, AnglesFrom};
+use trgs::train::{Decision, primitives_of_model};
 use trgs::words;
 use trgs::{Error, Result, Setting, limit};
 
@@ -90,7 +91,7 @@ pub(super) struct Reconstruct {
     /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = seed)]
     seed: Option<u64>,
-    /// Published settings to start from: of a comparison that has sart, os-sart or asd-pocs, or of the paper's own experiment
+    /// Published settings to start from: paper is the paper's method; the default adds exact rays, start, pilot run and finish
     #[arg(long, value_parser = choice(&Preset::ALL), conflicts_with = "config")]
     preset: Option<Preset>,
     /// Configuration file to start from
@@ -133,7 +134,7 @@ impl Reconstruct {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
         let asked = config;
-        let config = asked.resolved(&dataset.scanner, dataset.train.len());
+        let config = asked.plan(&dataset.scanner, dataset.train.len())?;
         if asked.wavelet.enabled && asked.method.fits_primitives() && !config.wavelet.enabled {
             let shape = dataset.scanner.grid.shape;
             tracing::warn!("wavelets are left out: a volume of {shape:?} voxels is too thin for their blocks");
@@ -189,7 +190,7 @@ impl Reconstruct {
             return Ok(Estimate::of_file(file.len()));
         };
         let views = self.views.map_or(scan.train, |n| n.min(scan.train));
-        Ok(Estimate::new(&scan, views, config, threads::count()))
+        Ok(Estimate::new(&scan, views, &config.plan(&scan.scanner, views)?, threads::count()))
     }
 
     /// The checkpoint to resume from.
@@ -248,7 +249,7 @@ impl Reconstruct {
             checkpoint.check_config(&config)?;
         }
         config.validate()?;
-        if checkpoint.is_some() { Ok(config) } else { with_points_of_model(&config) }
+        Ok(config)
     }
 }
 
@@ -293,7 +294,7 @@ fn tell_of_decision(checkpoint: &Checkpoint, config: &Config) {
 /// Without `checkpoints`, an interrupted run leaves nothing.
 pub(super) fn reconstruct(
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     claim: Claim,
     inputs: Inputs,
     checkpoints: Option<Checkpoints>,
@@ -317,7 +318,7 @@ pub(super) fn reconstruct(
         let mut passes = Vec::new();
         let keeps = checkpoints.is_some();
         let mut log = keeps.then(|| folder.log(from));
-        let run = Run::new(dataset, config).observe(|step| {
+        let run = Run::planned(dataset, config).observe(|step| {
             match (&step, &mut log) {
                 (Progress::Iteration(_, Some(record)), Some(log)) => log.write(record),
                 (Progress::Pass(pass), log) if !config.method.fits_primitives() => {

@@ -7,12 +7,13 @@ use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::Result;
+use trgs::geometry::{Beam, Detector, Grid, Scanner, Volume};
 use trgs::output::{Destination, Kind};
-use trgs::scene::hounsfield;
-use trgs::scene::phantom::{Group, PHANTOMS};
-use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
-use trgs::scene::volume_file;
-use trgs::scene::{Beam, Dataset, Detector, Frame, Grid, Noise, Phantom, Scanner, Volume};
+use trgs::scan::hounsfield;
+use trgs::scan::phantom::{Group, PHANTOMS};
+use trgs::scan::simulate::{Object, Orbit, Plan, simulate_on};
+use trgs::scan::volume_file;
+use trgs::scan::{Dataset, Frame, Noise, Phantom};
 
 /// Simulate a scan of a phantom or a volume and write the dataset
 #[derive(Args)]

@@ -3,8 +3,9 @@
 use super::arguments::finite;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
-use trgs::scene::dataset::read_at_angles;
-use trgs::scene::{Dataset, Pose, Scanner, Trajectory};
+use trgs::geometry::{Pose, Scanner, Trajectory};
+use trgs::scan::Dataset;
+use trgs::scan::dataset::read_at_angles;
 use trgs::{Error, Result};
 
 #[derive(Args)]

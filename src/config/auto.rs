@@ -1,9 +1,10 @@
 //! A key whose default follows from the scan.
 
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// A value, or `"auto"`: the value follows from the scan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "a number or \"auto\"")]
 pub enum Auto<T> {
     /// The value that was set.
@@ -26,6 +27,15 @@ impl<T: Copy> Auto<T> {
     /// The value, or what follows from the scan.
     pub fn or(self, from_scan: T) -> T {
         self.fixed().unwrap_or(from_scan)
+    }
+}
+
+impl<T: fmt::Debug> fmt::Debug for Auto<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Fixed(value) => value.fmt(f),
+            Self::Auto => f.write_str("auto"),
+        }
     }
 }
 

@@ -17,9 +17,13 @@
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
-use super::{Auto, Config, DensityControl, Finish, Sampling, TvConfig};
+use super::{Auto, Config, DensityControl, Finish, Sampling, Start, TvConfig};
+use crate::error::Result;
+use crate::geometry::Scanner;
 use crate::numeric::elementary::{cbrt, pow};
-use crate::scene::Scanner;
+use crate::scan::model;
+use std::ops::Deref;
+use std::path::Path;
 
 /// Iterations for a training view, and their range.
 const ITERATIONS_PER_VIEW: usize = 140;
@@ -36,10 +40,46 @@ const LEVELS: u32 = 19;
 const TOTAL_VARIATION: f64 = 0.05;
 const SIDE: f64 = 256.0;
 
+/// A configuration of which every value is in its range, and every key that follows from the scan is filled in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan(Config);
+
+impl Deref for Plan {
+    type Target = Config;
+
+    fn deref(&self) -> &Config {
+        &self.0
+    }
+}
+
+impl Plan {
+    /// The plan with some other values, which must be in their ranges.
+    #[must_use]
+    pub(crate) fn changed(&self, change: impl FnOnce(&mut Config)) -> Self {
+        let mut plan = self.clone();
+        change(&mut plan.0);
+        plan
+    }
+}
+
 impl Config {
+    /// What a run on a scan with so many training views does: the one place where a configuration is checked and completed.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](crate::Error::Invalid) for the first value out of its range; when the run starts from a model that
+    /// cannot be read.
+    pub fn plan(&self, scanner: &Scanner, views: usize) -> Result<Plan> {
+        self.validate()?;
+        let mut config = self.clone();
+        if config.method.fits_primitives() && config.initialisation.from == Start::Model && config.model.points == 0 {
+            config.model.points = model::read(Path::new(&config.initialisation.model))?.len();
+        }
+        Ok(Plan(config.resolved(scanner, views)))
+    }
+
     /// The configuration with every key that is 0 filled in for a scan with so many training views.
     #[must_use]
-    pub fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
+    fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
         let mut config = self.clone();
         if config.method.is_network() {
             let side = cbrt(scanner.grid.voxels() as f64);
@@ -117,7 +157,7 @@ fn fill(key: &mut usize, value: usize) {
 mod tests {
     use super::*;
     use crate::config::Method;
-    use crate::scene::{Beam, Detector, Grid};
+    use crate::geometry::{Beam, Detector, Grid};
 
     fn scanner(voxels: usize, pixels: usize) -> Scanner {
         let pitch = 4.0 / pixels as f64;

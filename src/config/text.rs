@@ -1,12 +1,12 @@
 //! Reading and writing configurations.
 
+use super::keys::{Key, Keys};
 use super::{
     AlgebraicConfig, AsdPocsConfig, ConfidenceConfig, Config, DensityControlConfig, FdkConfig, InitialisationConfig,
     LossConfig, Method, ModelConfig, NeuralConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
 use crate::words::utf8;
-use documented::{Documented, DocumentedFields};
 use std::collections::BTreeMap;
 use std::path::Path;
 use toml::{Table, Value};
@@ -14,28 +14,27 @@ use toml::{Table, Value};
 /// A key of former versions: the smallest scale as a fraction of the volume's side.
 const FORMER_SCALE: &str = "model.scale_min";
 
-/// The tables: name, what it is for, its keys and what they are for.
-const TABLES: [(&str, &str, &[&str], &[&str]); 14] = [
-    ("", Config::DOCS, Config::FIELD_NAMES, Config::FIELD_DOCS),
-    ("model", ModelConfig::DOCS, ModelConfig::FIELD_NAMES, ModelConfig::FIELD_DOCS),
-    ("initialisation", InitialisationConfig::DOCS, InitialisationConfig::FIELD_NAMES, InitialisationConfig::FIELD_DOCS),
-    ("loss", LossConfig::DOCS, LossConfig::FIELD_NAMES, LossConfig::FIELD_DOCS),
-    ("confidence", ConfidenceConfig::DOCS, ConfidenceConfig::FIELD_NAMES, ConfidenceConfig::FIELD_DOCS),
-    ("wavelet", WaveletConfig::DOCS, WaveletConfig::FIELD_NAMES, WaveletConfig::FIELD_DOCS),
-    ("optimiser", OptimiserConfig::DOCS, OptimiserConfig::FIELD_NAMES, OptimiserConfig::FIELD_DOCS),
-    ("sghmc", SghmcConfig::DOCS, SghmcConfig::FIELD_NAMES, SghmcConfig::FIELD_DOCS),
-    (
-        "density_control",
-        DensityControlConfig::DOCS,
-        DensityControlConfig::FIELD_NAMES,
-        DensityControlConfig::FIELD_DOCS,
-    ),
-    ("fdk", FdkConfig::DOCS, FdkConfig::FIELD_NAMES, FdkConfig::FIELD_DOCS),
-    ("algebraic", AlgebraicConfig::DOCS, AlgebraicConfig::FIELD_NAMES, AlgebraicConfig::FIELD_DOCS),
-    ("asd_pocs", AsdPocsConfig::DOCS, AsdPocsConfig::FIELD_NAMES, AsdPocsConfig::FIELD_DOCS),
-    ("tv", TvConfig::DOCS, TvConfig::FIELD_NAMES, TvConfig::FIELD_DOCS),
-    ("neural", NeuralConfig::DOCS, NeuralConfig::FIELD_NAMES, NeuralConfig::FIELD_DOCS),
+/// The tables: name, what it is for, its keys.
+const TABLES: [(&str, &str, &[Key]); 14] = [
+    table::<Config>(""),
+    table::<ModelConfig>("model"),
+    table::<InitialisationConfig>("initialisation"),
+    table::<LossConfig>("loss"),
+    table::<ConfidenceConfig>("confidence"),
+    table::<WaveletConfig>("wavelet"),
+    table::<OptimiserConfig>("optimiser"),
+    table::<SghmcConfig>("sghmc"),
+    table::<DensityControlConfig>("density_control"),
+    table::<FdkConfig>("fdk"),
+    table::<AlgebraicConfig>("algebraic"),
+    table::<AsdPocsConfig>("asd_pocs"),
+    table::<TvConfig>("tv"),
+    table::<NeuralConfig>("neural"),
 ];
+
+const fn table<T: Keys>(name: &'static str) -> (&'static str, &'static str, &'static [Key]) {
+    (name, T::DOCS, T::KEYS)
+}
 
 impl Config {
     /// Reads a file; keys that it does not name keep the defaults of its method, or of `otherwise` if it names none.
@@ -99,16 +98,16 @@ impl Config {
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         let values: BTreeMap<String, Value> = self.entries().into_iter().collect();
-        for (name, docs, keys, key_docs) in TABLES {
+        for (name, docs, keys) in TABLES {
             text += &comment(docs);
             if !name.is_empty() {
                 text += &format!("[{name}]\n");
             }
-            for (key, docs) in keys.iter().zip(key_docs) {
+            for Key { name: key, docs } in keys {
                 // A key without a value is a table and has its own turn.
                 let names = if dotted(name, key) == "method" { methods() } else { String::new() };
                 if let Some(value) = values.get(&dotted(name, key)) {
-                    text += &format!("{}{key} = {value}\n", comment(&format!("{docs}{names}")));
+                    text += &format!("{}{key} = {value}\n", comment(&format!("{}{names}", docs.trim())));
                 }
             }
             text += "\n";
@@ -162,7 +161,7 @@ fn flatten(table: &Table) -> Vec<(String, Value)> {
     entries.collect()
 }
 
-fn dotted(table: &str, key: &str) -> String {
+pub(super) fn dotted(table: &str, key: &str) -> String {
     if table.is_empty() { key.into() } else { format!("{table}.{key}") }
 }
 
@@ -183,7 +182,7 @@ fn methods() -> String {
 }
 
 fn comment(docs: &str) -> String {
-    docs.lines().map(|line| format!("# {line}\n")).collect()
+    docs.lines().map(|line| format!("# {}\n", line.trim())).collect()
 }
 
 #[cfg(test)]
@@ -208,7 +207,7 @@ mod tests {
         assert_eq!(read(&config.to_toml()).unwrap(), config);
         assert_eq!(read("").unwrap(), Config::default());
         let text = config.to_toml();
-        let line = text.lines().find(|line| line.starts_with("# How the volume is found.")).unwrap();
+        let line = text.lines().find(|line| line.starts_with("# Reconstruction method.")).unwrap();
         assert!(
             line.ends_with(
                 "One of tr-gs, r2-gaussian, fdk, sart, os-sart, asd-pocs, cgls, tv, naf, sax-nerf, intratomo."

@@ -1,14 +1,10 @@
 //! Which values make sense.
 
+use super::keys::{Keys, require};
 use super::{AlphaConfig, Config, Method, PositionOptimiser, Start};
 use crate::error::{Error, Result};
 use crate::primitives::KernelKind;
 use std::fmt::Debug;
-
-/// More primitives than any computer here can hold, so that a slip of the finger is a message and not a crash.
-const MOST_POINTS: usize = 10_000_000;
-/// What a number of primitives may be.
-const FROM_THE_SCAN: &str = "4 to 10 million, or 0: as the scan says";
 
 impl Config {
     /// Checks that every number lies in its range.
@@ -39,40 +35,34 @@ impl Config {
 
     fn check_ranges(&self) -> Result<()> {
         let Self { model, initialisation, loss, confidence, wavelet, optimiser, sghmc, density_control, .. } = self;
+        let Self { fdk, algebraic, asd_pocs, tv, neural, .. } = self;
+        self.check("")?;
+        model.check("model")?;
+        initialisation.check("initialisation")?;
+        loss.check("loss")?;
+        confidence.check("confidence")?;
+        wavelet.check("wavelet")?;
+        optimiser.check("optimiser")?;
+        sghmc.check("sghmc")?;
+        density_control.check("density_control")?;
+        fdk.check("fdk")?;
+        algebraic.check("algebraic")?;
+        asd_pocs.check("asd_pocs")?;
+        tv.check("tv")?;
+        neural.check("neural")?;
+        self.check_together()?;
+        self.check_method()
+    }
+
+    /// What keys demand of each other.
+    fn check_together(&self) -> Result<()> {
+        let Self { model, initialisation, confidence, wavelet, optimiser, sghmc, neural, .. } = self;
         let own = self.method.fits_primitives() || self.method == Method::Fdk;
         require("iterations", self.iterations, own || self.iterations >= 1, "at least 1")?;
-        require("seed", self.seed, i64::try_from(self.seed).is_ok(), "at most 2^63 - 1, the largest integer of TOML")?;
-        require("cutoff", self.cutoff, (0.0..1.0).contains(&self.cutoff), "a number in [0, 1)")?;
-        if let Some(unit) = self.density_unit.fixed() {
-            require("density_unit", unit, unit > 0.0 && unit.is_finite(), "a positive number, or auto")?;
-        }
-        for (key, period) in [
-            ("report_every", self.report_every),
-            ("checkpoint_every", self.checkpoint_every),
-            ("wavelet.every", wavelet.every),
-            ("optimiser.horizon", optimiser.horizon),
-            ("optimiser.longest", optimiser.longest),
-        ] {
-            require(key, period, period >= 1, "at least 1")?;
-        }
-
-        let some = |points: usize| points == 0 || (4..=MOST_POINTS).contains(&points);
-        require("model.points", model.points, some(model.points), FROM_THE_SCAN)?;
         let (min, start, max) = (model.nu_min, model.nu_initial, model.nu_max);
-        require("model.nu_min", min, min > 0.0 && min.is_finite(), "a positive number")?;
-        require("model.nu_max", max, max > min && max.is_finite(), &format!("more than model.nu_min = {min}"))?;
+        require("model.nu_max", max, max > min, &format!("more than model.nu_min = {min}"))?;
         let between = format!("between model.nu_min = {min} and model.nu_max = {max}");
         require("model.nu_initial", start, min < start && start < max, &between)?;
-        let (min, max) = (model.smallest_scale, model.scale_max);
-        require("model.smallest_scale", min, min > 0.0 && min.is_finite(), "a positive number of voxels")?;
-        require("model.scale_max", max, max > 0.0 && max <= 1.0, "a number in (0, 1]")?;
-
-        let (threshold, factor) = (initialisation.threshold, initialisation.density_factor);
-        require("initialisation.threshold", threshold, threshold.is_finite(), "a finite number")?;
-        let positive = factor > 0.0 && factor.is_finite();
-        require("initialisation.density_factor", factor, positive, "a positive number")?;
-        let smoothing = initialisation.smoothing;
-        require("initialisation.smoothing", smoothing, smoothing > 0.0 && smoothing <= 16.0, "a number in (0, 16]")?;
         match (initialisation.from == Start::Model, initialisation.model.as_str()) {
             (true, "") => {
                 let remedy = "name the file: `initialisation.model=MODEL.npz`";
@@ -84,68 +74,13 @@ impl Config {
             }
             _ => {}
         }
-
-        for (key, weight) in [
-            ("loss.d_ssim", loss.d_ssim),
-            ("loss.tv", loss.tv.or(0.0)),
-            ("confidence.weight", confidence.weight),
-            ("wavelet.enhancement", wavelet.enhancement),
-            ("wavelet.suppress", wavelet.suppress),
-            ("wavelet.enhance", wavelet.enhance),
-            ("density_control.dead", density_control.dead),
-            ("density_control.growth", density_control.growth),
-            ("density_control.gradient", density_control.gradient),
-            ("density_control.spread", density_control.spread),
-            ("density_control.split_scale", density_control.split_scale),
-            ("density_control.faint", density_control.faint),
-        ] {
-            require(key, weight, weight >= 0.0 && weight.is_finite(), "a number that is not negative")?;
-        }
-        require("loss.tv_block", loss.tv_block, loss.tv_block >= 2, "at least 2")?;
-
-        for (key, rates) in [
-            ("optimiser.mean", optimiser.mean),
-            ("optimiser.scale", optimiser.scale),
-            ("optimiser.quaternion", optimiser.quaternion),
-            ("optimiser.density", optimiser.density),
-            ("optimiser.nu", optimiser.nu),
-        ] {
-            let usable = rates.iter().all(|rate| *rate >= 0.0 && rate.is_finite());
-            require(key, rates, usable, "two rates that are not negative")?;
-        }
-        let fractions = optimiser.beta.iter().all(|beta| (0.0..1.0).contains(beta));
-        require("optimiser.beta", optimiser.beta, fractions, "two numbers in [0, 1)")?;
-        let epsilon = optimiser.epsilon;
-        require("optimiser.epsilon", epsilon, epsilon > 0.0 && epsilon.is_finite(), "a positive number")?;
-
-        for (key, value) in [
-            ("confidence.temperature", confidence.temperature),
-            ("confidence.r_max", confidence.r_max),
-            ("confidence.kappa", confidence.kappa),
-            ("sghmc.density_reference", sghmc.density_reference),
-            ("sghmc.temperature", sghmc.temperature),
-        ] {
-            require(key, value, value > 0.0 && value.is_finite(), "a positive number")?;
-        }
         if let AlphaConfig::Voxels(voxels) = confidence.alpha {
             let positive = voxels > 0.0 && voxels.is_finite();
             require("confidence.alpha", voxels, positive, "own, median or a positive number of voxels")?;
         }
-        let points = confidence.sphere_points;
-        require("confidence.sphere_points", points, (8..=1 << 20).contains(&points), "8 to 2^20")?;
         let levels = wavelet.levels;
-        require("wavelet.levels", levels, (1..=8).contains(&levels), "1 to 8")?;
         let whole = wavelet.block >> levels >= 1 && wavelet.block.trailing_zeros() as usize >= levels;
         require("wavelet.block", wavelet.block, whole, &format!("a multiple of 2^levels = {}", 1 << levels))?;
-        require("wavelet.neighbours", wavelet.neighbours, (1..=255).contains(&wavelet.neighbours), "1 to 255")?;
-        let fraction = |key, value: f64| require(key, value, (0.0..=1.0).contains(&value), "a number from 0 to 1");
-        fraction("wavelet.threshold", wavelet.threshold)?;
-        fraction("sghmc.burn_in", sghmc.burn_in)?;
-        fraction("density_control.start", density_control.start)?;
-        fraction("density_control.stop", density_control.stop)?;
-        fraction("density_control.recycled", density_control.recycled)?;
-        let cap = density_control.cap;
-        require("density_control.cap", cap, some(cap), FROM_THE_SCAN)?;
 
         // Beyond this the momentum changes its sign with every step and can grow without bound. A factor on the rates of
         // a short run divides frictions by its root, which leaves the product as it is.
@@ -157,55 +92,9 @@ impl Config {
             let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
             require(key, friction, stable, &expected)?;
         }
-        let Self { algebraic, asd_pocs, tv, .. } = self;
-        let relaxation = algebraic.relaxation;
-        require("algebraic.relaxation", relaxation, relaxation > 0.0 && relaxation < 2.0, "a number in (0, 2)")?;
-        for (key, factor) in
-            [("algebraic.reduction", algebraic.reduction), ("asd_pocs.alpha_reduction", asd_pocs.alpha_reduction)]
-        {
-            require(key, factor, factor > 0.0 && factor <= 1.0, "a number in (0, 1]")?;
-        }
-        fraction("algebraic.tolerance", algebraic.tolerance)?;
-        fraction("tv.tolerance", tv.tolerance)?;
-        for (key, count) in [
-            ("algebraic.subset", algebraic.subset),
-            ("asd_pocs.tv_steps", asd_pocs.tv_steps),
-            ("tv.finish_iterations", tv.finish_iterations.or(1)),
-            ("tv.steps", tv.steps),
-        ] {
-            require(key, count, count >= 1, "at least 1")?;
-        }
-        for (key, value) in [
-            ("asd_pocs.alpha", asd_pocs.alpha),
-            ("asd_pocs.r_max", asd_pocs.r_max),
-            ("asd_pocs.epsilon", asd_pocs.epsilon),
-            ("tv.weight", tv.weight.or(0.0)),
-        ] {
-            require(key, value, value >= 0.0 && value.is_finite(), "a number that is not negative")?;
-        }
-        let neural = &self.neural;
-        require("neural.levels", neural.levels, neural.levels <= 16, "1 to 16, or 0: as the scan says")?;
-        require("neural.table", neural.table, neural.table <= 24, "1 to 24, or 0: as the scan says")?;
-        let even = neural.samples.is_multiple_of(2) && neural.samples <= 1 << 16;
-        require("neural.samples", neural.samples, even, "an even number up to 65,536, or 0: as the scan says")?;
-        for (key, count) in [("neural.window", neural.window), ("neural.drop", neural.drop)] {
-            require(key, count, count >= 1, "at least 1")?;
-        }
-        let any = neural.rays + neural.windows;
-        require(
-            "neural.rays",
-            neural.rays,
-            (1..=10_000_000).contains(&any),
-            "at least 1 without windows, at most 10 million",
-        )?;
-        for (key, value) in [
-            ("neural.table_rate", neural.table_rate),
-            ("neural.network_rate", neural.network_rate),
-            ("neural.ceiling", neural.ceiling),
-        ] {
-            require(key, value, value > 0.0 && value.is_finite(), "a positive number")?;
-        }
-        self.check_method()
+        let any = neural.rays.saturating_add(neural.windows);
+        let expected = "at least 1 without windows, at most 10 million";
+        require("neural.rays", neural.rays, (1..=10_000_000).contains(&any), expected)
     }
 
     /// Refuses settings that make a method another one.
@@ -228,14 +117,6 @@ impl Config {
 fn fits(key: &str, got: impl Debug, holds: bool, expected: &str, value: &str) -> Result<()> {
     let remedy = || format!("give `{key}={value}`");
     if holds { Ok(()) } else { Err(Error::invalid(key, format!("{got:?}"), expected, remedy())) }
-}
-
-fn require(key: &str, got: impl Debug, holds: bool, expected: &str) -> Result<()> {
-    if holds {
-        return Ok(());
-    }
-    // `validate` adds the remedy.
-    Err(Error::invalid(key, format!("{got:?}"), expected, ""))
 }
 
 #[cfg(test)]

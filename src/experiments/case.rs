@@ -2,11 +2,12 @@
 
 use super::scale::Scale;
 use crate::error::{Error, Result};
+use crate::geometry::{Grid, Projections, Scanner, Volume};
 use crate::input;
 use crate::provenance::{digest_bytes, digest_file};
-use crate::scene::phantom::PHANTOMS;
-use crate::scene::simulate::{Object, Plan, simulate};
-use crate::scene::{Dataset, Grid, Noise, Phantom, Projections, Scanner, Volume, volume_file};
+use crate::scan::phantom::PHANTOMS;
+use crate::scan::simulate::{Object, Plan, simulate};
+use crate::scan::{Dataset, Noise, Phantom, volume_file};
 use crate::setting::Setting;
 use ndarray::{Array3, Slice};
 use std::path::{Path, PathBuf};
@@ -262,7 +263,7 @@ fn longest(values: &Array3<f32>) -> usize {
 mod tests {
     use super::*;
     use crate::experiments::Matching;
-    use crate::scene::npy;
+    use crate::scan::npy;
 
     #[test]
     fn a_pixel_matched_by_ray_is_the_mean_of_four_rays_and_has_one_noise() {

@@ -4,7 +4,7 @@ use super::cell::{Cell, picture};
 use super::store::Store;
 use crate::error::{Error, Result};
 use crate::numeric::threads;
-use crate::scene::Dataset;
+use crate::scan::Dataset;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::Mutex;

@@ -3,7 +3,7 @@
 use super::table::TableRow;
 use crate::config::{Auto, Config, DensityControl, Finish, Sampling, Start};
 use crate::numeric::elementary::pow;
-use crate::scene::Noise;
+use crate::scan::Noise;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

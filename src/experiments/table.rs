@@ -2,7 +2,7 @@
 
 use crate::config::{Config, Method};
 use crate::error::{Error, Result};
-use crate::scene::Noise;
+use crate::scan::Noise;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 

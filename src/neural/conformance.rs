@@ -8,8 +8,8 @@ use super::linear::stride;
 use super::network::{HIDDEN, split};
 use super::rays::{self, MeasuredRay};
 use crate::error::{Error, Result};
+use crate::geometry::Scanner;
 use crate::numeric::{Lanes, Real, WIDEST, real};
-use crate::scene::Scanner;
 use ndarray::{Array1, Array2, Array3, ArrayD, ArrayView2, ArrayView3};
 
 /// The level of a table with so many entries.

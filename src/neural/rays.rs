@@ -1,8 +1,8 @@
 //! Which rays a step has, and the points along a ray. Not in the paper.
 
 use super::run::NeuralSettings;
+use crate::geometry::{Grid, Projections, Ray, View};
 use crate::numeric::rng::{Purpose, stream};
-use crate::scene::{Grid, Projections, Ray, View};
 use glam::DVec3;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;

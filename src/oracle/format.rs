@@ -1,20 +1,22 @@
 //! Floating-point formats of backends, and their units in the last place.
 
-use documented::DocumentedVariants;
 use serde::{Deserialize, Serialize};
+use trgs_core::described;
 
-/// A binary floating-point format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
-#[serde(rename_all = "lowercase")]
-pub enum Format {
-    /// IEEE 754 double precision.
-    F64,
-    /// IEEE 754 single precision.
-    F32,
-    /// IEEE 754 half precision.
-    F16,
-    /// bfloat16: the upper half of single precision.
-    Bf16,
+described! {
+    /// A binary floating-point format.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Format {
+        /// IEEE 754 double precision.
+        F64,
+        /// IEEE 754 single precision.
+        F32,
+        /// IEEE 754 half precision.
+        F16,
+        /// bfloat16: the upper half of single precision.
+        Bf16,
+    }
 }
 
 impl Format {

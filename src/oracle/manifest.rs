@@ -3,9 +3,8 @@
 use crate::error::{Error, Result};
 use crate::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
 use crate::provenance::digest_bytes;
-use crate::scene::npy;
-use crate::scene::npz::Npz;
-use documented::DocumentedVariants;
+use crate::scan::npy;
+use crate::scan::npz::Npz;
 use ndarray::ArrayD;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -13,6 +12,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
+use trgs_core::described;
 
 /// The version of the manifest format that this program supports.
 pub const SCHEMA_VERSION: u32 = 2;
@@ -23,16 +23,18 @@ pub const PROTOCOL: &str = include_str!("../../reference/PROTOCOL.md");
 /// Its file name beside the manifest.
 pub const PROTOCOL_FILE: &str = "PROTOCOL.md";
 
-/// How demanding a case is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, DocumentedVariants)]
-#[serde(rename_all = "lowercase")]
-pub enum Level {
-    /// Required of every implementation of the method.
-    Core,
-    /// Parametrisations and related methods that an implementation may lack.
-    Optional,
-    /// Ill-conditioned scenes, distant kernel tails, subnormal numbers.
-    Stress,
+described! {
+    /// How demanding a case is.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Level {
+        /// Required of every implementation of the method.
+        Core,
+        /// Parametrisations and related methods that an implementation may lack.
+        Optional,
+        /// Ill-conditioned scenes, distant kernel tails, subnormal numbers.
+        Stress,
+    }
 }
 
 impl Level {

@@ -4,11 +4,11 @@ use super::outputs::{Outputs, one, parameters};
 use super::question::Question;
 use crate::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
 use crate::error::{Error, Result};
+use crate::geometry::Grid;
 use crate::optim::Sghmc;
 use crate::optim::sghmc::{NoiseInput, Phase};
 use crate::primitives::Parameters;
 use crate::projector::{Field, Kernels};
-use crate::scene::Grid;
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, Ix2, Ix3};
 

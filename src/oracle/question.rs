@@ -2,10 +2,10 @@
 
 use super::manifest::{Arrays, Case, Vectors, decode};
 use crate::error::{Error, Result};
+use crate::geometry::Scanner;
 use crate::primitives::{Activation, Group, KernelKind, Parameters, Primitives, activation::Interval};
 use crate::projector::Projection;
-use crate::scene::Scanner;
-use crate::scene::dataset::Description;
+use crate::scan::dataset::Description;
 use ndarray::{Array, ArrayD, Dimension};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;

@@ -5,7 +5,7 @@ use crate::config::{Config, Method};
 use crate::error::{Error, Result, start_again};
 use crate::output::create_folder;
 use crate::provenance::digest_parts;
-use crate::scene::Dataset;
+use crate::scan::Dataset;
 use crate::sealed::{self, Kind, are_finite, require};
 use crate::train::{self, Record};
 use bytemuck::cast_slice;

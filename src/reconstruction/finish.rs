@@ -17,9 +17,10 @@ use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, Trial, TvRun, TvSettings, choose_weight};
 use crate::config::{Config, Sampling};
 use crate::error::{Error, Result};
+use crate::geometry::{Projections, Scanner, Volume};
 use crate::numeric::Real;
 use crate::primitives::Primitives;
-use crate::scene::{Dataset, Projections, Scanner, Volume};
+use crate::scan::Dataset;
 use std::borrow::Cow;
 
 /// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant. Its start is
@@ -131,9 +132,10 @@ mod tests {
     use super::*;
     use crate::classical::RayModel;
     use crate::config::{Method, Start};
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
     use crate::reconstruction::reconstruct;
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::scan::{Noise, Phantom};
     use crate::tolerances::largest;
 
     #[test]

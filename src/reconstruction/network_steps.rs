@@ -1,12 +1,12 @@
 //! The first steps of a network's training with all that they rest on, for programs that repeat them.
 
 use super::voxels::chosen_unit;
-use crate::config::{Config, Precision};
+use crate::config::{Config, Plan, Precision};
 use crate::error::{Error, Result};
 use crate::limit;
 use crate::neural::{Batch, NeuralRun};
 use crate::numeric::Real;
-use crate::scene::Dataset;
+use crate::scan::Dataset;
 use ndarray::ArrayD;
 
 /// Steps of a network's training.
@@ -23,7 +23,7 @@ pub struct NetworkSteps {
     /// Attenuation per scene unit that counts as 1.
     pub unit: f64,
     /// The configuration with what follows from the scan.
-    pub config: Config,
+    pub config: Plan,
 }
 
 /// The first `count` steps of a run with this configuration.
@@ -35,8 +35,7 @@ pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result
         let got = serde_json::to_value(config.method).expect("a name");
         return Err(Error::invalid("method", got, "naf, sax-nerf or intratomo", "name one of them"));
     }
-    config.validate()?;
-    let config = config.resolved(&dataset.scanner, dataset.train.len());
+    let config = config.plan(&dataset.scanner, dataset.train.len())?;
     let unit = chosen_unit(dataset, config.density_unit)?;
     match config.precision {
         Precision::F32 => steps::<f32>(dataset, config, count, unit),
@@ -44,7 +43,7 @@ pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result
     }
 }
 
-fn steps<R: Real>(dataset: &Dataset, config: Config, count: usize, unit: f64) -> Result<NetworkSteps> {
+fn steps<R: Real>(dataset: &Dataset, config: Plan, count: usize, unit: f64) -> Result<NetworkSteps> {
     let mut run = NeuralRun::<R>::new(&dataset.scanner, &dataset.train, &config.neural(), unit, None)?;
     let begin = run.named_parameters();
     let settings = config.neural();

@@ -19,11 +19,12 @@ use super::finish::{LEAST, SHORTEST, target};
 use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, FinishSearch, Trial, choose_finish, pilot_folds};
-use crate::config::{Config, InitialisationConfig, Precision, Sampling, Start};
+use crate::config::{Config, Plan, Precision, Sampling, Start};
 use crate::error::Result;
+use crate::geometry::{Projections, Volume};
 use crate::numeric::Real;
 use crate::reconstruction::Evidence;
-use crate::scene::{Dataset, Projections, Volume, interpolant};
+use crate::scan::{Dataset, interpolant};
 use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, train};
 use std::ops::ControlFlow;
 
@@ -65,17 +66,17 @@ impl From<Decision> for Found {
 ///
 /// # Errors
 /// Those of the training and of the method tv, and [`crate::Error::Interrupted`] when `observe` breaks.
-pub(super) fn choose(dataset: &Dataset, config: &Config, observe: &mut Observe<'_>) -> Result<Option<Found>> {
+pub(super) fn choose(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
     match config.precision {
         Precision::F32 => choose_as::<f32>(dataset, config, observe),
         Precision::F64 => choose_as::<f64>(dataset, config, observe),
     }
 }
 
-fn choose_as<R: Real>(dataset: &Dataset, config: &Config, observe: &mut Observe<'_>) -> Result<Option<Found>> {
+fn choose_as<R: Real>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let Some([train_views, held_views]) = pilot_folds(&projector, &dataset.train) else { return Ok(None) };
-    let config = shorter(&config.resolved(&dataset.scanner, dataset.train.len()));
+    let config = shorter(config);
     let held = dataset.train.select(&held_views);
     let part = dataset.of_views(&train_views);
     let mut watch = |iteration, record: Option<&Record>| observe(Progress::Pilot(iteration, record));
@@ -136,27 +137,27 @@ fn error(choice: &Choice) -> f64 {
 }
 
 /// The configuration of the pilot, from a resolved one: intervals shrink with the run.
-fn shorter(config: &Config) -> Config {
-    let mut pilot = config.clone();
+fn shorter(plan: &Plan) -> Plan {
     let scaled = |iterations: usize| ((iterations as f64 * PILOT_PART) as usize).max(1);
-    pilot.iterations = scaled(config.iterations);
-    pilot.density_control.every = scaled(config.density_control.every);
-    pilot.confidence.every = scaled(config.confidence.every);
-    if config.initialisation.from == Start::Model {
-        // The model may have seen the views that are held out.
-        let unseen = InitialisationConfig { from: Start::Sart, model: String::new(), ..pilot.initialisation };
-        pilot.initialisation = unseen;
-    }
-    pilot
+    plan.changed(|pilot| {
+        pilot.iterations = scaled(plan.iterations);
+        pilot.density_control.every = scaled(plan.density_control.every);
+        pilot.confidence.every = scaled(plan.confidence.every);
+        if plan.initialisation.from == Start::Model {
+            // The model may have seen the views that are held out.
+            (pilot.initialisation.from, pilot.initialisation.model) = (Start::Sart, String::new());
+        }
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::{Auto, Finish, Method};
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
     use crate::reconstruction::reconstruct;
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::scan::{Noise, Phantom};
 
     fn scan(views: usize) -> Dataset {
         let detector = Detector { rows: 20, columns: 20, pitch_v: 0.2, pitch_u: 0.2, offset_u: 0.0, offset_v: 0.0 };
@@ -187,7 +188,8 @@ mod tests {
 
     #[test]
     fn too_few_views_make_no_pilot() {
-        let found = choose(&scan(3), &config(), &mut |_| ControlFlow::Continue(())).unwrap();
+        let plan = config().plan(&scan(3).scanner, 3).unwrap();
+        let found = choose(&scan(3), &plan, &mut |_| ControlFlow::Continue(())).unwrap();
         assert!(found.is_none());
         // Point samples, then: nothing speaks for an interpolated volume.
         let auto = Config { sampling: Sampling::Auto, ..config() };
@@ -221,14 +223,15 @@ mod tests {
     #[test]
     fn a_pilot_is_a_shorter_run_of_the_same_kind() {
         let scan = scan(8);
-        let config = config().resolved(&scan.scanner, scan.train.len());
+        let config = config().plan(&scan.scanner, scan.train.len()).unwrap();
         let pilot = shorter(&config);
         assert_eq!(pilot.iterations, 20);
         let (control, whole) = (&pilot.density_control, &config.density_control);
         assert_eq!((control.cap, control.every), (whole.cap, 1.max(whole.every / 2)));
         // Whatever a model knows, the pilot does not.
-        let mut from_model = config.clone();
-        (from_model.initialisation.from, from_model.initialisation.model) = (Start::Model, "model.npz".into());
+        let from_model = config.changed(|config| {
+            (config.initialisation.from, config.initialisation.model) = (Start::Model, "model.npz".into());
+        });
         assert_eq!(shorter(&from_model), pilot);
         assert_eq!(pilot.initialisation.from, Start::Sart);
     }

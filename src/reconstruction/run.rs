@@ -1,15 +1,14 @@
 //! A reconstruction that is set up step by step.
 
 use super::{Checkpoints, Observe, Progress, Reconstruction, reconstruct_with};
-use crate::config::Config;
+use crate::config::{Config, Plan};
 use crate::error::Result;
 use crate::limit;
 use crate::memory::Estimate;
 use crate::numeric::threads;
-use crate::scene::Dataset;
-use crate::scene::dataset::DatasetInfo;
-use crate::scene::plausibility::{self, AnglesFrom};
-use crate::train::with_points_of_model;
+use crate::scan::Dataset;
+use crate::scan::dataset::DatasetInfo;
+use crate::scan::plausibility::{self, AnglesFrom};
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -34,15 +33,32 @@ use std::ops::ControlFlow;
 #[must_use = "a run does nothing until `reconstruct` is called"]
 pub struct Run<'a> {
     dataset: &'a Dataset,
-    config: &'a Config,
+    settings: Settings<'a>,
     checkpoints: Option<Checkpoints>,
     observe: Box<Observe<'a>>,
+}
+
+/// What a run is told.
+#[derive(Debug)]
+enum Settings<'a> {
+    /// Still to be checked and completed.
+    Config(&'a Config),
+    Plan(&'a Plan),
 }
 
 impl<'a> Run<'a> {
     /// A run with the method and the settings of `config`, without checkpoints and observer.
     pub fn new(dataset: &'a Dataset, config: &'a Config) -> Self {
-        Self { dataset, config, checkpoints: None, observe: Box::new(|_| ControlFlow::Continue(())) }
+        Self::of(dataset, Settings::Config(config))
+    }
+
+    /// A run by a plan for this scan, whose memory was checked: see [`Estimate`].
+    pub fn planned(dataset: &'a Dataset, plan: &'a Plan) -> Self {
+        Self::of(dataset, Settings::Plan(plan))
+    }
+
+    fn of(dataset: &'a Dataset, settings: Settings<'a>) -> Self {
+        Self { dataset, settings, checkpoints: None, observe: Box::new(|_| ControlFlow::Continue(())) }
     }
 
     /// Keeps the state of the run in a file; going on from it leads to the same bits. Without checkpoints a run that is
@@ -63,19 +79,26 @@ impl<'a> Run<'a> {
     /// limit, those of the method, and [`Error::Interrupted`](crate::Error::Interrupted) when
     /// the observer breaks.
     pub fn reconstruct(mut self) -> Result<Reconstruction> {
-        self.config.validate()?;
-        plausibility::check(self.dataset, AnglesFrom::File)?;
-        let is_resumed = self.checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
-        let config = if is_resumed { self.config.clone() } else { with_points_of_model(self.config)? };
-        let config = config.resolved(&self.dataset.scanner, self.dataset.train.len());
-        let info = DatasetInfo::of(self.dataset);
-        Estimate::new(&info, self.dataset.train.len(), &config, threads::count()).check(limit::bytes())?;
-        reconstruct_with(self.dataset, &config, self.checkpoints, &mut *self.observe)
+        let (scanner, views) = (&self.dataset.scanner, self.dataset.train.len());
+        let made;
+        let plan = match self.settings {
+            Settings::Plan(plan) => plan,
+            Settings::Config(config) => {
+                made = config.plan(scanner, views)?;
+                plausibility::check(self.dataset, AnglesFrom::File)?;
+                Estimate::new(&DatasetInfo::of(self.dataset), views, &made, threads::count()).check(limit::bytes())?;
+                &made
+            }
+        };
+        reconstruct_with(self.dataset, plan, self.checkpoints, &mut *self.observe)
     }
 }
 
 impl fmt::Debug for Run<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Run").field("dataset", &self.dataset.name).field("config", &self.config).finish_non_exhaustive()
+        f.debug_struct("Run")
+            .field("dataset", &self.dataset.name)
+            .field("settings", &self.settings)
+            .finish_non_exhaustive()
     }
 }

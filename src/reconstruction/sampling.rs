@@ -7,8 +7,9 @@
 //! (`super::pilot`). Not in the paper, which samples points.
 
 use crate::config::Sampling;
+use crate::geometry::Volume;
 use crate::numeric::elementary::log;
-use crate::scene::{Volume, interpolant};
+use crate::scan::interpolant;
 use serde::Serialize;
 use std::fmt;
 

@@ -9,9 +9,10 @@ use crate::classical::algebraic::{
 use crate::classical::{VoxelProjector, density_unit};
 use crate::config::{Auto, Config, Method};
 use crate::error::{Error, Result, start_again};
+use crate::geometry::Volume;
 use crate::neural::NeuralRun;
 use crate::numeric::Real;
-use crate::scene::{Dataset, Volume};
+use crate::scan::Dataset;
 
 /// What an iterative method found.
 pub(super) struct Found {

@@ -3,7 +3,7 @@
 use super::slice::{AXES, Cut, Palette, Picture, Window, reach, short};
 use super::{escape, section};
 use crate::error::{Error, Result};
-use crate::scene::Volume;
+use crate::geometry::Volume;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use ndarray::Array2;

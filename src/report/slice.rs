@@ -8,8 +8,8 @@
 //! | y | x | z |
 //! | z | x | y |
 
+use crate::geometry::Volume;
 use crate::loss::tv::tv;
-use crate::scene::Volume;
 use ndarray::{Array2, Axis};
 
 /// Names of the axes of a volume.
@@ -188,7 +188,7 @@ pub(super) fn short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Grid;
+    use crate::geometry::Grid;
     use glam::DVec3;
     use ndarray::{Array3, array};
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::{Grid, Projections};
+use crate::geometry::{Grid, Projections};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;

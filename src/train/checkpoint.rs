@@ -7,7 +7,7 @@ use crate::config::{Config, Sampling};
 use crate::error::{Error, Result, start_again};
 use crate::output::create_folder;
 use crate::provenance::digest_parts;
-use crate::scene::Dataset;
+use crate::scan::Dataset;
 use crate::sealed::{self, Kind, Sealed, are_finite, require};
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};

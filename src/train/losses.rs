@@ -5,14 +5,14 @@ use super::views::random_block;
 use crate::confidence::nu_loss_into;
 use crate::config::Config;
 use crate::error::Result;
+use crate::geometry::View;
 use crate::loss::{ImageTerms, Ssim, SsimTarget, image_loss_into, tv};
 use crate::numeric::rng::Purpose;
 use crate::numeric::threads::{self, Pool, PoolGuard};
 use crate::numeric::{Real, real};
 use crate::primitives::{Activation, Parameters, Primitives};
 use crate::projector::{Field, FieldGradient, Kernels, ViewField};
-use crate::scene::View;
-use crate::scene::dataset::Dataset;
+use crate::scan::dataset::Dataset;
 use crate::wavelet::{self, Router, Routing, wavelet_loss_into};
 use ndarray::{Array2, Array3};
 

@@ -20,21 +20,21 @@ mod views;
 pub use checkpoint::{Checkpoint, Checkpoints, Decision};
 pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension};
 pub use record::Record;
-pub use start::{initial_primitives, primitives_of_model, with_points_of_model};
+pub use start::{initial_primitives, primitives_of_model};
 
 use crate::classical::density_unit::{density_unit, in_unit};
 use crate::confidence::{Coverage, nu_target, spearman};
-use crate::config::{Config, DensityControl, Precision, Start};
+use crate::config::{Config, DensityControl, Plan, Precision, Start};
 use crate::density::{self, NextPrimitive, adc, ar};
 use crate::error::{Error, Result};
+use crate::geometry::{Grid, Volume};
 use crate::loss::{Ssim, SsimTarget};
 use crate::numeric::rng::{self, Purpose};
 use crate::numeric::{real, reduce};
 use crate::primitives::activation::Interval;
 use crate::primitives::{Activation, Primitives};
 use crate::projector::{Field, Kernels};
-use crate::scene::dataset::Dataset;
-use crate::scene::{Grid, Volume};
+use crate::scan::dataset::Dataset;
 use checkpoint::digest;
 use losses::{DataTerm, IterationState, LossInputs};
 use optimiser::Step;
@@ -82,13 +82,10 @@ pub struct TrainedModel {
 /// cannot be written, or when `observe` stops the run.
 pub fn train(
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<TrainedModel> {
-    let is_resumed = checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.from.is_some());
-    let config = if is_resumed { config.clone() } else { with_points_of_model(config)? };
-    let config = &config.resolved(&dataset.scanner, dataset.train.len());
     dataset.scanner.validate()?;
     let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
     let checkpoints = checkpoints.map(|checkpoints| (checkpoints, digest(dataset)));
@@ -116,7 +113,7 @@ struct Trainer<'a, R: Kernels> {
     /// Projections in units of `unit`.
     dataset: &'a Dataset,
     unit: f64,
-    config: &'a Config,
+    config: &'a Plan,
     activation: Activation,
     coverage: Coverage,
     /// ν_target of each primitive `[Eq. 9]`.
@@ -137,7 +134,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn new(
         dataset: &'a Dataset,
         unit: f64,
-        config: &'a Config,
+        config: &'a Plan,
         checkpoints: Option<(Checkpoints, String)>,
     ) -> Result<Self> {
         let activation = Activation {

@@ -3,13 +3,15 @@
 use crate::classical::algebraic::{Order, SartSettings, TvSettings, sart, tv};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::classical::{RayModel, VoxelProjector};
-use crate::config::{Config, DensityControl, Method, Start};
+use crate::config::{Config, DensityControl, Method, Plan, Start};
 use crate::error::{Error, Result};
+use crate::geometry::{Grid, Volume};
 use crate::numeric::elementary::exp;
 use crate::primitives::activation::Interval;
 use crate::primitives::initialisation::{self, Point};
-use crate::primitives::{KernelKind, Primitives, model};
-use crate::scene::{Dataset, Grid, Volume};
+use crate::primitives::{KernelKind, Primitives};
+use crate::scan::Dataset;
+use crate::scan::model;
 use glam::DVec3;
 use ndarray::{ArrayView1, Axis, Zip};
 use std::ops::ControlFlow;
@@ -26,8 +28,7 @@ const REACH: f64 = 3.0;
 ///
 /// # Errors
 /// When the dataset does not have what the configuration asks for, and those of [`primitives_of_model`].
-pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitives> {
-    let config = &config.resolved(&dataset.scanner, dataset.train.len());
+pub fn initial_primitives(dataset: &Dataset, config: &Plan) -> Result<Primitives> {
     let start = &config.initialisation;
     let points = match start.from {
         Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => {
@@ -39,19 +40,6 @@ pub fn initial_primitives(dataset: &Dataset, config: &Config) -> Result<Primitiv
         Start::Model => return Ok(primitives_of_model(&dataset.scanner.grid, config)?.0),
     };
     initialisation::primitives(&points, config.model.kernel, start.density_factor, config.model.nu_initial)
-}
-
-/// The configuration with the number of primitives of its model, where a run starts from one and no number is set.
-///
-/// # Errors
-/// When the model cannot be read.
-pub fn with_points_of_model(config: &Config) -> Result<Config> {
-    let mut config = config.clone();
-    let reads = config.method.fits_primitives() && config.initialisation.from == Start::Model;
-    if reads && config.model.points == 0 {
-        config.model.points = model::read(Path::new(&config.initialisation.model))?.len();
-    }
-    Ok(config)
 }
 
 /// The primitives of `initialisation.model` as a run on a grid starts from them, and remarks on what it changes.
@@ -191,9 +179,10 @@ fn smoothed(mut volume: Volume, sigma: f64) -> Volume {
 mod tests {
     use super::*;
     use crate::config::PositionOptimiser;
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
     use crate::primitives::{Group, Parameters};
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::scan::{Noise, Phantom};
     use crate::tolerances::{largest, relative};
     use crate::train::train;
     use ndarray::Array3;
@@ -212,7 +201,7 @@ mod tests {
         for from in [Start::Fdk, Start::SmoothedFdk, Start::Sart, Start::Tv] {
             let mut config = Config::default();
             (config.initialisation.from, config.model.points) = (from, 200);
-            let primitives = initial_primitives(&scan, &config).unwrap();
+            let primitives = initial_primitives(&scan, &config.plan(&scanner, 8).unwrap()).unwrap();
             let on_object = (primitives.parameters.mean.iter())
                 .filter(|mean| {
                     let place = (DVec3::from_array(**mean) - scanner.grid.min) / scanner.grid.spacing;
@@ -258,11 +247,11 @@ mod tests {
         (still.density, still.nu) = ([0.0; 2], [0.0; 2]);
         config.density_control.method = DensityControl::None;
         let expected = model::read(Path::new(&config.initialisation.model)).unwrap();
-        let of_three = with_points_of_model(&config).unwrap();
+        let of_three = config.plan(&scan.scanner, scan.train.len()).unwrap();
         assert_eq!(of_three.model.points, 3);
         assert_eq!(initial_primitives(&scan, &of_three).unwrap(), expected);
         // The unit of this scan is not 1, and scales, densities and ν pass through their activations.
-        let found = train(&scan, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
+        let found = train(&scan, &of_three, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
         assert!(found.unit != 1.0);
         for group in Group::ALL {
             for (a, b) in found.primitives.parameters.group(group).iter().zip(expected.parameters.group(group)) {
@@ -279,7 +268,7 @@ mod tests {
     fn judged(kernel: KernelKind, change: impl Fn(&mut Dataset, &mut Config)) -> std::result::Result<String, String> {
         let (mut scan, _folder, mut config) = scan_and_model(kernel);
         change(&mut scan, &mut config);
-        let config = with_points_of_model(&config).map_err(|error| error.to_string())?.resolved(&scan.scanner, 4);
+        let config = config.plan(&scan.scanner, 4).map_err(|error| error.to_string())?;
         match primitives_of_model(&scan.scanner.grid, &config) {
             Ok((_, remarks)) => Ok(remarks.join("\n")),
             Err(error) => Err(error.to_string()),
@@ -307,14 +296,17 @@ mod tests {
         let (student, gaussian) = (KernelKind::StudentT, KernelKind::Gaussian);
         let set = |setting: &'static str| move |_: &mut Dataset, config: &mut Config| config.set(setting).unwrap();
         let far = |scan: &mut Dataset, _: &mut Config| scan.scanner.grid.min.z += 20.0;
+        let plain = |_: &mut Dataset, config: &mut Config| {
+            (config.model.kernel, config.confidence.enabled) = (gaussian, false);
+        };
         let refused = |kernel, change: &dyn Fn(&mut Dataset, &mut Config)| judged(kernel, change).unwrap_err();
         for (message, names) in [
             (refused(student, &set("model.points=5")), ["model.points: got 5", "`model.points=3`"]),
             (refused(student, &set("initialisation.model=none.npz")), ["none.npz", "read"]),
             (refused(gaussian, &set("seed=0")), ["got gaussian kernels", "`model.kernel=gaussian`"]),
-            (refused(student, &set("model.kernel=gaussian")), ["got student-t kernels", "`model.kernel=student-t`"]),
+            (refused(student, &plain), ["got student-t kernels", "`model.kernel=student-t`"]),
             (refused(student, &far), ["got 3 of 3 centres", "`initialisation.from=sart`"]),
-            (refused(student, &set("density_control.cap=2")), ["got 3 primitives", "`density_control.cap=3`"]),
+            (refused(student, &set("density_control.cap=2")), ["density_control.cap: got 2", "4 to 10 million"]),
         ] {
             assert!(names.iter().all(|name| message.contains(name)), "{message}");
         }

@@ -5,7 +5,6 @@ use super::record::{Losses, Record};
 use crate::config::Config;
 use crate::density::{NextPrimitive, next_parameters};
 use crate::error::Result;
-use crate::primitives::rotation::is_usable;
 use crate::primitives::{Activation, Group, Parameters};
 use crate::sealed::{are_finite, require};
 use serde::{Deserialize, Serialize};
@@ -91,7 +90,7 @@ impl State {
         let expected = "one row for each of one primitive or more";
         require(m > 0 && rows == [m; 5], "rows of the parameters", format!("{rows:?}"), expected)?;
         let finite = Group::ALL.iter().all(|group| are_finite(raw.group(*group)));
-        require(finite && raw.quaternion.iter().all(|q| is_usable(*q)), "parameters", "others", "finite numbers")?;
+        require(finite && raw.have_directions(), "parameters", "others", "finite numbers")?;
         let mut sorted = ids.clone();
         sorted.sort_unstable();
         let unique = sorted.is_sorted_by(|a, b| a < b) && sorted.last().is_none_or(|last| last < next_id);

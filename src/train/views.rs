@@ -1,7 +1,7 @@
 //! The view and the blocks of an iteration.
 
+use crate::geometry::Grid;
 use crate::numeric::rng::{self, Purpose};
-use crate::scene::Grid;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 

@@ -6,8 +6,8 @@ use crate::program::Sandbox;
 use assert_cmd::Command;
 use ndarray::{Array, Array1, Array2, Array3};
 use serde_json::{Value, json};
-use trgs::scene::npy;
-use trgs::scene::npz::{self, Entry};
+use trgs::scan::npy;
+use trgs::scan::npz::{self, Entry};
 
 const VIEW: &str = "scan/proj_train/proj_train_0002.npy";
 

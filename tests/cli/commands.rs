@@ -6,9 +6,9 @@ use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use trgs::numeric::elementary::exp;
-use trgs::scene::npz::Npz;
-use trgs::scene::volume_file::VolumeFile;
-use trgs::scene::{npy, volume_file};
+use trgs::scan::npz::Npz;
+use trgs::scan::volume_file::VolumeFile;
+use trgs::scan::{npy, volume_file};
 
 const COMMANDS: [&str; 11] = [
     "demo",

@@ -4,9 +4,9 @@ use crate::program::{Sandbox, stderr};
 use ndarray::{ArrayD, Ix0, Ix1, array};
 use trgs::confidence::{Alpha, Coverage, Histogram, Settings, nu_target};
 use trgs::primitives::activation::Interval;
-use trgs::primitives::model;
-use trgs::scene::Dataset;
-use trgs::scene::npz::{self, Entry, Npz};
+use trgs::scan::Dataset;
+use trgs::scan::model;
+use trgs::scan::npz::{self, Entry, Npz};
 
 /// Three primitives, the last outside every view; `nu` is their degrees of freedom.
 fn write_model(sandbox: &Sandbox, nu: [f64; 3]) {

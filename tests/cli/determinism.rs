@@ -8,14 +8,14 @@ use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use trgs::classical::{Turn, Window, fdk};
 use trgs::config::{Config, Precision};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::threads;
 use trgs::primitives::{Group, KernelKind, Parameters};
 use trgs::projector::{self, Kernels, Projection};
-use trgs::scene::dataset::Dataset;
-use trgs::scene::noise::Noise;
-use trgs::scene::phantom::Phantom;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::scan::dataset::Dataset;
+use trgs::scan::noise::Noise;
+use trgs::scan::phantom::Phantom;
+use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::train;
 
 fn digest(numbers: impl IntoIterator<Item = f64>) -> String {
@@ -133,8 +133,9 @@ fn fifty_training_steps_have_the_same_bits_on_any_number_of_threads() {
         let mut config = Config { iterations: 50, precision, ..Config::default() };
         config.model.points = 400;
         config.loss.tv_block = 16;
+        let plan = config.plan(&dataset.scanner, dataset.train.len()).unwrap();
         assert_independent_of_threads(&format!("training {precision:?}"), || {
-            let result = train::train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
+            let result = train::train(&dataset, &plan, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
             digest_of(&result.primitives.parameters) + &digest(result.volume.values.iter().map(|&x| f64::from(x)))
         });
     }
@@ -147,10 +148,12 @@ fn a_different_seed_gives_a_different_result() {
         let mut config = Config { iterations: 3, seed, ..Config::default() };
         config.model.points = 200;
         digest_of(
-            &train::train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(()))
-                .unwrap()
-                .primitives
-                .parameters,
+            &train::train(&dataset, &config.plan(&dataset.scanner, dataset.train.len()).unwrap(), None, &mut |_, _| {
+                ControlFlow::Continue(())
+            })
+            .unwrap()
+            .primitives
+            .parameters,
         )
     };
     assert_eq!(run(1), run(1));

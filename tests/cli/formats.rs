@@ -10,9 +10,10 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;
-use trgs::primitives::{Group, KernelKind, Parameters, Primitives, model};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{dataset, npy};
+use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
+use trgs::scan::model;
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{dataset, npy};
 
 /// Output of the script, or `None` with a message if Python lacks a package.
 pub(crate) fn others(arguments: &[&Path], command: &str) -> Option<Value> {

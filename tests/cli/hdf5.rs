@@ -8,8 +8,8 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 use trgs::numeric::elementary::log;
-use trgs::scene::hdf5::Hdf5;
-use trgs::scene::{Dataset, npy};
+use trgs::scan::hdf5::Hdf5;
+use trgs::scan::{Dataset, npy};
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
 const SCANNER: &str = r#"{ "scanner": {

@@ -7,8 +7,8 @@ use glam::{DMat3, DVec3};
 use ndarray::{Array3, Axis};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Dataset, Unit, npy};
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{Dataset, Unit, npy};
 
 /// Endings of formats that state lengths.
 const ENDINGS: [&str; 5] = ["nii", "nii.gz", "mha", "nrrd", "tif"];

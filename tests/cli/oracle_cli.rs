@@ -2,7 +2,7 @@
 
 use crate::program::{Sandbox, stderr};
 use ndarray::{Array2, Array3};
-use trgs::scene::npy;
+use trgs::scan::npy;
 
 #[test]
 fn help_has_examples() {

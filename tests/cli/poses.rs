@@ -4,7 +4,7 @@ use crate::program::{Sandbox, stderr};
 use crate::tolerances::largest;
 use serde_json::json;
 use trgs::numeric::elementary::{cos, sin};
-use trgs::scene::{Dataset, npy};
+use trgs::scan::{Dataset, npy};
 
 const SCAN: &str = "simulate --phantom torso --size 16 --detector 24 --views 6 --test-views 2 --out scan";
 

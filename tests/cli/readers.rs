@@ -5,9 +5,9 @@ use ndarray::{Array3, Axis};
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use trgs::scene::npz::{self, Entry};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Dataset, npy};
+use trgs::scan::npz::{self, Entry};
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{Dataset, npy};
 
 /// Frames `[view, v, u]` of whole numbers below 256.
 fn frames() -> Array3<f32> {

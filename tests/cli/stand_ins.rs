@@ -3,7 +3,7 @@
 use crate::program::Sandbox;
 use serde_json::Value;
 use std::collections::BTreeSet;
-use trgs::scene::npy;
+use trgs::scan::npy;
 
 fn notes(found: &Value) -> String {
     found["notes"].as_array().unwrap().iter().map(|note| note.as_str().unwrap().to_owned() + "\n").collect()

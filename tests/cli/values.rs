@@ -5,12 +5,13 @@ use ndarray::{Array2, Array3, Axis};
 use serde_json::json;
 use std::f64::consts::PI;
 use std::process::Output;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::elementary::exp;
-use trgs::scene::dataset::Dataset;
-use trgs::scene::npy;
-use trgs::scene::phantom::Phantom;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Detector, Grid, Noise, Scanner};
+use trgs::scan::Noise;
+use trgs::scan::dataset::Dataset;
+use trgs::scan::npy;
+use trgs::scan::phantom::Phantom;
+use trgs::scan::simulate::{Object, Plan, simulate};
 
 const ROWS: usize = 16;
 const COLUMNS: usize = 20;

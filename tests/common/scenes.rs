@@ -3,9 +3,9 @@
 use glam::DVec3;
 use ndarray::{Array, Dimension, ShapeBuilder};
 use rand::RngExt;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::primitives::{KernelKind, Parameters, Primitives};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 /// Numbers in [low, high) that depend only on the seed and the index.
 pub(crate) fn uniform(seed: u64, n: usize, low: f64, high: f64) -> Vec<f64> {

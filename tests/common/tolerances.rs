@@ -6,7 +6,7 @@
 //! the row's `least`. Both take a message, as `assert!` does. NaN fails.
 //!
 //! ```text
-//! ["src/loss/tv.rs"]
+//! ["src/core/loss/tv.rs"]
 //! a_test = { limit = 1e-9, measured = 2.1e-10, why = "where the error comes from" }
 //! ```
 //!

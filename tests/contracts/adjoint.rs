@@ -8,10 +8,10 @@
 use crate::common::scenes;
 use crate::tolerances::largest;
 use ndarray::Array3;
+use trgs::geometry::{Beam, Scanner};
 use trgs::numeric::Real;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
-use trgs::scene::{Beam, Scanner};
 
 const ANGLES: [f64; 3] = [0.35, 2.2, 4.9];
 /// Number of random pairs (x, y) that a factor is fitted to.

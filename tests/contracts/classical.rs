@@ -4,10 +4,11 @@ use std::ops::ControlFlow;
 use trgs::classical::algebraic::{AsdPocsSettings, Order, SartSettings, asd_pocs, cgls, sart};
 use trgs::classical::{RayModel, Turn, VoxelProjector, Window, fdk};
 use trgs::evaluation::psnr_3d;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::numeric::reduce;
-use trgs::scene::phantom::solid::{Shape, Solid};
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+use trgs::scan::phantom::solid::{Shape, Solid};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Noise, Phantom};
 
 fn scanner(size: usize) -> Scanner {
     let (pixels, pitch) = (2 * size, 4.0 / (2 * size) as f64);
@@ -53,7 +54,7 @@ fn few_views_are_better_used_by_iterations_than_by_filtering() {
     let truth = scan.truth.unwrap().values;
     let mut go_on = |_: &_| ControlFlow::Continue(());
     let filtered = fdk(&scanner, &scan.train, Window::RamLak, Turn::Measured).unwrap();
-    let psnr = |volume: &trgs::scene::Volume| psnr_3d(truth.view(), volume.values.view()).value;
+    let psnr = |volume: &trgs::geometry::Volume| psnr_3d(truth.view(), volume.values.view()).value;
     let base = psnr(&filtered);
     let subsets = SartSettings { subset: 4, order: Order::AngularDistance, ..SartSettings::default() };
     for (name, volume) in [

@@ -7,9 +7,10 @@
 use crate::tolerances::largest;
 use trgs::config::{Config, Method, Sampling};
 use trgs::evaluation::psnr_3d;
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::reconstruction::reconstruct;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::{Noise, Phantom};
 
 /// Fewer iterations than the default: all three runs take a minute.
 const ITERATIONS: usize = 500;

@@ -9,9 +9,9 @@ use ndarray::Array3;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::{Config as Settings, RngAlgorithm, TestRng, TestRunner};
+use trgs::geometry::{Detector, Scanner};
 use trgs::primitives::{Group, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection, naive};
-use trgs::scene::{Detector, Scanner};
 
 const ANGLES: [f64; 2] = [0.0, 2.6];
 

@@ -9,11 +9,11 @@
 use crate::common::scenes;
 use ndarray::{Array2, Array3, Axis};
 use std::f64::consts::FRAC_PI_4;
+use trgs::geometry::{Detector, Grid, Scanner};
 use trgs::loss::{Ssim, SsimTarget, image_loss, l1, tv};
 use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Projection};
-use trgs::scene::{Detector, Grid, Scanner};
 
 const STEPS: [f64; 3] = [4e-3, 4e-4, 2e-5];
 const ANGLES: [f64; 2] = [0.4, 2.9];

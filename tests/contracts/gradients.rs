@@ -4,11 +4,11 @@ use crate::common::scenes;
 use crate::common::vectors::assert_conformance;
 use crate::tolerances::relative;
 use trgs::config::Precision;
+use trgs::geometry::{Detector, Scanner};
 use trgs::oracle::Format;
 use trgs::primitives::activation::Interval;
 use trgs::primitives::{Activation, Group, KernelKind, Parameters};
 use trgs::projector::{self, Field, Projection};
-use trgs::scene::{Detector, Scanner};
 
 fn is_gradient(case: &trgs::oracle::Case) -> bool {
     case.stage.starts_with("gradient")

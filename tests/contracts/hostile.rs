@@ -7,9 +7,9 @@ use crate::formats::build::{self, Tag};
 use std::io::Write;
 use std::path::Path;
 use tiff::decoder::Decoder;
-use trgs::scene::npz::Npz;
-use trgs::scene::stack::RtkGeometry;
-use trgs::scene::volume_file;
+use trgs::scan::npz::Npz;
+use trgs::scan::stack::RtkGeometry;
+use trgs::scan::volume_file;
 use zip::write::SimpleFileOptions;
 
 /// The message about a file, which is given at most [`MOST_MEMORY`].

@@ -6,9 +6,9 @@ use crate::common::scenes;
 use glam::{DQuat, DVec3};
 use ndarray::{Array3, ArrayView3, Axis, Slice};
 use trgs::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::primitives::{KernelKind, Primitives};
 use trgs::projector::{self, Projection};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
 
 const ANGLES: [f64; 3] = [0.3, 2.4, 5.1];
 const KERNELS: [KernelKind; 2] = [KernelKind::StudentT, KernelKind::Gaussian];

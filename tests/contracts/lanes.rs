@@ -9,11 +9,11 @@ use crate::tolerances::largest;
 use ndarray::Array3;
 use rand::RngExt;
 use trgs::classical::{RayModel, VoxelProjector};
+use trgs::geometry::{Detector, Scanner};
 use trgs::numeric::rng::{Purpose, stream};
 use trgs::numeric::{Lanes, Real};
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
-use trgs::scene::{Detector, Scanner};
 use trgs::wavelet::{self, Routing};
 use wide::{f32x8, f32x16, f64x4, f64x8};
 

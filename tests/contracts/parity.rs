@@ -3,9 +3,9 @@
 use crate::common::scenes;
 use crate::tolerances::largest;
 use ndarray::Array3;
+use trgs::geometry::Scanner;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Projection, naive};
-use trgs::scene::Scanner;
 
 const ANGLES: [f64; 3] = [0.3, 2.1, 4.4];
 

@@ -12,13 +12,12 @@ use trgs::classical::{RayModel, Turn, VoxelProjector, Window, fdk};
 use trgs::confidence::{Coverage, Settings, naive as naive_confidence};
 use trgs::config::{Config, Finish, Method, Sampling};
 use trgs::evaluation::psnr_3d;
+use trgs::geometry::{Beam, Detector, Deviation, Grid, Pose, Projections, Scanner, Trajectory, Volume};
 use trgs::numeric::{reduce, threads};
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Field, Projection, naive};
-use trgs::scene::simulate::{Object, Orbit, Plan, simulate_on};
-use trgs::scene::{
-    Beam, Dataset, Detector, Deviation, Grid, Noise, Phantom, Pose, Projections, Scanner, Trajectory, Volume, trilinear,
-};
+use trgs::scan::simulate::{Object, Orbit, Plan, simulate_on};
+use trgs::scan::{Dataset, Noise, Phantom, trilinear};
 
 const ANGLES: [f64; 4] = [0.3, 2.1, 4.4, 5.0];
 
@@ -215,7 +214,7 @@ fn line_integrals_of_phantoms_and_volumes_follow_the_poses() {
             let along = |k: usize, n: usize, pitch: f64| (k as f64 + 0.5 - n as f64 / 2.0) * pitch;
             let pixel =
                 pose.centre + pose.u * along(column, d.columns, d.pitch_u) + pose.v * along(row, d.rows, d.pitch_v);
-            let ray = trgs::scene::Ray { origin: pose.source, direction: (pixel - pose.source).normalize() };
+            let ray = trgs::geometry::Ray { origin: pose.source, direction: (pixel - pose.source).normalize() };
             let expected = ball.line_integral(&ray) as f32;
             let found = exact.images[[number, row, column]];
             within!(relative(found.into(), expected.into()), "{found} and {expected}");
@@ -352,8 +351,8 @@ fn filtered_backprojection_honours_a_shifted_axis_and_refuses_a_helix_with_the_r
 #[test]
 fn shifted_axes_keep_the_weights_of_short_scans_and_displaced_detectors_exact() {
     let centre = DVec3::new(0.15, -0.2, 0.1);
-    let solid = trgs::scene::phantom::solid::Solid::new(
-        trgs::scene::phantom::solid::Shape::Ellipsoid,
+    let solid = trgs::scan::phantom::solid::Solid::new(
+        trgs::scan::phantom::solid::Shape::Ellipsoid,
         0.6,
         centre,
         DVec3::splat(0.5),

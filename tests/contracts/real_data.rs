@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use trgs::classical::{Turn, Window, check_geometry, fdk};
 use trgs::config::{Config, DensityControl, PositionOptimiser};
 use trgs::evaluation::psnr_3d;
-use trgs::scene::{Dataset, trilinear};
+use trgs::scan::{Dataset, trilinear};
 use trgs::train::train;
 
 /// The folder of a scan, or `None` with a message.
@@ -78,7 +78,8 @@ fn a_real_engine_is_reconstructed_within_1_5_db_of_the_published_code() {
     config.density_control.method = DensityControl::None;
     config.optimiser.position = PositionOptimiser::Adam;
     (config.confidence.enabled, config.wavelet.enabled) = (false, false);
-    let result = train(&scan, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let plan = config.plan(&scan.scanner, scan.train.len()).unwrap();
+    let result = train(&scan, &plan, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
     let psnr = psnr_3d(scan.truth.unwrap().values.view(), result.volume.values.view()).value;
     eprintln!("{psnr:.3} dB");
     within!(32.10 - psnr, "{psnr} dB");

@@ -47,19 +47,7 @@ fn assert_absent(words: &[&str], folders: &[&str], exempt: &[&str], why: &str) {
     assert!(searched >= 5, "only {searched} files searched");
 }
 
-const NUMERICAL: [&str; 11] = [
-    "numeric",
-    "primitives",
-    "projector",
-    "confidence",
-    "loss",
-    "wavelet",
-    "optim",
-    "density",
-    "classical",
-    "neural",
-    "scene",
-];
+const NUMERICAL: [&str; 4] = ["core", "classical", "neural", "scan"];
 
 #[test]
 fn numerical_code_uses_nothing_whose_bits_depend_on_the_build() {
@@ -67,7 +55,7 @@ fn numerical_code_uses_nothing_whose_bits_depend_on_the_build() {
     assert_absent(&words, &NUMERICAL, &[], "not the same bits on every build");
     let fused = "of registers fused where the build has an instruction for it; Lanes::fma is fused everywhere";
     // That of the scalars, in the second file, is fused always.
-    assert_absent(&[".mul_add("], &NUMERICAL, &["src/numeric/lanes.rs", "src/numeric/fused.rs"], fused);
+    assert_absent(&[".mul_add("], &NUMERICAL, &["src/core/numeric/lanes.rs", "src/core/numeric/fused.rs"], fused);
 }
 
 #[test]
@@ -85,7 +73,7 @@ fn only_one_module_uses_threads() {
     assert_absent(
         &["rayon", "std::thread", "par_iter"],
         &[""],
-        &["src/numeric/threads.rs", "src/cli/interrupt.rs"],
+        &["src/core/numeric/threads.rs", "src/cli/interrupt.rs"],
         "threads have one user",
     );
 }
@@ -112,6 +100,8 @@ fn no_file_is_longer_than_600_lines() {
 
 #[test]
 fn unsafe_code_is_forbidden() {
-    let manifest = fs::read_to_string(root().join("Cargo.toml")).unwrap();
-    assert!(manifest.contains("unsafe_code = \"forbid\""));
+    for root_file in ["src/lib.rs", "src/main.rs", "src/core/lib.rs"] {
+        let text = fs::read_to_string(root().join(root_file)).unwrap();
+        assert!(text.contains("#![forbid(unsafe_code)]"), "{root_file}");
+    }
 }

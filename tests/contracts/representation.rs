@@ -5,9 +5,9 @@
 use crate::common::scenes;
 use glam::{DMat3, DQuat};
 use ndarray::Array3;
+use trgs::geometry::Scanner;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::{self, Kernels, Projection};
-use trgs::scene::Scanner;
 
 const ANGLES: [f64; 2] = [1.3, 3.9];
 

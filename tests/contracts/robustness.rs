@@ -3,7 +3,7 @@
 //! A size claimed by a header allocates no memory by itself.
 //!
 //! Proptest generates the bytes with a fixed seed (`tests/contracts/damage.rs`); `cargo fuzz` needs a nightly compiler.
-//! DICOM is tested in `src/scene/volume_file/dicom`, extreme numbers in `tests/contracts/extremes.rs`.
+//! DICOM is tested in `src/scan/volume_file/dicom`, extreme numbers in `tests/contracts/extremes.rs`.
 
 use crate::damage::{MANY, MOST_MEMORY, assert_clear, assert_reader_survives, damaged, for_all};
 use crate::formats::build;
@@ -17,15 +17,17 @@ use tempfile::TempDir;
 use tiff::encoder::colortype::{Gray8, Gray16, Gray32Float};
 use tiff::encoder::{Compression, DeflateLevel, Predictor, TiffEncoder};
 use trgs::config::{Config, Method};
-use trgs::primitives::{Parameters, Primitives, model};
-use trgs::scene::dataset::{Dataset, Description};
-use trgs::scene::noise::Noise;
-use trgs::scene::npz::{Entry, Npz};
-use trgs::scene::phantom::Phantom;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::stack::parse_angles;
-use trgs::scene::volume_file::{self, SideFile, VolumeFile};
-use trgs::scene::{Beam, Detector, Frame, Grid, Scanner, npy, npz};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
+use trgs::primitives::{Parameters, Primitives};
+use trgs::scan::dataset::{Dataset, Description};
+use trgs::scan::model;
+use trgs::scan::noise::Noise;
+use trgs::scan::npz::{Entry, Npz};
+use trgs::scan::phantom::Phantom;
+use trgs::scan::simulate::{Object, Plan, simulate};
+use trgs::scan::stack::parse_angles;
+use trgs::scan::volume_file::{self, SideFile, VolumeFile};
+use trgs::scan::{Frame, npy, npz};
 
 /// Number of cases for parsers of text and for readers that need a disk.
 const FEW: u32 = 400;

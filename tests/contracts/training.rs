@@ -4,14 +4,15 @@ use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
 use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
-use trgs::scene::noise::Noise;
-use trgs::scene::phantom::Phantom;
-use trgs::scene::simulate::{Object, Plan, simulate};
-use trgs::scene::{Beam, Dataset, Detector, Grid, Scanner};
+use trgs::scan::Dataset;
+use trgs::scan::noise::Noise;
+use trgs::scan::phantom::Phantom;
+use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::train::{Checkpoint, Checkpoints, TrainedModel, train};
 use trgs::wavelet::{self, Routing, wavelet_loss, wavelet_loss_into};
 use trgs::{Error, evaluation};
@@ -38,9 +39,12 @@ fn busy(method: Method) -> Config {
     config
 }
 
+fn planned(dataset: &Dataset, config: &Config) -> trgs::config::Plan {
+    config.plan(&dataset.scanner, dataset.train.len()).unwrap()
+}
+
 fn run(dataset: &Dataset, config: &Config) -> TrainedModel {
-    config.validate().unwrap();
-    train(dataset, config, None, &mut |_, _| ControlFlow::Continue(())).unwrap()
+    train(dataset, &planned(dataset, config), None, &mut |_, _| ControlFlow::Continue(())).unwrap()
 }
 
 fn bits(result: &TrainedModel) -> Vec<u64> {
@@ -125,11 +129,11 @@ fn every_pair_of_density_control_and_optimiser_learns_and_stops_and_goes_on_to_t
         let from = |file: &std::path::Path| file.exists().then(|| Checkpoint::read(file).unwrap());
         for at in [1, 23, 24, 45] {
             let checkpoints = Checkpoints { file: file.clone(), from: from(&file) };
-            let stopped = train(&dataset, &config, Some(checkpoints), &mut stop(at));
+            let stopped = train(&dataset, &planned(&dataset, &config), Some(checkpoints), &mut stop(at));
             assert!(matches!(stopped, Err(Error::Interrupted { step, .. }) if step == at), "{what}");
         }
         let checkpoints = Checkpoints { file: file.clone(), from: from(&file) };
-        let resumed = train(&dataset, &config, Some(checkpoints), &mut stop(0)).unwrap();
+        let resumed = train(&dataset, &planned(&dataset, &config), Some(checkpoints), &mut stop(0)).unwrap();
         assert!(bits(&resumed) == bits(&whole), "{what}: other bits after four stops");
         assert!(resumed.log.iter().map(|r| r.loss.to_bits()).eq(whole.log.iter().map(|r| r.loss.to_bits())), "{what}");
     }
@@ -201,7 +205,8 @@ fn a_population_that_dies_out_is_an_error_and_no_crash() {
     let dataset = scan();
     let mut config = busy(Method::R2Gaussian);
     config.density_control.faint = 1e6;
-    let message = train(&dataset, &config, None, &mut |_, _| ControlFlow::Continue(())).unwrap_err().to_string();
+    let plan = planned(&dataset, &config);
+    let message = train(&dataset, &plan, None, &mut |_, _| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(message.contains("density_control.faint"), "{message}");
 }
 

@@ -2,10 +2,10 @@
 
 use crate::common::scenes;
 use glam::DVec3;
+use trgs::geometry::Grid;
 use trgs::numeric::threads;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::projector::Field;
-use trgs::scene::Grid;
 use trgs::wavelet::{Routing, Settings, route, wavelet_loss};
 
 /// Step of a difference, relative to the parameter's size.

@@ -11,10 +11,11 @@ use std::ffi::{CString, c_char};
 use std::path::Path;
 use std::ptr::null_mut;
 use trgs::error::{Error, Result};
-use trgs::primitives::{Group, Parameters, Primitives, model};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
+use trgs::primitives::{Group, Parameters, Primitives};
 use trgs::projector::{self, Projection};
-use trgs::scene::dataset::read_scanner;
-use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::scan::dataset::read_scanner;
+use trgs::scan::model;
 
 /// Value of `projection`: the line integral along the ray of each pixel.
 pub const TRGS_EXACT: u32 = 0;

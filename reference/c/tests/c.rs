@@ -6,9 +6,10 @@ use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use trgs::primitives::{Group, Parameters, Primitives, model};
+use trgs::geometry::{Beam, Detector, Grid, Scanner};
+use trgs::primitives::{Group, Parameters, Primitives};
 use trgs::projector::{self, Projection};
-use trgs::scene::{Beam, Detector, Grid, Scanner};
+use trgs::scan::model;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 const ANGLES: [f64; 2] = [0.0, 0.7];

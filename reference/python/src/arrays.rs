@@ -12,7 +12,7 @@ use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Group, Parameters};
 use trgs::projector::Kernels;
-use trgs::scene::plausibility::{self, AnglesFrom};
+use trgs::scan::plausibility::{self, AnglesFrom};
 
 /// The types of numbers that pixels and voxels have: float32 and float64.
 pub(crate) trait Number: Kernels + Sample + Element {}

@@ -10,7 +10,7 @@ use trgs::Projections;
 use trgs::classical::algebraic::{self, Observe, Order, Pass};
 use trgs::classical::{self, RayModel, Turn, VoxelProjector, Window};
 use trgs::config::{AlgebraicConfig, AsdPocsConfig, Auto, Precision, TvConfig};
-use trgs::scene::plausibility;
+use trgs::scan::plausibility;
 use trgs::{Config, Method};
 
 const RAYS: [(&str, RayModel); 2] = [("joseph", RayModel::Joseph), ("siddon", RayModel::Siddon)];

@@ -6,8 +6,8 @@ use glam::DVec3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
-use trgs::scene::dataset::{Description, read_scanner};
-use trgs::scene::{self, Beam, Detector};
+use trgs::geometry::{Beam, Detector};
+use trgs::scan::dataset::{Description, read_scanner};
 
 /// An axis-aligned box of voxels.
 ///
@@ -25,7 +25,7 @@ use trgs::scene::{self, Beam, Detector};
 ///     For an axis without voxels, or corners that are not finite or not in increasing order.
 #[pyclass(frozen, module = "trgs", eq)]
 #[derive(Clone, PartialEq)]
-pub(crate) struct Grid(pub(crate) scene::Grid);
+pub(crate) struct Grid(pub(crate) trgs::geometry::Grid);
 
 #[pymethods]
 impl Grid {
@@ -35,7 +35,7 @@ impl Grid {
         text_signature = "(shape, low=(-1.0, -1.0, -1.0), high=(1.0, 1.0, 1.0))"
     )]
     fn new(shape: Axes<usize, 3>, low: Axes<f64, 3>, high: Axes<f64, 3>) -> PyResult<Self> {
-        scene::Grid::new(shape.0, low.0.into(), high.0.into()).map(Self).map_err(raise)
+        trgs::geometry::Grid::new(shape.0, low.0.into(), high.0.into()).map(Self).map_err(raise)
     }
 
     /// Voxels along x, y and z.
@@ -79,7 +79,7 @@ impl Grid {
             return Err(wrong_value("shape", format!("{shape:?}"), "at least one voxel on each axis", remedy));
         }
         let block = self.0.block(start, shape);
-        scene::Grid::new(block.shape, block.min, block.max()).map(|_| Self(block)).map_err(raise)
+        trgs::geometry::Grid::new(block.shape, block.min, block.max()).map(|_| Self(block)).map_err(raise)
     }
 
     fn __reduce__(slf: &Bound<'_, Self>) -> (Py<PyAny>, Corners) {
@@ -103,13 +103,13 @@ type ScannerParts = (Option<f64>, Option<f64>, (usize, usize), (f64, f64), Grid,
 /// row 0 is at the top (+z), and columns run along (-sin φ, cos φ, 0).
 #[pyclass(frozen, module = "trgs", eq)]
 #[derive(Clone, PartialEq)]
-pub(crate) struct Scanner(pub(crate) scene::Scanner);
+pub(crate) struct Scanner(pub(crate) trgs::geometry::Scanner);
 
 /// Counts, lengths or shifts [v, u].
 type Pair<T> = Axes<T, 2>;
 
 /// The volume of a scanner.
-struct Space(scene::Grid);
+struct Space(trgs::geometry::Grid);
 
 impl FromPyObject<'_, '_> for Space {
     type Error = PyErr;
@@ -125,7 +125,7 @@ impl FromPyObject<'_, '_> for Space {
 fn made(beam: Beam, detector: Pair<usize>, pitch: Pair<f64>, offset: Pair<f64>, grid: Space) -> PyResult<Scanner> {
     let (Axes([rows, columns]), Axes([pitch_v, pitch_u]), Axes([offset_v, offset_u])) = (detector, pitch, offset);
     let detector = Detector { rows, columns, pitch_v, pitch_u, offset_u, offset_v };
-    let scanner = scene::Scanner { beam, detector, grid: grid.0 };
+    let scanner = trgs::geometry::Scanner { beam, detector, grid: grid.0 };
     scanner.validate().map_err(raise)?;
     Ok(Scanner(scanner))
 }
@@ -212,7 +212,7 @@ impl Scanner {
     /// Scanner
     #[staticmethod]
     fn synthetic(voxels: usize, pixels: usize) -> PyResult<Self> {
-        let scanner = scene::Scanner::synthetic(voxels, pixels);
+        let scanner = trgs::geometry::Scanner::synthetic(voxels, pixels);
         scanner.validate().map_err(raise)?;
         Ok(Self(scanner))
     }
@@ -278,7 +278,7 @@ impl Scanner {
     fn uniform_angles(views: usize, start: f64, span: f64) -> PyResult<Vec<f64>> {
         // As numbers, and as objects of Python with their places in the list.
         fits("angles", &[views], 40)?;
-        Ok(scene::Scanner::uniform_angles(views, start, span))
+        Ok(trgs::geometry::Scanner::uniform_angles(views, start, span))
     }
 
     /// "cone" or "parallel".
@@ -355,7 +355,7 @@ impl Scanner {
 }
 
 /// A grid: that of a scan or scanner, or itself.
-pub(crate) fn grid_of(value: &Bound<'_, PyAny>) -> PyResult<scene::Grid> {
+pub(crate) fn grid_of(value: &Bound<'_, PyAny>) -> PyResult<trgs::geometry::Grid> {
     if let Ok(scan) = value.cast::<crate::scan::Scan>() {
         return Ok(scan.get().0.scanner.grid);
     }

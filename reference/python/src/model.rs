@@ -9,8 +9,9 @@ use std::path::PathBuf;
 use trgs::confidence::{self, Alpha, Coverage};
 use trgs::config::Precision;
 use trgs::primitives::activation::{self, Interval};
-use trgs::primitives::{KernelKind, Primitives, model, student_t};
+use trgs::primitives::{KernelKind, Primitives, student_t};
 use trgs::projector;
+use trgs::scan::model;
 
 /// The names of the kernels.
 const KERNELS: [(&str, KernelKind); 2] = [("student-t", KernelKind::StudentT), ("gaussian", KernelKind::Gaussian)];
@@ -104,7 +105,7 @@ impl Model {
         let ending = path.extension().map(|ending| ending.to_string_lossy().into_owned());
         try_run(py, || match ending.as_deref() {
             Some("npz") => model::write(&path, &self.0.parameters),
-            Some("ply") => model::ply::write(&path, &self.0, None, &trgs::scene::Frame::default()),
+            Some("ply") => model::ply::write(&path, &self.0, None, &trgs::scan::Frame::default()),
             _ => {
                 Err(trgs::Error::invalid("path", path.display(), "a name that ends in .npz or .ply", "give model.npz"))
             }

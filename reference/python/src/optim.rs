@@ -12,7 +12,6 @@ use trgs::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
 use trgs::optim::sghmc::{self, NoiseInput, Phase};
 use trgs::optim::{self, Exponential};
 use trgs::primitives::Primitives;
-use trgs::scene;
 
 /// An array that is changed in place.
 fn writable<'py, D: ndarray::Dimension>(
@@ -411,7 +410,7 @@ pub(crate) fn adaptive_control<'py>(
     check_shape("pull", pull.shape(), &[model.0.len()], remedy)?;
     let normals = read::<f64, Ix2>(normals, "normals", "[M, 6]")?;
     check_shape("normals", normals.shape(), &[model.0.len(), 6], remedy)?;
-    let grid = scene::Grid::new([1; 3], corner(low, "low")?, corner(high, "high")?).map_err(raise)?;
+    let grid = trgs::geometry::Grid::new([1; 3], corner(low, "low")?, corner(high, "high")?).map_err(raise)?;
     let settings = adc::Settings { gradient, split_scale, faint, cap };
     let (pull, (normals, _)) = (slice(&pull), slice(&normals).as_chunks::<6>());
     let next = run(py, || adc::adc(&model.0.parameters, pull, &settings, &grid, |i| normals[i]))?;

@@ -13,11 +13,11 @@ use serde_json::json;
 use std::ffi::CString;
 use std::path::PathBuf;
 use trgs::reconstruction::{self, Checkpoints, Progress};
-use trgs::scene::corrections::{Corrections, PixelCorrection};
-use trgs::scene::phantom::{PHANTOMS, Phantom};
-use trgs::scene::simulate::{self, Object, Plan};
-use trgs::scene::volume_file::VolumeFile;
-use trgs::scene::{Frame, Noise, Unit, plausibility, volume_file};
+use trgs::scan::corrections::{Corrections, PixelCorrection};
+use trgs::scan::phantom::{PHANTOMS, Phantom};
+use trgs::scan::simulate::{self, Object, Plan};
+use trgs::scan::volume_file::VolumeFile;
+use trgs::scan::{Frame, Noise, Unit, plausibility, volume_file};
 use trgs::words::visible;
 use trgs::{Config, Dataset, Method, Projections, Run, Volume};
 

@@ -9,8 +9,8 @@ use super::{
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
 use crate::error::Result;
+use crate::geometry::{Projections, Volume};
 use crate::numeric::{Real, real};
-use crate::scene::{Projections, Volume};
 
 /// Parameters of ASD-POCS `[SP08]`.
 #[derive(Clone, Copy, Debug, PartialEq)]

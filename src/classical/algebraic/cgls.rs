@@ -5,8 +5,8 @@ use super::{
 };
 use crate::classical::VoxelProjector;
 use crate::error::Result;
+use crate::geometry::{Projections, View, Volume};
 use crate::numeric::{Real, real};
-use crate::scene::{Projections, View, Volume};
 
 /// Minimises `‖A x - p‖` over the Krylov space of `iterations` dimensions, from zeros `[HS52]`.
 ///

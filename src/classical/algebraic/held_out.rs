@@ -10,9 +10,9 @@
 use super::{SartSettings, System, TvRun, TvSettings, cgls_seen, dot, sart_seen};
 use crate::classical::VoxelProjector;
 use crate::error::{Error, Result};
+use crate::geometry::{Beam, Projections, View, Volume};
 use crate::numeric::Real;
 use crate::numeric::elementary::{log, pow};
-use crate::scene::{Beam, Projections, View, Volume};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -396,8 +396,9 @@ mod tests {
     use crate::classical::RayModel;
     use crate::classical::algebraic::{Pass, sart, tv};
     use crate::evaluation::psnr_3d;
-    use crate::scene::simulate::{Object, Plan, simulate};
-    use crate::scene::{Dataset, Detector, Grid, Noise, Phantom, Scanner};
+    use crate::geometry::{Detector, Grid, Scanner};
+    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::scan::{Dataset, Noise, Phantom};
 
     fn scan(views: usize, beam: Beam) -> Dataset {
         let detector = Detector { rows: 32, columns: 32, pitch_v: 0.12, pitch_u: 0.12, offset_u: 0.0, offset_v: 0.0 };

@@ -55,7 +55,7 @@ fn farthest_first(angles: &[f64], order: &mut [usize]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Scanner;
+    use crate::geometry::Scanner;
 
     #[test]
     fn the_farthest_view_is_next() {

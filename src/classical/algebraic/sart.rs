@@ -3,8 +3,8 @@
 use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
 use crate::error::Result;
+use crate::geometry::{Projections, View, Volume};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, View, Volume};
 
 /// Parameters of SART and OS-SART.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,8 @@
 use super::*;
 use crate::classical::voxel_projector::naive;
 use crate::classical::{RayModel, VoxelProjector};
-use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+use crate::geometry::{Beam, Detector, Grid, Scanner};
+use crate::scan::{Noise, Phantom};
 use glam::DVec3;
 use std::f64::consts::TAU;
 

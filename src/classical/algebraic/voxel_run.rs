@@ -2,8 +2,8 @@
 
 use super::Pass;
 use crate::error::{Error, Result, start_again};
+use crate::geometry::Volume;
 use crate::numeric::{Real, real};
-use crate::scene::Volume;
 use serde::{Deserialize, Serialize};
 
 /// A method on voxels, run one iteration at a time.

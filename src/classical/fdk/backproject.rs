@@ -3,8 +3,8 @@
 use super::Sample;
 use crate::classical::columns::Columns;
 use crate::classical::resample::{Places, interpolate, margin};
+use crate::geometry::{Beam, Scanner, View};
 use crate::numeric::{real, threads};
-use crate::scene::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Array3;
 
@@ -86,7 +86,7 @@ fn blend<R: Sample>(filtered: &Columns<R>, view: usize, left: usize, [a, b]: [R;
 #[cfg(test)]
 mod tests {
     use crate::classical::fdk::backproject;
-    use crate::scene::{Beam, Detector, Grid, Scanner};
+    use crate::geometry::{Beam, Detector, Grid, Scanner};
     use ndarray::Array3;
 
     #[test]

@@ -1,7 +1,7 @@
 //! The circles on which filtered backprojection is exact in the plane of the source, among scans with poses.
 
 use crate::error::{Error, Result};
-use crate::scene::{Beam, Projections, Scanner, View};
+use crate::geometry::{Beam, Projections, Scanner, View};
 use glam::DVec3;
 
 /// Largest deviation of a view from the circle, relative to the distance from source to axis.

@@ -4,9 +4,9 @@
 
 use super::redundancy::{half_fan, shadow};
 use crate::error::{Error, Result};
-use crate::scene::borders::Borders;
-use crate::scene::truncation::Displacement;
-use crate::scene::{Beam, Scanner};
+use crate::geometry::{Beam, Scanner};
+use crate::scan::borders::Borders;
+use crate::scan::truncation::Displacement;
 use std::f64::consts::{PI, TAU};
 
 /// A gap between neighbouring views wider than all others by this factor ends an arc.

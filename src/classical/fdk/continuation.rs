@@ -13,9 +13,9 @@
 //! 2385, who continue by a cylinder of water. A row that no such parabola fits fades to 0 over the columns added. Not
 //! in the paper.
 
+use crate::geometry::{Beam, Scanner};
 use crate::numeric::elementary::cos;
 use crate::numeric::{Real, real, threads};
-use crate::scene::{Beam, Scanner};
 use glam::{DMat3, DVec3};
 use ndarray::Array3;
 use std::f64::consts::FRAC_PI_2;
@@ -133,7 +133,7 @@ impl Parabola {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Detector, Grid};
+    use crate::geometry::{Detector, Grid};
     use ndarray::Axis;
 
     #[test]

@@ -3,9 +3,9 @@
 use super::redundancy::RayWeights;
 use super::{Sample, Window};
 use crate::classical::columns::Columns;
+use crate::geometry::{Beam, Scanner};
 use crate::numeric::elementary::cos;
 use crate::numeric::{Real, real, threads};
-use crate::scene::{Beam, Scanner};
 use ndarray::{ArrayView3, Axis};
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlannerScalar};
@@ -103,7 +103,7 @@ impl<R: Sample> Ramp<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Detector, Grid};
+    use crate::geometry::{Detector, Grid};
     use crate::tolerances::largest;
     use ndarray::Array3;
 

@@ -35,7 +35,7 @@
 //!   mean steps. A gap is wide beyond 30° and six times the median gap.
 //! - Where the object is cut off and no opposite view sees the rest, each row is continued as an ellipse. The middle
 //!   of an ellipsoid up to 2.3 times as wide as the detector is right within 3 %, as in every cell of the table. Other
-//!   objects are continued roughly; [`crate::scene::plausibility`] warns of them.
+//!   objects are continued roughly; [`crate::scan::plausibility`] warns of them.
 //! - Few views cause streaks, and no error of the mean in the middle. They are not refused.
 //!
 //! # Poses
@@ -56,10 +56,10 @@ mod redundancy;
 
 use super::columns::Columns;
 use crate::error::{Error, Result};
+use crate::geometry::{Projections, Scanner, Volume};
 use crate::numeric::Real;
 use crate::numeric::elementary::{cos, sin};
-use crate::scene::borders::Borders;
-use crate::scene::{Projections, Scanner, Volume};
+use crate::scan::borders::Borders;
 use backproject::voxels;
 use circle::Circle;
 use filter::filtered;
@@ -211,11 +211,11 @@ mod cells;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Beam;
+    use crate::geometry::{Detector, Grid};
     use crate::numeric::threads;
-    use crate::scene::Beam;
-    use crate::scene::phantom::Phantom;
-    use crate::scene::phantom::solid::{Shape, Solid};
-    use crate::scene::{Detector, Grid};
+    use crate::scan::phantom::Phantom;
+    use crate::scan::phantom::solid::{Shape, Solid};
     use glam::DVec3;
     use std::f64::consts::{PI, TAU};
 
@@ -327,7 +327,7 @@ mod tests {
     #[test]
     fn windows_damp_fine_detail_and_keep_the_mean() {
         let scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
-        let noisy = crate::scene::Noise::HIGH.apply(&ball().project(&scanner, &turn(60)).unwrap(), 1).unwrap();
+        let noisy = crate::scan::Noise::HIGH.apply(&ball().project(&scanner, &turn(60)).unwrap(), 1).unwrap();
         let roughness = |window: Window| {
             let volume = fdk(&scanner, &noisy, window, Turn::Measured).unwrap();
             let (inside, _) = means(&volume);

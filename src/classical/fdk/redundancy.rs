@@ -14,11 +14,11 @@
 use super::conditions::{Arc, Plan, Weights};
 use super::continuation;
 use crate::error::Result;
+use crate::geometry::{Beam, Scanner};
 use crate::numeric::Real;
 use crate::numeric::elementary::{asin, atan, sin, tan};
-use crate::scene::borders::Borders;
-use crate::scene::truncation::Displacement;
-use crate::scene::{Beam, Scanner};
+use crate::scan::borders::Borders;
+use crate::scan::truncation::Displacement;
 use ndarray::{Array3, ArrayView3, Axis};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 
@@ -245,7 +245,7 @@ fn angular_weights(angles: &[f64], turn: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Detector, Grid};
+    use crate::geometry::{Detector, Grid};
     use crate::tolerances::largest;
 
     fn scanner(offset_u: f64, columns: usize) -> Scanner {

@@ -2,9 +2,9 @@
 
 use super::{Turn, Window, fdk};
 use crate::error::Result;
-use crate::scene::phantom::Phantom;
-use crate::scene::phantom::solid::{Shape, Solid};
-use crate::scene::{Beam, Detector, Grid, Scanner, Volume};
+use crate::geometry::{Beam, Detector, Grid, Scanner, Volume};
+use crate::scan::phantom::Phantom;
+use crate::scan::phantom::solid::{Shape, Solid};
 use glam::DVec3;
 use std::f64::consts::{PI, TAU};
 

@@ -1,6 +1,6 @@
 //! Conventions of axes and angles that a scan may have been written with.
 
-use crate::scene::{Beam, Projections};
+use crate::geometry::{Beam, Projections};
 use ndarray::Axis;
 use serde::Serialize;
 

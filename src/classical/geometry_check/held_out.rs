@@ -6,8 +6,8 @@ use super::reduced::Reduced;
 use crate::classical::algebraic::{Order, SartSettings, sart};
 use crate::classical::{RayModel, VoxelProjector};
 use crate::error::Result;
+use crate::geometry::{Projections, Scanner, Trajectory, Volume};
 use crate::numeric::{reduce, threads};
-use crate::scene::{Projections, Scanner, Trajectory, Volume};
 use ndarray::ArrayView2;
 use std::ops::ControlFlow;
 

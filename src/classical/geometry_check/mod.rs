@@ -11,7 +11,7 @@
 //!
 //! # Ambiguities
 //!
-//! Let `P_f(φ, u, v)` be the scan of an object f as on the [geometry page](crate::scene::geometry). An orthogonal map
+//! Let `P_f(φ, u, v)` be the scan of an object f as on the [geometry page](crate::geometry). An orthogonal map
 //! of space that takes every ray of the scan to a ray of the scan gives another object with the same rays, relabelled.
 //! There are three:
 //!
@@ -73,8 +73,9 @@ pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
 use crate::error::{Error, Result};
-use crate::scene::pixels::WrongPixels;
-use crate::scene::{Beam, Dataset, Projections};
+use crate::geometry::{Beam, Projections};
+use crate::scan::Dataset;
+use crate::scan::pixels::WrongPixels;
 use held_out::{HeldOut, Hypothesis, held_out};
 use offsets::{Place, ROLL, Search, first_scan, refine};
 use prepared::Prepared;

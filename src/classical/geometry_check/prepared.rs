@@ -5,8 +5,9 @@
 
 use super::stated::Stated;
 use crate::error::Result;
-use crate::scene::pixels::{WrongPixels, interpolate};
-use crate::scene::{Air, Dataset, Projections};
+use crate::geometry::Projections;
+use crate::scan::pixels::{WrongPixels, interpolate};
+use crate::scan::{Air, Dataset};
 use ndarray::Axis;
 
 /// Largest number of views used.

@@ -3,8 +3,8 @@
 use super::Convention;
 use super::offsets::{Place, ROLL, SHIFT};
 use super::stated::Stated;
+use crate::geometry::{Beam, Detector, Deviation, Grid, Projections, Scanner};
 use crate::numeric::threads;
-use crate::scene::{Beam, Detector, Deviation, Grid, Projections, Scanner};
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
 

@@ -1,8 +1,9 @@
 //! The circle that a scan's poses make, if they make one.
 
 use crate::error::{Error, Result};
+use crate::geometry::{Beam, Scanner, View};
 use crate::numeric::elementary::atan2;
-use crate::scene::{Beam, Dataset, Scanner, View};
+use crate::scan::Dataset;
 use glam::DVec3;
 
 /// Largest deviation of a view from the circle: of lengths relative to the distance to the axis, of angles in radians.

@@ -2,8 +2,9 @@
 
 use super::offsets::SIGNIFICANT_ROLL;
 use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
-use crate::scene::pixels::WrongPixels;
-use crate::scene::{Beam, Dataset, Scanner, Unit};
+use crate::geometry::{Beam, Scanner};
+use crate::scan::pixels::WrongPixels;
+use crate::scan::{Dataset, Unit};
 use crate::setting::Setting;
 use crate::words::verb;
 use std::f64::consts::FRAC_PI_2;

@@ -1,7 +1,7 @@
 //! The rays of one detector column: they share a vertical plane, hence one path through x and y.
 
 use crate::classical::resample::Places;
-use crate::scene::{Beam, Grid, View};
+use crate::geometry::{Beam, Grid, View};
 use std::ops::Range;
 
 /// The rays through the pixels of one column, in voxel units: voxel i has its centre at i.

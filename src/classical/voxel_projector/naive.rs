@@ -3,7 +3,7 @@
 //! Not in the paper.
 
 use super::RayModel;
-use crate::scene::{Grid, Ray};
+use crate::geometry::{Grid, Ray};
 use glam::DVec3;
 
 /// `([x, y, z], a)` of all voxels with a weight on a ray, scene units; a voxel may occur twice.

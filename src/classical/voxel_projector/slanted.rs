@@ -3,7 +3,7 @@
 //! The weights are those of the fans: the planes of Joseph's method, the lengths of Siddon's.
 
 use super::joseph::Slab;
-use crate::scene::{Grid, View};
+use crate::geometry::{Grid, View};
 use std::ops::Range;
 
 /// A ray in voxel units: voxel i has its centre at i.

@@ -1,7 +1,7 @@
 use super::*;
+use crate::geometry::{Beam, Detector, Grid};
 use crate::numeric::reduce;
-use crate::scene::phantom::solid::{Shape, Solid};
-use crate::scene::{Beam, Detector, Grid};
+use crate::scan::phantom::solid::{Shape, Solid};
 use glam::DVec3;
 
 const MODELS: [RayModel; 2] = [RayModel::Joseph, RayModel::Siddon];

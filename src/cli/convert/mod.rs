@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf, is_separator};
 use trgs::output::{self, Destination};
-use trgs::scene::npz::Npz;
+use trgs::scan::npz::Npz;
 use trgs::{Error, Result};
 
 /// Convert volumes, models, scans and raw projections between formats

@@ -6,8 +6,9 @@ use serde::Serialize;
 use std::path::Path;
 use trgs::confidence::{Coverage, Settings, Spread};
 use trgs::output::check_file;
-use trgs::primitives::{KernelKind, Primitives, model};
-use trgs::scene::{Dataset, Frame};
+use trgs::primitives::{KernelKind, Primitives};
+use trgs::scan::model;
+use trgs::scan::{Dataset, Frame};
 use trgs::{Error, Result};
 
 /// The result of the command.

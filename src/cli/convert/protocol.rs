@@ -3,7 +3,7 @@
 use crate::cli::arguments::seed;
 use clap::Args;
 use trgs::classical::with_pseudo_truth;
-use trgs::scene::Dataset;
+use trgs::scan::Dataset;
 use trgs::{Error, Result};
 
 #[derive(Args)]

@@ -3,8 +3,8 @@
 use super::{Convert, Converted, warn};
 use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
-use trgs::scene::Dataset;
-use trgs::scene::plausibility::{self, AnglesFrom};
+use trgs::scan::Dataset;
+use trgs::scan::plausibility::{self, AnglesFrom};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {

@@ -9,10 +9,10 @@ use ndarray::{Array2, Array3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trgs::output::Destination;
-use trgs::scene::dataset::Description;
-use trgs::scene::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame, wrapped};
-use trgs::scene::plausibility::{self, AnglesFrom};
-use trgs::scene::stack::{self, Orientation, RtkGeometry, ScanFile, Series};
+use trgs::scan::dataset::Description;
+use trgs::scan::intensities::{Air, Corrected, Correction, White, full_scale, mean_frame, wrapped};
+use trgs::scan::plausibility::{self, AnglesFrom};
+use trgs::scan::stack::{self, Orientation, RtkGeometry, ScanFile, Series};
 use trgs::{Error, Result};
 
 /// The fields in messages.

@@ -4,9 +4,9 @@ use super::{Convert, Converted, extension, warn};
 use crate::cli::Output;
 use crate::cli::messages::hounsfield_to_attenuation;
 use trgs::output::check_file;
-use trgs::scene::Unit;
-use trgs::scene::dataset::Description;
-use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scan::Unit;
+use trgs::scan::dataset::Description;
+use trgs::scan::volume_file::{self, VolumeFile};
 use trgs::{Error, Result};
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {

@@ -6,10 +6,10 @@ use serde_json::{Value, json};
 use std::path::Path;
 use trgs::Result;
 #[cfg(feature = "hdf5")]
-use trgs::scene::hdf5::Hdf5;
-use trgs::scene::plausibility::{self, AnglesFrom};
-use trgs::scene::volume_file::{self, VolumeFile};
-use trgs::scene::{Unit, stack};
+use trgs::scan::hdf5::Hdf5;
+use trgs::scan::plausibility::{self, AnglesFrom};
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{Unit, stack};
 
 /// A volume, or a folder of slices: one of `.npy` is a stack of projections.
 pub(super) fn volume(path: &Path) -> Result<Value> {

@@ -2,12 +2,12 @@
 
 use super::Suspect;
 use crate::error::Result;
+use crate::geometry::{Beam, Scanner, View};
 use crate::numeric::elementary::{exp, log1p};
 use crate::oracle::format::Format;
 use crate::oracle::question::Question;
 use crate::primitives::{Group, Parameters, student_t};
 use crate::projector::Projection;
-use crate::scene::{Beam, Scanner, View};
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Array2, Array3, Array4, ArrayD, Axis, IxDyn};
 use std::f64::consts::{PI, TAU};

@@ -3,13 +3,13 @@
 use super::{Suspect, losses, plain, steps};
 use crate::config::Precision;
 use crate::error::Result;
+use crate::geometry::{Beam, Detector, Scanner};
 use crate::numeric::elementary::{exp, log};
 use crate::oracle::answers::answer;
 use crate::oracle::format::Format;
 use crate::oracle::outputs::Outputs;
 use crate::oracle::question::Question;
 use crate::primitives::{Group, KernelKind, Parameters, Primitives, gaussian, student_t};
-use crate::scene::{Beam, Detector, Scanner};
 use ndarray::{Array1, Array4, ArrayD, Axis};
 use serde_json::json;
 use std::f64::consts::PI;

@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::config::{Finish, Sampling};
+use crate::geometry::{Beam, Detector, Grid, Scanner};
 use crate::numeric::rng::{Purpose, stream};
 use crate::reconstruction::{Progress, Run};
-use crate::scene::simulate::{Object, Plan, simulate};
-use crate::scene::{Beam, Detector, Grid, Noise, Phantom, Scanner};
+use crate::scan::simulate::{Object, Plan, simulate};
+use crate::scan::{Noise, Phantom};
 use crate::sealed::reseal::{content, sealed};
 use rand::RngExt;
 use rmpv::Value;

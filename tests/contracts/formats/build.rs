@@ -215,8 +215,8 @@ pub(crate) fn npz(names: &[&str]) -> Vec<u8> {
     let path = folder.path().join("a.npz");
     let values = volume();
     let entries: Vec<_> =
-        names.iter().map(|name| (*name, trgs::scene::npz::Entry::F32(values.view().into_dyn()))).collect();
-    trgs::scene::npz::write(&path, &entries).unwrap();
+        names.iter().map(|name| (*name, trgs::scan::npz::Entry::F32(values.view().into_dyn()))).collect();
+    trgs::scan::npz::write(&path, &entries).unwrap();
     std::fs::read(path).unwrap()
 }
 

@@ -9,7 +9,7 @@ use glam::DVec3;
 use ndarray::Array3;
 use std::fmt::Write;
 use std::path::Path;
-use trgs::scene::volume_file::{self, VolumeFile};
+use trgs::scan::volume_file::{self, VolumeFile};
 
 /// What must happen.
 #[derive(Clone)]

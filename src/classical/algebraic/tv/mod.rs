@@ -21,8 +21,8 @@ mod tests;
 use super::{CHUNK, Observe, Pass, System, dot, norm, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::error::{Error, Result};
+use crate::geometry::{Projections, View, Volume};
 use crate::numeric::{Real, real, reduce, threads};
-use crate::scene::{Projections, View, Volume};
 use proximal::Proximal;
 use std::mem::swap;
 

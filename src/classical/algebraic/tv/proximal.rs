@@ -1,8 +1,8 @@
 //! The proximal step of total variation with a non-negativity constraint. Not in the paper.
 
+use crate::geometry::Grid;
 use crate::numeric::threads::{chunks, for_each_chunk, for_each_zip, map};
 use crate::numeric::{Lanes, Real, real, reduce};
-use crate::scene::Grid;
 use std::ops::{Add, Mul};
 
 /// Voxels per parallel task.

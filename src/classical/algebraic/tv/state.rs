@@ -5,8 +5,8 @@ use crate::classical::VoxelProjector;
 use crate::classical::algebraic::voxel_run::Numbers;
 use crate::classical::algebraic::{Pass, VoxelRun, VoxelState};
 use crate::error::Result;
+use crate::geometry::{Projections, Volume};
 use crate::numeric::Real;
-use crate::scene::{Projections, Volume};
 
 impl<'a, R: Real> TvRun<'a, R> {
     /// Continues a run with the same projections and settings, bit-identical to an uninterrupted run.

@@ -1,7 +1,7 @@
 use super::*;
 use crate::classical::RayModel;
 use crate::classical::algebraic::VoxelRun;
-use crate::scene::{Beam, Detector, Grid, Scanner};
+use crate::geometry::{Beam, Detector, Grid, Scanner};
 use crate::tolerances::largest;
 use glam::DVec3;
 use ndarray::Array3;

@@ -1,0 +1,45 @@
+//! Air whose line integral is not 0.
+
+use super::Evidence;
+use crate::numeric::elementary::exp;
+use crate::scan::borders::Side;
+use crate::setting::Setting;
+
+/// Remarks on air that differs from 0 in all views, or that varies over them.
+pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
+    let (Some(air), false) = (&scan.borders.air, scan.are_readings) else { return Vec::new() };
+    let scale = scan.dataset.scale;
+    let views = scan.dataset.train.len();
+    let sides = if air.sides.len() == Side::ALL.len() {
+        "all four borders".into()
+    } else {
+        format!("the borders {}", air.sides.iter().map(|side| side.name()).collect::<Vec<_>>().join(", "))
+    };
+    let remedy = format!(
+        "convert or reconstruct with {} auto, which subtracts it, or correct {} or {} and convert again",
+        Setting::Air,
+        Setting::Flat,
+        Setting::White
+    );
+    let (level, error) = (air.level / scale, air.error / scale);
+    if air.drifts() {
+        let mut seen: Vec<f64> = air.views.iter().flatten().map(|level| level / scale).collect();
+        seen.sort_by(f64::total_cmp);
+        return vec![format!(
+            "air varies over the views, from {:.4} to {:.4} (± {:.1e} each) instead of 0 at {sides}: the source drifts, or the \
+             frames have different exposures; {remedy}",
+            seen[0],
+            seen[seen.len() - 1],
+            air.view_error / scale
+        )];
+    }
+    if !air.is_offset() {
+        return Vec::new();
+    }
+    vec![format!(
+        "air is {level:.4} ± {error:.1e} instead of 0 at {sides} in all {views} views, as if frames had {:.3} times the \
+         exposure or range of the flat field: another exposure, a wrong reading without an object, or another number of \
+         bits; {remedy}",
+        exp(-level)
+    )]
+}

@@ -1,0 +1,127 @@
+//! A folder with one slice per file.
+
+use super::pages::Pages;
+use super::{FOREIGN, VolumeFile, images, raw, tiff};
+use crate::error::{Error, Result};
+use crate::words::counted;
+use std::path::{Path, PathBuf};
+
+/// Extensions of the files of slices, in order of preference: a folder is read as the first kind that it holds.
+pub(in crate::scan) const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "jpeg"], &["raw"]];
+
+pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
+    let files = files(folder)?;
+    let mut kinds = SLICES.iter().map(|kind| with_extension(&files, kind)).filter(|found| !found.is_empty());
+    let Some(slices) = kinds.next() else {
+        return dicom_series(folder, &files).unwrap_or_else(|| Err(nothing(folder, &files)));
+    };
+    let mut pages = Pages::default();
+    for path in &slices {
+        let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
+        add(&content, path, &mut pages)?;
+    }
+    // Pages of ImageJ state the distance to other pages of their own file.
+    pages.spacing = None;
+    let others: usize = kinds.map(|other| other.len()).sum();
+    if others > 0 {
+        let kind = slices[0].extension().unwrap_or_default().to_string_lossy();
+        pages.remark(format!("images of other kinds than .{kind} are in the folder ({others}); they are not read"));
+    }
+    if let Some(gap) = gap(&slices) {
+        pages.remark(gap);
+    }
+    Ok(pages.volume())
+}
+
+/// Adds the one slice of a file.
+fn add(content: &[u8], path: &Path, pages: &mut Pages) -> Result<()> {
+    let before = pages.count();
+    match path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
+        Some("tif" | "tiff") => {
+            tiff::add_all(content, path, pages)?;
+        }
+        Some("raw") => {
+            let slice = raw::parse(content, path)?;
+            let (columns, rows, _) = slice.values.dim();
+            pages.check(rows, columns, path)?;
+            pages.add(slice.values.t().iter().copied());
+        }
+        _ => images::add(content, path, pages)?,
+    }
+    match pages.count() - before {
+        1 => Ok(()),
+        count => {
+            let remedy = "give the path of that file instead of the folder";
+            Err(Error::format(path, "file in a folder", format!("{count} pages"), "one", remedy))
+        }
+    }
+}
+
+/// The error for a folder without slices.
+fn nothing(folder: &Path, files: &[PathBuf]) -> Error {
+    let expected = "slices .tif, .png, .jpg or .raw in it, or those of a DICOM series";
+    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let foreign = files.iter().find_map(|path| FOREIGN.iter().find(|(ending, _)| name(path).ends_with(ending)));
+    let (got, remedy) = match foreign {
+        Some((ending, how)) => (format!("files {ending}, which are not supported"), format!("convert them: {how}")),
+        None => (counted(files.len(), "file"), "name another folder, or convert its files to TIFF".into()),
+    };
+    Error::format(folder, "folder", got, expected, remedy)
+}
+
+/// How the remark on a gap begins.
+pub(in crate::scan) const GAP: &str = "slices seem to be missing";
+
+/// A remark on the first gap in the numbers at the end of the names, if they are otherwise evenly spaced.
+fn gap(paths: &[&Path]) -> Option<String> {
+    let numbered = |path: &Path| -> Option<(String, u64)> {
+        let stem = path.file_stem()?.to_str()?;
+        let prefix = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+        // In a decimal fraction the last digits are no count.
+        (!prefix.ends_with('.')).then_some(())?;
+        Some((prefix.to_owned(), stem[prefix.len()..].parse().ok()?))
+    };
+    let names: Option<Vec<_>> = paths.iter().map(|path| numbered(path)).collect();
+    let names = names?;
+    let steps: Vec<u64> = names.windows(2).filter_map(|pair| pair[1].1.checked_sub(pair[0].1)).collect();
+    let usual = steps.iter().min().filter(|step| **step > 0)?;
+    let is_one_pattern = steps.len() + 1 == names.len() && names.iter().all(|(prefix, _)| *prefix == names[0].0);
+    let at = steps.iter().position(|step| step != usual).filter(|_| is_one_pattern)?;
+    let missing: u64 = steps.iter().map(|step| step / usual - 1).sum();
+    let name = |i: usize| paths[i].file_name().unwrap_or_default().to_string_lossy();
+    Some(format!("{GAP} ({missing}): {} comes after {}", name(at + 1), name(at)))
+}
+
+/// The DICOM series of a folder, if it holds one.
+#[cfg(any(feature = "dicom", test))]
+fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> {
+    let slices: Vec<PathBuf> = files.iter().filter(|path| super::dicom::is_dicom(path)).cloned().collect();
+    (!slices.is_empty()).then(|| super::dicom::read(folder, &slices))
+}
+
+#[cfg(not(any(feature = "dicom", test)))]
+fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> {
+    (!with_extension(files, &["dcm", "ima"]).is_empty()).then(|| Err(super::no_dicom(folder)))
+}
+
+/// The files of a folder in natural order, without hidden files.
+pub(in crate::scan) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let failed = |source| Error::read(folder, source);
+    let mut files = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        if !entry.file_name().as_encoded_bytes().starts_with(b".") && entry.path().is_file() {
+            files.push(entry.path());
+        }
+    }
+    files.sort_by(|a, b| alphanumeric_sort::compare_path(a, b).then_with(|| a.cmp(b)));
+    Ok(files)
+}
+
+/// The files with one of the extensions, ignoring case.
+pub(in crate::scan) fn with_extension<'a>(files: &'a [PathBuf], extensions: &[&str]) -> Vec<&'a Path> {
+    let matches = |path: &&PathBuf| {
+        path.extension().is_some_and(|found| extensions.iter().any(|known| found.eq_ignore_ascii_case(known)))
+    };
+    files.iter().filter(matches).map(PathBuf::as_path).collect()
+}
