@@ -461,6 +461,7 @@ fn assert_moved(orbit: &Orbit, noise: Noise) -> GeometryCheck {
 #[test]
 fn rolls_and_axis_shifts_are_found() {
     let moved = |degrees: f64, axis_shift| Orbit { roll: degrees.to_radians(), axis_shift, ..Orbit::CIRCLE };
+    assert_moved(&Orbit::CIRCLE, Noise::HIGH);
     let verdict = assert_moved(&moved(0.5, 0.0), Noise::HIGH).verdict.join(" ");
     assert!(verdict.contains("set rotDetector to [0, 0, -0.0") && !verdict.contains("COR"), "{verdict}");
     let verdict = assert_moved(&moved(0.0, 0.08), Noise::LOW).verdict.join(" ");
