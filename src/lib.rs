@@ -107,26 +107,19 @@
 #[macro_use]
 #[path = "../tests/common/tolerances.rs"]
 mod tolerances;
-#[cfg(test)]
-#[path = "../tests/contracts/damage.rs"]
-mod damage;
 
 pub mod classical;
 pub mod config;
 pub mod duration;
 pub mod evaluation;
 pub mod experiments;
-pub mod input;
-pub mod limit;
 pub mod memory;
 pub mod neural;
 #[cfg(feature = "oracle")]
 pub mod oracle;
-pub mod output;
 pub mod provenance;
 pub mod reconstruction;
 pub mod report;
-pub mod scan;
 mod sealed;
 pub mod train;
 
@@ -142,3 +135,5 @@ pub use trgs_core::{
     confidence, density, error, error::Error, error::Result, geometry, loss, numeric, optim, primitives, projector,
     setting, wavelet, words,
 };
+pub use trgs_scan as scan;
+pub use trgs_scan::{input, limit, output};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{Cursor, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use trgs_core::described;
 
@@ -222,11 +222,11 @@ impl Vectors {
 /// The arrays in the bytes of a `.npy` or `.npz` file; `path` gives the format and names it in errors.
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Arrays> {
     if path.extension().is_some_and(|extension| extension == "npz") {
-        let npz = Npz::decode(Cursor::new(bytes), path)?;
+        let npz = Npz::parse(bytes, path)?;
         let array = |key: &str| npz.entry(key).expect("keys are those that are there").numbers.clone().into_f64();
         return Ok(npz.keys().map(|key| (key.to_owned(), array(key))).collect());
     }
-    let array = npy::decode(bytes, bytes.len() as u64, path, "file")?.numbers.into_f64();
+    let array = npy::parse(bytes, path)?.numbers.into_f64();
     Ok([(String::new(), array)].into())
 }
 

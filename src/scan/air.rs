@@ -13,11 +13,11 @@
 //! a slope of the object leaves as they are. The mean step from the inner to the outer strips of a view must be 0 in the
 //! median over the views: a slope that noise hides in one view is none of air.
 
-use crate::numeric::Real;
-use crate::numeric::rank::{ERROR_OF_MEDIAN, ONE_SIGMA, WITHIN_ONE_SIGMA, median, quantile, spread};
-use crate::scan::borders::Side;
+use crate::borders::Side;
 use ndarray::{ArrayView2, ArrayView3};
 use std::ops::Range;
+use trgs_core::numeric::Real;
+use trgs_core::numeric::rank::{ERROR_OF_MEDIAN, ONE_SIGMA, WITHIN_ONE_SIGMA, median, quantile, spread};
 
 /// Standard errors within which two medians agree.
 const AGREE: f64 = 4.0;
@@ -279,11 +279,11 @@ fn places(rows: usize, columns: usize) -> Vec<Place> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Scanner;
-    use crate::scan::Noise;
-    use crate::scan::phantom::Phantom;
-    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::Noise;
+    use crate::phantom::Phantom;
+    use crate::simulate::{Object, Plan, simulate};
     use ndarray::Array3;
+    use trgs_core::geometry::Scanner;
 
     fn images(noise: Noise) -> Array3<f32> {
         let plan = Plan { views: 12, test_views: 0, noise, seed: 1 };

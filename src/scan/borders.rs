@@ -6,10 +6,10 @@
 //! subtracted before, and the mean of noise that was clipped at 0.
 
 use super::air::Air;
-use crate::numeric::Real;
-use crate::words::counted;
 use ndarray::{ArrayView1, ArrayView3, Axis};
 use std::ops::Range;
+use trgs_core::numeric::Real;
+use trgs_core::words::counted;
 
 /// Entries of a profile from which on two of them make a border.
 const LONG: usize = 32;

@@ -5,13 +5,13 @@
 use super::air::Air;
 use super::dataset::Dataset;
 use super::pixels::{WrongPixels, interpolate};
-use crate::error::{Error, Result};
-use crate::geometry::Projections;
-use crate::geometry::Scanner;
-use crate::setting::Setting;
-use crate::words::counted;
 use ndarray::{Array2, Axis};
 use std::str::FromStr;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::Scanner;
+use trgs_core::setting::Setting;
+use trgs_core::words::counted;
 
 /// What is corrected; nothing by default.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -160,10 +160,10 @@ fn subtract_air(views: &mut Projections, air: AirCorrection, scale: f64, what: &
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::Noise;
-    use crate::scan::phantom::Phantom;
-    use crate::scan::plausibility::remarks;
-    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::Noise;
+    use crate::phantom::Phantom;
+    use crate::plausibility::remarks;
+    use crate::simulate::{Object, Plan, simulate};
 
     fn scan(noise: Noise) -> Dataset {
         let plan = Plan { views: 12, test_views: 5, noise, seed: 1 };

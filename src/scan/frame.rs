@@ -1,6 +1,6 @@
 //! Unit and place of a scan: how scene units relate to the lengths and positions of its files.
 //!
-//! Everything inside is in scene units ([`geometry`](crate::geometry)). A [`Frame`] keeps what the files state besides:
+//! Everything inside is in scene units ([`geometry`](trgs_core::geometry)). A [`Frame`] keeps what the files state besides:
 //! their unit of length, and where the scene lies. A point `p` of the scene has the position
 //!
 //! ```text
@@ -23,13 +23,13 @@
 mod arrange;
 
 use super::volume_file::{STRAIGHT, VolumeFile};
-use crate::error::{Error, Result};
-use crate::geometry::Grid;
-use crate::geometry::Volume;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Grid;
+use trgs_core::geometry::Volume;
 
 /// Digits that a length keeps: fewer than those that rounding by the scale changes.
 const DIGITS: i32 = 12;

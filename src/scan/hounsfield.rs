@@ -10,9 +10,9 @@
 //! with `μ_water` in the unit wanted; 1 makes water 1. Values below -1000 (padding outside of the scanner's circle, noise
 //! in air) become 0.
 
-use crate::error::{Error, Result};
-use crate::setting::Setting;
 use ndarray::Array3;
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
 
 /// Values below this are no attenuation per millimetre: noise of a reconstruction is far smaller.
 pub const IMPOSSIBLE: f32 = -200.0;

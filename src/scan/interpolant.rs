@@ -11,9 +11,9 @@
 //!
 //! whose left side has the spectrum `(10 + 2 cos w)/12 = 1 - w²/12 + O(w⁴)`. Not in the paper.
 
-use crate::geometry::Volume;
-use crate::numeric::threads;
 use ndarray::Array3;
+use trgs_core::geometry::Volume;
+use trgs_core::numeric::threads;
 
 /// Weight of each neighbour in the scheme.
 const SIDE: f64 = 1.0 / 12.0;
@@ -71,10 +71,10 @@ fn solve(values: &mut [f64], width: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector, Grid, Scanner};
-    use crate::numeric::elementary::exp;
-    use crate::scan::trilinear;
     use crate::tolerances::largest;
+    use crate::trilinear;
+    use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
+    use trgs_core::numeric::elementary::exp;
 
     fn scanner(grid: Grid) -> Scanner {
         let detector = Detector { rows: 40, columns: 40, pitch_v: 0.08, pitch_u: 0.08, offset_u: 0.0, offset_v: 0.0 };

@@ -9,14 +9,14 @@
 //! Two rules of this project, where TIGRE yields NaN or is silent: a reading below [`FLOOR`] counts is set to
 //! [`FLOOR`], and negative line integrals become 0, as in R²-Gaussian's data.
 
-use crate::error::{Error, Result};
-use crate::geometry::Projections;
-use crate::numeric::elementary::{exp, log};
-use crate::numeric::rng::{Purpose, stream};
-use crate::numeric::threads;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use std::fmt;
 use std::str::FromStr;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Projections;
+use trgs_core::numeric::elementary::{exp, log};
+use trgs_core::numeric::rng::{Purpose, stream};
+use trgs_core::numeric::threads;
 
 /// Smallest reading before the logarithm, in counts.
 pub const FLOOR: f64 = 0.5;

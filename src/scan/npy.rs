@@ -4,7 +4,6 @@
 //! integers and booleans, in C or Fortran order. Sizes are checked against the length of the file before memory is
 //! allocated, so a damaged header cannot request more than the file holds.
 
-use crate::error::{Error, Result};
 use crate::input;
 use crate::limit;
 use crate::output::write_atomically;
@@ -12,6 +11,7 @@ use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
 use npyz::{DType, Deserialize, NpyFile, NpyHeader, Order, WriteOptions, WriterBuilder};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// First bytes of every file.
 const MAGIC: &[u8] = b"\x93NUMPY";

@@ -3,13 +3,13 @@
 //! Archives are written without compression and with one fixed date, so equal arrays give equal bytes.
 
 use super::npy::{self, Npy};
-use crate::error::{Error, Result};
 use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};

@@ -18,14 +18,14 @@
 //! **Objects.** A feature of an object stays in one pixel of all views if it is on the axis or a ring around it. Then it is
 //! symmetric: pixels and columns whose mirror image at the axis errs alike are none of the detector.
 
-use crate::error::{Error, Result};
-use crate::geometry::Projections;
-use crate::geometry::{Scanner, Trajectory};
-use crate::numeric::elementary::{exp, log};
-use crate::numeric::rank::{ONE_SIGMA, median, quantile};
-use crate::numeric::threads;
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 use serde::Serialize;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::{Scanner, Trajectory};
+use trgs_core::numeric::elementary::{exp, log};
+use trgs_core::numeric::rank::{ONE_SIGMA, median, quantile};
+use trgs_core::numeric::threads;
 
 /// Views in which a pixel must err, at least: fewer say nothing about all views.
 const LEAST_VIEWS: usize = 5;
@@ -112,11 +112,11 @@ impl WrongPixels {
         let mut parts = Vec::new();
         if !self.single.is_empty() {
             let places = self.single.iter().map(|[row, column]| format!("row {row}, column {column}")).collect();
-            parts.push(format!("{} ({})", crate::words::counted(self.single.len(), "pixel"), list(places)));
+            parts.push(format!("{} ({})", trgs_core::words::counted(self.single.len(), "pixel"), list(places)));
         }
         if !self.columns.is_empty() {
             let places = self.columns.iter().map(usize::to_string).collect();
-            parts.push(format!("{} ({})", crate::words::counted(self.columns.len(), "whole column"), list(places)));
+            parts.push(format!("{} ({})", trgs_core::words::counted(self.columns.len(), "whole column"), list(places)));
         }
         parts.join(" and ")
     }
@@ -301,9 +301,9 @@ fn whole_columns(images: &Array3<f32>, floor: f64, axis: f64) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::phantom::Phantom;
-    use crate::scan::simulate::{Object, Plan, simulate};
-    use crate::scan::{Dataset, Noise};
+    use crate::phantom::Phantom;
+    use crate::simulate::{Object, Plan, simulate};
+    use crate::{Dataset, Noise};
 
     fn scan(noise: Noise) -> Dataset {
         let plan = Plan { views: 12, test_views: 0, noise, seed: 1 };

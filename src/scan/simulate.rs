@@ -5,15 +5,15 @@ use super::frame::Frame;
 use super::noise::Noise;
 use super::phantom::Phantom;
 use super::trilinear;
-use crate::error::{Error, Result};
-use crate::geometry::{Deviation, Pose, Scanner, Trajectory};
-use crate::geometry::{Projections, Volume};
 use crate::limit;
-use crate::numeric::rng::{Purpose, stream};
-use crate::setting::Setting;
-use crate::words::counted;
 use rand::RngExt;
 use std::f64::consts::TAU;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Deviation, Pose, Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::numeric::rng::{Purpose, stream};
+use trgs_core::setting::Setting;
+use trgs_core::words::counted;
 
 /// Points along each axis of a voxel, for the mean density of a phantom.
 const SAMPLES: usize = 4;
@@ -187,7 +187,7 @@ fn random_angles(n: usize, span: f64, seed: u64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector, Grid};
+    use trgs_core::geometry::{Beam, Detector, Grid};
 
     fn scanner() -> Scanner {
         let detector = Detector { rows: 20, columns: 24, pitch_v: 0.2, pitch_u: 0.18, offset_u: 0.1, offset_v: 0.0 };

@@ -1,10 +1,10 @@
 //! Projections from line integrals, one ray through the centre of each pixel.
 
-use crate::error::Result;
-use crate::geometry::Projections;
-use crate::geometry::{Ray, Scanner, Trajectory};
-use crate::numeric::threads;
 use ndarray::Array3;
+use trgs_core::error::Result;
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::{Ray, Scanner, Trajectory};
+use trgs_core::numeric::threads;
 
 /// Projections in the views of a trajectory; each pixel is the `integral` along its ray.
 ///

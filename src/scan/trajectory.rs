@@ -1,8 +1,8 @@
 //! The poses of a scan in words.
 
-use crate::geometry::{Projections, Scanner, View};
-use crate::numeric::elementary::{asin, atan2};
 use glam::DVec3;
+use trgs_core::geometry::{Projections, Scanner, View};
+use trgs_core::numeric::elementary::{asin, atan2};
 
 /// How the poses of a scan differ from the circle, in words; `None` for a circle.
 pub fn words(scanner: &Scanner, projections: &Projections) -> Option<String> {

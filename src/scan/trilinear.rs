@@ -5,11 +5,11 @@
 //! of their values times the spacing, and the function has no jump. Not in the paper.
 
 use super::trace::trace;
-use crate::error::Result;
-use crate::geometry::{Projections, Volume};
-use crate::geometry::{Ray, Scanner, Trajectory};
 use glam::DVec3;
 use ndarray::Array3;
+use trgs_core::error::Result;
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::geometry::{Ray, Scanner, Trajectory};
 
 /// Exact projections of a volume in the views of a trajectory, one ray through the centre of each pixel.
 ///
@@ -165,9 +165,9 @@ fn inside_box(origin: DVec3, direction: DVec3, last: DVec3) -> Option<(f64, f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector, Grid};
-    use crate::numeric::{reduce, threads};
     use ndarray::Array3;
+    use trgs_core::geometry::{Beam, Detector, Grid};
+    use trgs_core::numeric::{reduce, threads};
 
     fn grid() -> Grid {
         Grid::new([5, 7, 4], DVec3::new(-0.9, -0.6, -0.8), DVec3::new(0.7, 0.8, 1.0)).unwrap()
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn a_constant_volume_integrates_to_chords_of_its_box_and_half_of_the_rim() {
-        use crate::scan::phantom::solid::{Shape, Solid};
+        use crate::phantom::solid::{Shape, Solid};
         // Along an axis, the fall to 0 over one spacing counts half, so the integral equals that of the box; at other
         // angles the difference between the boxes with and without the rim bounds it.
         let volume = volume(|_, _, _| 0.75);

@@ -13,11 +13,11 @@
 
 use super::borders::{Borders, Side};
 use super::plausibility::Evidence;
-use crate::geometry::Projections;
-use crate::geometry::{Beam, Scanner, View};
 use glam::DVec3;
 use ndarray::Axis;
 use std::f64::consts::TAU;
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::{Beam, Scanner, View};
 
 /// Ratio of the parts of the detector on both sides of the axis from which on it is displaced.
 const DISPLACED: f64 = 1.05;
@@ -207,12 +207,12 @@ fn widest_gap(angles: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use crate::geometry::{Beam, Detector, Grid, Scanner};
-    use crate::scan::phantom::Phantom;
-    use crate::scan::plausibility::remarks;
-    use crate::scan::simulate::{Object, Orbit, Plan, simulate_on};
-    use crate::scan::{Dataset, Noise};
+    use crate::phantom::Phantom;
+    use crate::plausibility::remarks;
+    use crate::simulate::{Object, Orbit, Plan, simulate_on};
+    use crate::{Dataset, Noise};
     use glam::DVec3;
+    use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
 
     /// Pitch of the rows.
     const PITCH: f64 = 0.1;

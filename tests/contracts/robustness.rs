@@ -359,3 +359,19 @@ fn a_header_that_claims_gigabytes_is_given_no_memory() {
         check(&[b"\x93NUMPY", &[version, 0, 0xff, 0xff, 0xff, 0xff][..], b"{'descr'"].concat());
     }
 }
+
+#[test]
+fn no_method_reconstructs_what_cannot_be_a_scan() {
+    let phantom = Phantom::by_name("torso", 0).unwrap();
+    let plan = Plan { views: 6, test_views: 0, noise: Noise::None, seed: 0 };
+    let sound = simulate("torso", Object::Phantom(&phantom), &Scanner::synthetic(8, 12), &plan).unwrap();
+    let (mut empty, mut degrees) = (sound.clone(), sound);
+    empty.train.images.fill(1.5);
+    degrees.train.angles.iter_mut().for_each(|angle| *angle = angle.to_degrees());
+    for (scan, part) in [(empty, "got the value 1.5 in every pixel"), (degrees, "which look like degrees")] {
+        for method in Method::ALL {
+            let message = trgs::reconstruct(&scan, &Config::of(method)).unwrap_err().to_string();
+            assert!(message.contains(part), "{method:?}: {message}");
+        }
+    }
+}

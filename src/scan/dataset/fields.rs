@@ -1,8 +1,8 @@
 //! Fields of a description that are not read: remarks, and errors where one would move something.
 
 use super::meta::SCANNER_FIELDS;
-use crate::error::{Error, Result};
-use crate::words::{counted, verb};
+use trgs_core::error::{Error, Result};
+use trgs_core::words::{counted, verb};
 
 /// Unread fields of one place that are named; the others are counted.
 const SHOWN: usize = 12;

@@ -1,12 +1,12 @@
 //! Projections and volumes that a description names, in any format of images and volumes.
 
-use crate::error::{Error, Result};
-use crate::geometry::Grid;
-use crate::scan::frame::Frame;
-use crate::scan::npy;
-use crate::scan::volume_file::{self, VolumeFile};
+use crate::frame::Frame;
+use crate::npy;
+use crate::volume_file::{self, VolumeFile};
 use ndarray::{Array2, Array3, Axis, Ix2, Ix3};
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Grid;
 
 /// Whether a file is read as a NumPy array: one whose extension states no other format is.
 fn is_array(path: &Path) -> bool {

@@ -3,11 +3,11 @@
 use super::meta::{Interpreted, Meta};
 use super::poses::Motion;
 use super::{Dataset, find_points, meta_path, naf};
-use crate::error::Result;
-use crate::geometry::Scanner;
-use crate::scan::borders::{Borders, Side};
+use crate::borders::{Borders, Side};
 use ndarray::Array2;
 use std::path::Path;
+use trgs_core::error::Result;
+use trgs_core::geometry::Scanner;
 
 /// Bytes of an initial point in the smallest type that files use.
 const POINT: u64 = 16;

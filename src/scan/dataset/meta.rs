@@ -3,17 +3,17 @@
 use super::fields::{self, Content};
 use super::numbers::{self, EXACT, ROUNDED, counts, pitches, sizes};
 use super::poses::{self, Axes, Motion, PerView, Words};
-use crate::error::{Error, Result};
-use crate::geometry::{Beam, Detector, Grid, Pose, Scanner};
+use crate::frame::{Frame, FrameMeta};
+use crate::noise::{Attenuation, Noise};
 use crate::output::write_atomically;
-use crate::scan::frame::{Frame, FrameMeta};
-use crate::scan::noise::{Attenuation, Noise};
-use crate::words::utf8;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Beam, Detector, Grid, Pose, Scanner};
+use trgs_core::words::utf8;
 
 /// Value of `noise_model` for the Beer-Lambert law.
 const PHYSICAL: &str = "physical";

@@ -46,16 +46,16 @@ pub use info::DatasetInfo;
 use super::frame::Frame;
 use super::noise::Noise;
 use super::npy;
-use crate::error::{Error, Result};
-use crate::geometry::{Beam, Pose, Scanner, Trajectory};
-use crate::geometry::{Projections, Volume};
 use crate::limit;
 use crate::output::{Destination, Kind, create_folder, stage_folder};
-use crate::words::counted;
 use meta::{Meta, ScannerMeta, ViewMeta};
 use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Beam, Pose, Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::words::counted;
 
 /// A scan: projections, geometry, and the true volume if it is known.
 #[derive(Clone, Debug, PartialEq)]
@@ -231,7 +231,7 @@ pub fn read_at_angles(path: &Path, angles: &[f64]) -> Result<(Scanner, Option<Ve
 
 impl Dataset {
     /// A scan with these training views alone, without test views and truth.
-    pub(crate) fn of_views(&self, views: &[usize]) -> Self {
+    pub fn of_views(&self, views: &[usize]) -> Self {
         Self {
             name: self.name.clone(),
             scanner: self.scanner,

@@ -8,15 +8,15 @@ use super::meta::{Interpreted, SCANNER_FIELDS, ScannerMeta};
 use super::pickle::{self, Array, Value};
 use super::poses::Motion;
 use super::{Dataset, check_finite};
-use crate::error::{Error, Result};
-use crate::geometry::{Projections, Volume};
-use crate::geometry::{Scanner, Trajectory};
+use crate::frame::{Frame, Unit};
 use crate::limit;
-use crate::scan::frame::{Frame, Unit};
-use crate::scan::noise::Noise;
+use crate::noise::Noise;
 use ndarray::Array3;
 use serde_json::json;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::geometry::{Scanner, Trajectory};
 
 /// Millimetres to metres.
 const METRE: f64 = 1e-3;
@@ -230,9 +230,9 @@ fn missing(path: &Path, what: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Beam;
     use crate::tolerances::{largest, relative};
     use glam::DVec3;
+    use trgs_core::geometry::Beam;
 
     fn sample(protocol: u8) -> &'static [u8] {
         match protocol {

@@ -1,8 +1,8 @@
 //! Numbers of a description: those written as text, and lists with one for each axis.
 
 use super::meta::{SCANNER_FIELDS, VIEW_FIELDS};
-use crate::error::{Error, Result};
 use serde_json::Value;
+use trgs_core::error::{Error, Result};
 
 /// Relative deviation from `s = n·d` that counts as rounding to a few digits.
 pub(super) const ROUNDED: f64 = 1e-3;

@@ -1,9 +1,9 @@
 //! Remarks on the files that a description lists: outside of its folder, or listed twice.
 
 use super::meta::{Meta, ViewMeta};
-use crate::words::{counted, verb};
 use std::collections::BTreeMap;
 use std::path::{Component, Path};
+use trgs_core::words::{counted, verb};
 
 /// Remarks on the listed files, one for each kind.
 pub(super) fn remarks(meta: &Meta) -> Vec<String> {

@@ -6,12 +6,12 @@
 
 mod number;
 
-use crate::error::{Error, Result};
 use number::Number;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
+use trgs_core::error::{Error, Result};
 
 /// Largest nesting depth of objects; real files have five.
 const DEEPEST: usize = 64;

@@ -1,9 +1,9 @@
 //! Poses, unread fields and odd entries of descriptions and pickles.
 
 use super::*;
-use crate::geometry::{Beam, Deviation};
 use glam::DVec3;
 use serde_json::{Value, json};
+use trgs_core::geometry::{Beam, Deviation};
 
 const ANGLES: [f64; 3] = [0.1, 1.3, 4.0];
 
@@ -144,7 +144,7 @@ fn vectors_and_matrices_state_whole_poses() {
 }
 
 /// From millimetres to (column, row) times the depth.
-fn matrix(pose: &Pose, scanner: &crate::geometry::Scanner) -> [[f64; 4]; 3] {
+fn matrix(pose: &Pose, scanner: &trgs_core::geometry::Scanner) -> [[f64; 4]; 3] {
     let view = pose.view(scanner, 0.0);
     let Beam::Cone { dsd, .. } = view.beam else { panic!("a cone") };
     let (row, column) = view.detector.pixel(0.0, 0.0);

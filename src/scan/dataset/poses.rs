@@ -1,12 +1,12 @@
 //! Poses of a description: numbers per view in TIGRE's words, ASTRA's vectors, projection matrices.
 
 use super::meta::opposite;
-use crate::error::{Error, Result};
-use crate::geometry::{Beam, Deviation, Pose, Scanner};
-use crate::words::counted;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Beam, Deviation, Pose, Scanner};
+use trgs_core::words::counted;
 
 /// Relative deviation of a vector's length from the pitch, and of an angle from a right one.
 const ROUNDED: f64 = 1e-3;

@@ -1,10 +1,10 @@
 //! A subset of a scan's views, chosen by R²-Gaussian's protocol for measured scans.
 
 use super::Dataset;
-use crate::error::{Error, Result};
-use crate::numeric::rng::{Purpose, stream};
-use crate::setting::Setting;
 use rand::seq::SliceRandom;
+use trgs_core::error::{Error, Result};
+use trgs_core::numeric::rng::{Purpose, stream};
+use trgs_core::setting::Setting;
 
 /// Default number of test views.
 const TEST_VIEWS: usize = 100;
@@ -71,11 +71,11 @@ fn evenly_spaced(views: usize, n: usize) -> Result<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector, Grid, Scanner};
-    use crate::scan::Noise;
-    use crate::scan::phantom::Phantom;
-    use crate::scan::simulate::{Object, Plan, simulate};
+    use crate::Noise;
+    use crate::phantom::Phantom;
+    use crate::simulate::{Object, Plan, simulate};
     use ndarray::Array2;
+    use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
 
     /// A scan with `n` views, each with a different angle.
     fn scan(n: usize) -> Dataset {

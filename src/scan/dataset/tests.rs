@@ -1,14 +1,14 @@
 //! Reading and writing of datasets: units, orders, oddities and errors.
 
 use super::*;
-use crate::geometry::{Beam, Detector, Grid};
-use crate::scan::phantom::Phantom;
-use crate::scan::phantom::solid::{Shape, Solid};
+use crate::phantom::Phantom;
+use crate::phantom::solid::{Shape, Solid};
 use crate::tolerances::{largest, relative};
 use glam::{DMat3, DVec3};
 use ndarray::Axis;
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use trgs_core::geometry::{Beam, Detector, Grid};
 
 /// A small asymmetric scan, in scene units.
 pub(super) fn sample() -> Dataset {

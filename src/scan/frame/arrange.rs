@@ -1,12 +1,12 @@
 //! A volume in a file, brought to the axes of a scan.
 
 use super::{Frame, Unit};
-use crate::error::{Error, Result};
-use crate::geometry::Grid;
-use crate::geometry::Volume;
-use crate::scan::volume_file::{STRAIGHT, VolumeFile};
+use crate::volume_file::{STRAIGHT, VolumeFile};
 use glam::DVec3;
 use ndarray::{Array3, Axis};
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Grid;
+use trgs_core::geometry::Volume;
 
 /// The names of the axes of an array.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -162,7 +162,7 @@ impl Frame {
     /// The values of a file that a scan names as its volume, and remarks.
     ///
     /// As [`Self::arrange`], but the array of a file in another place is taken in its own order.
-    pub(in crate::scan) fn arrange_own(&self, file: VolumeFile, grid: &Grid) -> (Array3<f32>, Vec<String>) {
+    pub(crate) fn arrange_own(&self, file: VolumeFile, grid: &Grid) -> (Array3<f32>, Vec<String>) {
         let arrangement = Arrangement::of(&file, grid, self);
         if arrangement.difference.is_none() {
             let mut remarks = file.other_oddities();

@@ -9,12 +9,12 @@
 //! the arrays that are not are named in a remark.
 
 use super::{Entry, Hdf5, list, shorter};
-use crate::error::{Error, Result};
-use crate::scan::plausibility::{self, AnglesFrom};
-use crate::scan::stack::ScanFile;
-use crate::setting::Setting;
-use crate::words::{counted, verb};
+use crate::plausibility::{self, AnglesFrom};
+use crate::stack::ScanFile;
 use ndarray::{Array3, Axis};
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
+use trgs_core::words::{counted, verb};
 
 const DATA_EXCHANGE: &str = "/exchange/data";
 const NX_TOMO_KEY: &str = "/image_key";

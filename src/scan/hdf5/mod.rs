@@ -17,9 +17,7 @@ pub(super) mod layouts;
 use super::array_path;
 use super::npy::{self, Numbers};
 use super::volume_file::{VolumeFile, damaged, unsupported};
-use crate::error::{Error, Result};
 use crate::limit;
-use crate::words::quoted;
 use half::Half;
 use hdf5_reader::group::Group;
 use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
@@ -28,6 +26,8 @@ use ndarray::{ArrayD, Axis, Ix3};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use trgs_core::error::{Error, Result};
+use trgs_core::words::quoted;
 
 /// How a MATLAB file begins that is not HDF5.
 const OLD_MATLAB: &[u8] = b"MATLAB 5.0";

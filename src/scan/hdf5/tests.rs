@@ -1,11 +1,11 @@
 use super::*;
 use crate::damage::{MANY, assert_reader_survives};
-use crate::scan::stack::{self, ScanFile};
-use crate::scan::volume_file;
+use crate::stack::{self, ScanFile};
+use crate::volume_file;
 use ndarray::Array3;
 
 fn path(name: &str) -> PathBuf {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data")).join(name)
 }
 
 /// The numbers of `reference/generate/make_hdf5.py`, `[z, y, x]` or `[view, v, u]`.

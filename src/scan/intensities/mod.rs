@@ -28,16 +28,16 @@ mod range;
 
 pub use range::{full_scale, wrapped};
 
-use crate::error::{Error, Result};
-use crate::geometry::check_finite;
 use crate::limit;
-use crate::numeric::elementary::log;
-use crate::numeric::rank::median;
-use crate::numeric::{reduce, threads};
-use crate::setting::Setting;
 use ndarray::{Array2, Array3};
 use std::ops::Range;
 use std::str::FromStr;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::check_finite;
+use trgs_core::numeric::elementary::log;
+use trgs_core::numeric::rank::median;
+use trgs_core::numeric::{reduce, threads};
+use trgs_core::setting::Setting;
 
 /// Smallest transmission, the step of a 16-bit detector: no line integral exceeds 16·ln 2 = 11.09.
 pub const FLOOR: f64 = 1.0 / 65_536.0;

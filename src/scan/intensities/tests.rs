@@ -1,8 +1,8 @@
 use super::*;
-use crate::numeric::elementary::exp;
 use crate::tolerances::{largest, relative};
 use ndarray::Axis;
 use std::f64::consts::LN_2;
+use trgs_core::numeric::elementary::exp;
 
 const VIEWS: usize = 3;
 const ROWS: usize = 5;

@@ -9,12 +9,12 @@
 pub mod ply;
 pub mod r2;
 
-use crate::error::{Error, Result};
-use crate::primitives::{Group, Parameters, Primitives};
-use crate::scan::npz::{self, Entry, Npz};
+use crate::npz::{self, Entry, Npz};
 use ndarray::{Array1, Array2, ArrayView, IxDyn};
 use std::ffi::OsStr;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::primitives::{Group, Parameters, Primitives};
 
 /// Reads a model in any of the formats. Without `nu`, or with infinite ν only, the kernel is Gaussian.
 ///
@@ -84,7 +84,7 @@ pub fn write(path: &Path, parameters: &Parameters) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::primitives::KernelKind;
+    use trgs_core::primitives::KernelKind;
 
     fn parameters() -> Parameters {
         Parameters {

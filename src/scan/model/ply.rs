@@ -14,16 +14,16 @@
 //! `scale_2` and colours as spherical harmonics. The property names here differ, so that no splat viewer mistakes one
 //! for the other. Properties are read in any order, encoding and type; properties outside the table are ignored.
 
-use crate::error::{Error, Result};
-use crate::numeric::elementary::log;
+use crate::Frame;
 use crate::output::write_atomically;
-use crate::primitives::{KernelKind, Parameters, Primitives};
-use crate::scan::Frame;
 use colorous::VIRIDIS;
 use serde::{Deserialize, Serialize};
 use serde_ply::{PlyReader, SerializeOptions};
 use std::io;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::numeric::elementary::log;
+use trgs_core::primitives::{KernelKind, Parameters, Primitives};
 
 /// Properties that a model must have.
 const NEEDED: [&str; 11] =
@@ -184,7 +184,7 @@ fn spread(values: Vec<f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::Unit;
+    use crate::Unit;
 
     fn primitives(nu: [f64; 2]) -> Primitives {
         let parameters = Parameters {

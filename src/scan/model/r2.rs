@@ -13,14 +13,14 @@
 //! R²-Gaussian's. R²-Gaussian itself reads the pickle, which Python makes from the archive:
 //! `pickle.dump(dict(numpy.load("point_cloud.npz")), open("point_cloud.pickle", "wb"))`.
 
-use crate::error::{Error, Result};
-use crate::numeric::elementary::{exp, logit, sigmoid, softplus, softplus_inverse};
-use crate::primitives::{KernelKind, Parameters, Primitives};
-use crate::scan::dataset::pickle::{self, Value};
-use crate::scan::npz::{self, Entry, Npz};
-use crate::setting::Setting;
+use crate::dataset::pickle::{self, Value};
+use crate::npz::{self, Entry, Npz};
 use ndarray::{ArrayView, IxDyn};
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::numeric::elementary::{exp, logit, sigmoid, softplus, softplus_inverse};
+use trgs_core::primitives::{KernelKind, Parameters, Primitives};
+use trgs_core::setting::Setting;
 
 /// R²-Gaussian's own bounds of scales, scene units.
 const BOUND: [f64; 2] = [0.001, 1.0];
@@ -129,8 +129,8 @@ pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
 mod tests {
     use super::super::read;
     use super::*;
-    use crate::primitives::Group;
     use crate::tolerances::relative;
+    use trgs_core::primitives::Group;
 
     fn primitives(nu: [f64; 3]) -> Primitives {
         let parameters = Parameters {
@@ -202,7 +202,7 @@ mod tests {
         let message = write(&path, &negative).unwrap_err().to_string();
         assert!(message.contains("density of primitive 1") && !path.exists(), "{message}");
         write(&path, &primitives([3.0; 3])).unwrap();
-        let scan = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
+        let scan = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/naf_4.pickle");
         let message = read(Path::new(scan)).unwrap_err().to_string();
         assert!(message.contains("density") && message.contains("folder"), "{message}");
     }

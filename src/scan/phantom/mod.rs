@@ -10,13 +10,13 @@ pub mod solid;
 mod voxels;
 
 use super::trace::trace;
-use crate::error::{Error, Result};
-use crate::geometry::{Grid, Ray, Scanner, Trajectory};
-use crate::geometry::{Projections, Volume};
-use crate::numeric::reduce;
 use glam::DVec3;
 use library::{artificial, basic, nature, organs};
 use solid::Solid;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Grid, Ray, Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::numeric::reduce;
 
 /// The groups of the paper's synthetic cases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -182,10 +182,10 @@ impl Phantom {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector};
-    use crate::numeric::threads;
     use crate::tolerances::largest;
     use ndarray::Array3;
+    use trgs_core::geometry::{Beam, Detector};
+    use trgs_core::numeric::threads;
 
     fn phantoms() -> impl Iterator<Item = Phantom> {
         PHANTOMS.into_iter().map(|phantom| Phantom::by_name(phantom.name, 3).unwrap())

@@ -5,8 +5,8 @@
 //! for a cylinder, the distance from a segment for a capsule. A bound on the function's change over a step decides
 //! whether a whole voxel is inside or outside.
 
-use crate::geometry::Ray;
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use trgs_core::geometry::Ray;
 
 /// The shape of a solid in its own coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -298,8 +298,8 @@ fn both(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numeric::elementary::{cos, sin};
     use std::f64::consts::PI;
+    use trgs_core::numeric::elementary::{cos, sin};
 
     fn fraction(coverage: &Coverage) -> f64 {
         match coverage {

@@ -1,10 +1,10 @@
 //! Mean densities of voxels.
 
 use super::solid::{Coverage, Solid};
-use crate::geometry::Grid;
-use crate::geometry::Volume;
-use crate::numeric::{reduce, threads};
 use ndarray::Array3;
+use trgs_core::geometry::Grid;
+use trgs_core::geometry::Volume;
+use trgs_core::numeric::{reduce, threads};
 
 /// The density within a voxel.
 #[derive(Clone)]

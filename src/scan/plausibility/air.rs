@@ -1,9 +1,9 @@
 //! Air whose line integral is not 0.
 
 use super::Evidence;
-use crate::numeric::elementary::exp;
-use crate::scan::borders::Side;
-use crate::setting::Setting;
+use crate::borders::Side;
+use trgs_core::numeric::elementary::exp;
+use trgs_core::setting::Setting;
 
 /// Remarks on air that differs from 0 in all views, or that varies over them.
 pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {

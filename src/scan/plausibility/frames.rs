@@ -4,11 +4,11 @@
 //! held against the median of the two views at each side by angle. A view of another exposure has another air.
 
 use super::Evidence;
-use crate::numeric::rank::{SIGMA_OF_MAD, median};
-use crate::numeric::reduce;
-use crate::scan::borders::Side;
-use crate::setting::Setting;
-use crate::words::verb;
+use crate::borders::Side;
+use trgs_core::numeric::rank::{SIGMA_OF_MAD, median};
+use trgs_core::numeric::reduce;
+use trgs_core::setting::Setting;
+use trgs_core::words::verb;
 
 /// Views from which on one can differ from the others.
 const LEAST: usize = 6;

@@ -1,14 +1,12 @@
 //! Each kind of scan that contradicts itself is found, with a remedy that mends it, and sound scans are none of them.
 
 use super::*;
-use crate::config::{Config, Method};
-use crate::geometry::Projections;
-use crate::geometry::{Beam, Detector, Grid, Scanner};
-use crate::reconstruction::reconstruct;
-use crate::scan::Noise;
-use crate::scan::phantom::{PHANTOMS, Phantom};
-use crate::scan::simulate::{Object, Orbit, Plan, simulate, simulate_on};
+use crate::Noise;
+use crate::phantom::{PHANTOMS, Phantom};
+use crate::simulate::{Object, Orbit, Plan, simulate, simulate_on};
 use std::f64::consts::{PI, TAU};
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
 
 fn scanner() -> Scanner {
     let detector = Detector { rows: 26, columns: 28, pitch_v: 0.15, pitch_u: 0.15, offset_u: 0.0, offset_v: 0.0 };
@@ -63,8 +61,6 @@ fn degrees_taken_as_radians_are_refused_with_both_remedies() {
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
     assert_eq!(remarks(&degrees), [refused(&degrees, AnglesFrom::File)]);
-    let message = reconstruct(&degrees, &Config::of(Method::Fdk)).unwrap_err().to_string();
-    assert!(message.contains("look like degrees"), "{message}");
     // Degrees that begin late, test views alone, and an arc of a tomosynthesis.
     assert!(check(&with(&|angle| angle.to_degrees() + 1e4), AnglesFrom::File).is_err());
     assert!(check(&with(&|angle| (angle / 6.0).to_degrees() - 30.0), AnglesFrom::File).is_err());
@@ -96,9 +92,6 @@ fn views_without_an_object_are_refused() {
         scan.train.images.fill(value);
         let message = refused(&scan, AnglesFrom::File);
         assert!(message.contains(&format!("got the value {value} in every pixel")), "{message}");
-        for method in Method::ALL {
-            assert_eq!(reconstruct(&scan, &Config::of(method)).unwrap_err().to_string(), message, "{method:?}");
-        }
     }
     let mut scan = sound.clone();
     scan.train.images.outer_iter_mut().enumerate().for_each(|(view, mut image)| image.fill(view as f32));

@@ -4,11 +4,11 @@
 //! views are compared with themselves: air is what the rays farthest outside read, whatever that is.
 
 use super::Evidence;
-use crate::geometry::Projections;
-use crate::geometry::{Beam, Grid, Ray, Scanner, View};
-use crate::numeric::threads;
-use crate::scan::borders::{CLEARLY, Side};
+use crate::borders::{CLEARLY, Side};
 use glam::DVec3;
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::{Beam, Grid, Ray, Scanner, View};
+use trgs_core::numeric::threads;
 
 /// Largest number of views examined.
 const VIEWS: usize = 24;

@@ -1,9 +1,9 @@
 //! Pixels of the detector that err.
 
 use super::Evidence;
-use crate::scan::pixels::WrongPixels;
-use crate::setting::Setting;
-use crate::words::{counted, verb};
+use crate::pixels::WrongPixels;
+use trgs_core::setting::Setting;
+use trgs_core::words::{counted, verb};
 
 /// Remarks on pixels that err in all views, and on values that no measurement has.
 pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {

@@ -1,9 +1,9 @@
 //! Readings of a detector instead of line integrals.
 
 use super::{ends, is_at_border};
-use crate::numeric::reduce;
-use crate::scan::dataset::Dataset;
-use crate::setting::Setting;
+use crate::dataset::Dataset;
+use trgs_core::numeric::reduce;
+use trgs_core::setting::Setting;
 
 /// Range of whole numbers from which on they are remarked on.
 pub const LEVELS: f64 = 16.0;

@@ -1,12 +1,12 @@
 //! Scans that no method can reconstruct: angles in degrees, views without an object, attenuation of the wrong sign.
 
 use super::{Evidence, is_at_border};
-use crate::error::{Error, Result};
-use crate::geometry::Projections;
-use crate::geometry::Scanner;
-use crate::scan::dataset::Dataset;
-use crate::setting::Setting;
+use crate::dataset::Dataset;
 use std::f64::consts::{PI, TAU};
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::Scanner;
+use trgs_core::setting::Setting;
 
 /// Span of the angles of a circle beyond which they are taken for degrees, radians: two turns.
 const LARGEST_SPAN: f64 = 2.0 * TAU;

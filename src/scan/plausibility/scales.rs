@@ -1,11 +1,11 @@
 //! Training views, test views and the true volume on different scales.
 
 use super::Evidence;
-use crate::geometry::Beam;
-use crate::geometry::Projections;
-use crate::numeric::reduce;
-use crate::scan::borders::Side;
-use crate::scan::dataset::Dataset;
+use crate::borders::Side;
+use crate::dataset::Dataset;
+use trgs_core::geometry::Beam;
+use trgs_core::geometry::Projections;
+use trgs_core::numeric::reduce;
 
 /// Ratio of scales that is remarked on.
 pub const SCALE: f64 = 2.0;

@@ -1,12 +1,12 @@
 //! Sound scans have no remark, and each kind of remark is made where it is due.
 
 use super::remarks;
-use crate::geometry::{Beam, Scanner};
-use crate::geometry::{Detector, Grid};
-use crate::scan::Noise;
-use crate::scan::dataset::Dataset;
-use crate::scan::phantom::{PHANTOMS, Phantom};
-use crate::scan::simulate::{Object, Plan, simulate};
+use crate::Noise;
+use crate::dataset::Dataset;
+use crate::phantom::{PHANTOMS, Phantom};
+use crate::simulate::{Object, Plan, simulate};
+use trgs_core::geometry::{Beam, Scanner};
+use trgs_core::geometry::{Detector, Grid};
 
 fn scanner(columns: usize, offset_u: f64) -> Scanner {
     let detector = Detector { rows: 40, columns, pitch_v: 0.1, pitch_u: 0.09, offset_u, offset_v: 0.0 };
@@ -40,7 +40,7 @@ fn readings_are_told_from_line_integrals() {
     let mut scan = scan(44, 0.0);
     scan.test = None;
     let line_integrals = scan.train.images.clone();
-    let transmission = |p: f32| crate::numeric::elementary::exp(-f64::from(p));
+    let transmission = |p: f32| trgs_core::numeric::elementary::exp(-f64::from(p));
     scan.train.images = line_integrals.mapv(|p| (60_000.0 * transmission(p)).round() as f32);
     let found = only(&scan);
     for part in ["all of them whole numbers", "instead of 0", "`flat` FLAT", "`white` 59990 ", "trgs convert"] {

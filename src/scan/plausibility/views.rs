@@ -1,11 +1,11 @@
 //! Views that are listed twice, test views that are training views, and short arcs.
 
 use super::Evidence;
-use crate::geometry::Projections;
-use crate::words::{counted, verb};
 use ndarray::ArrayView2;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use trgs_core::geometry::Projections;
+use trgs_core::words::{counted, verb};
 
 /// A total arc that is remarked on, radians: 20°, less than that of a tomosynthesis.
 const SHORT_ARC: f64 = 20.0 * std::f64::consts::PI / 180.0;

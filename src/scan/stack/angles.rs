@@ -1,11 +1,11 @@
 //! The angles of a stack: a NumPy array, a list, or a table with a header.
 
 use super::super::npy;
-use crate::error::{Error, Result};
-use crate::setting::Setting;
-use crate::words::utf8;
 use ndarray::Ix1;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
+use trgs_core::words::utf8;
 
 /// The unit that the header of a table states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

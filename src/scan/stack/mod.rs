@@ -24,13 +24,13 @@ use super::dataset::{Dataset, Description};
 use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
-use crate::error::{Error, Result};
-use crate::geometry::Projections;
-use crate::geometry::Trajectory;
 use crate::limit;
-use crate::words::counted;
 use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Projections;
+use trgs_core::geometry::Trajectory;
+use trgs_core::words::counted;
 
 /// Relative difference of steps between angles from which on both are stated.
 const UNEVEN: f64 = 1e-3;

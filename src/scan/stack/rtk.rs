@@ -10,12 +10,12 @@
 //! Two facts are not in the file: the middle of the projections is taken for their point (0, 0), and rows run down
 //! against RTK's y, so that a stack whose first row is at the bottom must be flipped.
 
-use crate::error::{Error, Result};
-use crate::geometry::Pose;
-use crate::numeric::elementary::{cos, sin};
-use crate::words::utf8;
 use glam::DVec3;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Pose;
+use trgs_core::numeric::elementary::{cos, sin};
+use trgs_core::words::utf8;
 
 /// Parameters of a view in the order of [`NAMES`].
 type Parameters = [f64; 9];
@@ -148,8 +148,8 @@ fn wrong(what: &str, got: impl ToString, expected: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Beam, Detector, Deviation, Grid, Scanner};
     use crate::tolerances::largest;
+    use trgs_core::geometry::{Beam, Detector, Deviation, Grid, Scanner};
 
     const FILE: &str = r#"<?xml version="1.0"?>
 <!DOCTYPE RTKGEOMETRY>

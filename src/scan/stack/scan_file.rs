@@ -1,9 +1,9 @@
 //! Scans that one file holds with their fields and angles: the layouts of HDF5.
 
 use super::super::array_path;
-use crate::error::Result;
 use ndarray::Array3;
 use std::path::Path;
+use trgs_core::error::Result;
 
 /// Frames, fields and angles of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,7 +27,7 @@ pub struct ScanFile {
 /// A path that names an array, as in `FILE.h5:/group/name`, is a plain stack.
 ///
 /// # Errors
-/// Those of reading the file, and [`crate::Error::Invalid`] in a build without the feature `hdf5`.
+/// Those of reading the file, and [`trgs_core::Error::Invalid`] in a build without the feature `hdf5`.
 pub fn read_scan_file(path: &Path) -> Result<Option<ScanFile>> {
     match array_path::is_hdf5(path) && array_path::parts(path).1.is_none() {
         true => scan_of(path),
@@ -42,6 +42,6 @@ fn scan_of(path: &Path) -> Result<Option<ScanFile>> {
 
 #[cfg(not(any(feature = "hdf5", test)))]
 fn scan_of(path: &Path) -> Result<Option<ScanFile>> {
-    std::fs::metadata(path).map_err(|source| crate::error::Error::read(path, source))?;
+    std::fs::metadata(path).map_err(|source| trgs_core::error::Error::read(path, source))?;
     Err(super::super::volume_file::no_hdf5(path))
 }

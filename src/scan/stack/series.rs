@@ -14,15 +14,15 @@
 
 use super::super::volume_file::{GAP, SLICES, files, with_extension};
 use super::{npy, read_with_oddities};
-use crate::error::Result;
 use crate::input;
-use crate::setting::Setting;
 use ndarray::{Array3, Axis};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use tiff::decoder::Decoder;
 use tiff::tags::Tag;
+use trgs_core::error::Result;
+use trgs_core::setting::Setting;
 
 /// Words in the names of fields.
 const FIELDS: [&str; 16] = [

@@ -1,7 +1,7 @@
 use super::super::volume_file::VolumeFile;
 use super::*;
-use crate::geometry::{Beam, Detector, Grid, Scanner};
 use std::f64::consts::PI;
+use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
 
 fn frames() -> Array3<f32> {
     Array3::from_shape_fn((3, 4, 5), |(view, v, u)| (100 * view + 10 * v + u) as f32)

@@ -1,11 +1,11 @@
 //! A volume in an archive of NumPy, `.npz`.
 
 use super::VolumeFile;
-use crate::error::{Error, Result};
-use crate::scan::npy;
-use crate::scan::npz::Npz;
+use crate::npy;
+use crate::npz::Npz;
 use ndarray::Ix3;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let npz = Npz::parse(content, path)?;

@@ -2,13 +2,13 @@
 
 use super::elements::{Layout, Voxels};
 use super::header::shown;
-use crate::error::{Error, Result};
 use crate::limit;
-use crate::words::counted;
 use ndarray::Array3;
 use std::collections::BTreeSet;
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::words::counted;
 
 /// Where a header says that its numbers are.
 pub(super) enum Source {

@@ -2,13 +2,13 @@
 
 use super::damaged;
 use super::header::{lossy, shown};
-use crate::error::Error;
 use crate::limit;
 use bzip2::read::MultiBzDecoder;
 use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use ndarray::Array3;
 use std::io::Read;
 use std::path::Path;
+use trgs_core::error::Error;
 
 /// Largest expansion of a byte of deflated data.
 pub(super) const MOST_INFLATION: usize = 1032;

@@ -2,12 +2,12 @@
 
 use super::pages::Pages;
 use super::{FOREIGN, VolumeFile, images, raw, tiff};
-use crate::error::{Error, Result};
-use crate::words::counted;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::words::counted;
 
 /// Extensions of the files of slices, in order of preference: a folder is read as the first kind that it holds.
-pub(in crate::scan) const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "jpeg"], &["raw"]];
+pub(crate) const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "jpeg"], &["raw"]];
 
 pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
     let files = files(folder)?;
@@ -70,7 +70,7 @@ fn nothing(folder: &Path, files: &[PathBuf]) -> Error {
 }
 
 /// How the remark on a gap begins.
-pub(in crate::scan) const GAP: &str = "slices seem to be missing";
+pub(crate) const GAP: &str = "slices seem to be missing";
 
 /// A remark on the first gap in the numbers at the end of the names, if they are otherwise evenly spaced.
 fn gap(paths: &[&Path]) -> Option<String> {
@@ -105,7 +105,7 @@ fn dicom_series(folder: &Path, files: &[PathBuf]) -> Option<Result<VolumeFile>> 
 }
 
 /// The files of a folder in natural order, without hidden files.
-pub(in crate::scan) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |source| Error::read(folder, source);
     let mut files = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
@@ -119,7 +119,7 @@ pub(in crate::scan) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The files with one of the extensions, ignoring case.
-pub(in crate::scan) fn with_extension<'a>(files: &'a [PathBuf], extensions: &[&str]) -> Vec<&'a Path> {
+pub(crate) fn with_extension<'a>(files: &'a [PathBuf], extensions: &[&str]) -> Vec<&'a Path> {
     let matches = |path: &&PathBuf| {
         path.extension().is_some_and(|found| extensions.iter().any(|known| found.eq_ignore_ascii_case(known)))
     };

@@ -3,11 +3,11 @@
 use super::header::shown;
 use super::pages::Pages;
 use super::{VolumeFile, damaged, unsupported};
-use crate::error::Result;
 use crate::limit;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::Cursor;
 use std::path::Path;
+use trgs_core::error::Result;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;

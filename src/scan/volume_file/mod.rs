@@ -30,7 +30,7 @@
 //! grow to the right, the front and the head (RAS), as do NRRDs whose space says so: their x and y change sign on
 //! reading and writing. A volume therefore has the same position in all formats: ITK, which does the same, reads equal
 //! spacing, origin and directions from the files written here, and nibabel reads the affine `diag(-1,-1,1,1)` times it.
-//! The x, y and z of [`geometry`](crate::geometry), which knows no patient, are taken as those of ITK.
+//! The x, y and z of [`geometry`](trgs_core::geometry), which knows no patient, are taken as those of ITK.
 //!
 //! Sizes in a header are accepted only if the file has enough bytes for them. Fields that are not read, more data than
 //! the header describes, and numbers that cannot be lengths are listed as oddities: `reference/FORMATS.md` has a table.
@@ -58,8 +58,6 @@ pub use raw::SideFile;
 
 use super::frame::{Frame, Unit};
 use super::{array_path, npy};
-use crate::error::{Error, Result};
-use crate::geometry::Volume;
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
 use ndarray::{Array3, Ix3};
@@ -67,6 +65,8 @@ use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::Write;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Volume;
 
 /// Directions of axes that run along x, y and z.
 pub const STRAIGHT: DMat3 = DMat3::IDENTITY;

@@ -1,14 +1,14 @@
 //! The place of a volume in a `.npy`, which states none itself.
 
 use super::{STRAIGHT, VolumeFile};
-use crate::error::{Error, Result};
+use crate::frame::Unit;
 use crate::output::write_atomically;
-use crate::scan::frame::Unit;
-use crate::words::utf8;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::words::utf8;
 
 /// The side file `name.npy.json`, which runs write beside their volume:
 ///

@@ -6,10 +6,10 @@ use super::header::{
     Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector, without_bom,
 };
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
-use crate::error::{Error, Result};
-use crate::scan::frame::Unit;
+use crate::frame::Unit;
 use glam::DVec3;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// Longest header accepted, bytes.
 const HEADER: usize = 1 << 16;

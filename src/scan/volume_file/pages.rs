@@ -1,11 +1,11 @@
 //! Slices of equal size, from the pages of a file or from the files of a folder.
 
 use super::{VolumeFile, damaged};
-use crate::error::{Error, Result};
 use crate::limit;
 use glam::DVec3;
 use ndarray::Array3;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// Pages of equal size, row by row.
 #[derive(Default)]

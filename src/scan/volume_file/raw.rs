@@ -2,13 +2,13 @@
 
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::{VolumeFile, damaged};
-use crate::error::{Error, Result};
-use crate::scan::frame::Unit;
-use crate::words::utf8;
+use crate::frame::Unit;
 use glam::DVec3;
 use serde::Deserialize;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::words::utf8;
 
 /// The side file `name.raw.json`, which describes `name.raw`:
 ///

@@ -2,9 +2,9 @@
 
 use super::super::solid::{Shape, Solid};
 use super::parts::{Parts, arc, curve};
-use crate::numeric::elementary::{cos, sin};
 use glam::{DQuat, DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
+use trgs_core::numeric::elementary::{cos, sin};
 
 /// The two sides of a symmetric object.
 const SIDES: [f64; 2] = [-1.0, 1.0];

@@ -1,11 +1,11 @@
 //! Phantoms for tests and first looks; they do not imitate a scan of the paper.
 
 use super::super::solid::{Shape, Solid};
-use crate::numeric::elementary::{cos, pow, sin};
-use crate::numeric::rng::{Purpose, stream};
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
+use trgs_core::numeric::elementary::{cos, pow, sin};
+use trgs_core::numeric::rng::{Purpose, stream};
 
 /// Number of bubbles in the foam.
 const BUBBLES: usize = 300;

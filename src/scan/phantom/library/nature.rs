@@ -2,9 +2,9 @@
 
 use super::super::solid::Solid;
 use super::parts::{Parts, curve, pulled_into};
-use crate::numeric::elementary::{cos, sin};
 use glam::{DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
+use trgs_core::numeric::elementary::{cos, sin};
 
 /// The two sides of an animal.
 const SIDES: [f64; 2] = [-1.0, 1.0];

@@ -2,9 +2,9 @@
 
 use super::super::solid::Solid;
 use super::parts::{Chance, Parts, arc, curve, pulled_into};
-use crate::numeric::elementary::{cos, sin};
 use glam::{DVec3, dvec3};
 use std::f64::consts::PI;
+use trgs_core::numeric::elementary::{cos, sin};
 
 /// Densities of tissues, on a scale where compact bone is 0.85.
 const AIR: f64 = 0.0;

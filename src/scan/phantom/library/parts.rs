@@ -1,12 +1,12 @@
 //! The builder that phantoms are assembled with.
 
 use super::super::solid::{Shape, Solid};
-use crate::numeric::elementary::{cos, sin};
-use crate::numeric::rng::{Purpose, stream};
 use glam::{DMat3, DQuat, DVec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
+use trgs_core::numeric::elementary::{cos, sin};
+use trgs_core::numeric::rng::{Purpose, stream};
 
 /// Parts in order of insertion: each displaces earlier parts where they overlap.
 pub(super) struct Parts {

@@ -14,7 +14,6 @@
 mod lengths;
 
 use super::{VolumeFile, damaged, unsupported};
-use crate::error::{Error, Result};
 use crate::limit;
 use dicom_core::header::HasLength;
 use dicom_object::mem::InMemElement;
@@ -26,6 +25,7 @@ use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
 
 /// Allowed relative deviation of a slice distance from the usual one: positions have few digits.
 const UNEVEN: f64 = 0.01;

@@ -8,7 +8,6 @@ mod header;
 use super::elements::{Element, Encoding, Layout, MOST_INFLATION, Number, Start, unpack};
 use super::header::{surplus, three_axes};
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
-use crate::error::{Error, Result};
 use crate::limit;
 use crate::output::write_atomically;
 use flate2::read::MultiGzDecoder;
@@ -20,6 +19,7 @@ use nifti::writer::WriterOptions;
 use std::fs::File;
 use std::io;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// NIfTI's code for a transformation to the coordinates of the scanner.
 const SCANNER: i16 = 1;

@@ -12,7 +12,6 @@ use super::elements::{Defect, Element, Encoding, Layout, Number, Start};
 use super::header::lossy;
 use super::pages::Pages;
 use super::{Place, VolumeFile, damaged, unsupported};
-use crate::error::{Error, Result};
 use crate::output::write_atomically;
 use description::Description;
 use directory::{Directory, Entry, Form};
@@ -25,6 +24,7 @@ use tiff::encoder::colortype::Gray32Float;
 use tiff::encoder::{Rational, TiffEncoder, TiffKind};
 use tiff::tags::{ResolutionUnit, Tag};
 use tiff::{ColorType, TiffError, TiffResult};
+use trgs_core::error::{Error, Result};
 
 /// Largest expansion of a compressed byte: twelve bits of LZW for all of its four thousand codes.
 const MOST_INFLATION: usize = 2731;

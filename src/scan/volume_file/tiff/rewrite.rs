@@ -7,7 +7,7 @@ use super::directory::{Directory, Form, slice};
 use super::{BITS, BYTE_COUNTS, COMPRESSION, HEIGHT, LZW, OFFSETS, PHOTOMETRIC, ROWS_PER_STRIP, SAMPLES, WIDTH};
 use super::{MOST_INFLATION, TILE_BYTE_COUNTS, TILE_HEIGHT, TILE_OFFSETS, TILE_WIDTH, ZSTD, first, single};
 use crate::limit;
-use crate::scan::volume_file::elements::Defect;
+use crate::volume_file::elements::Defect;
 use ruzstd::decoding::StreamingDecoder;
 use std::borrow::Cow;
 use std::io::Read;

@@ -20,13 +20,13 @@ pub use shared::SharedFolder;
 pub use staging::{StagedFolder, stage_folder};
 pub use sweep::recover;
 
-use crate::error::{Error, Result};
 use lock::is_at;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use sweep::{RANDOM, sweep_once};
 use tempfile::{Builder, NamedTempFile};
+use trgs_core::error::{Error, Result};
 
 /// Name of the mark of a folder.
 pub const MARK: &str = ".trgs.json";

@@ -5,13 +5,13 @@ use super::mark::{Mark, walk};
 use super::staging::{is_fixed, is_mount_point};
 use super::sweep::sweep;
 use super::{LOCK, LOG, step};
-use crate::error::{Error, Result};
-use crate::setting::Setting;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
 
 /// The writer of a folder that no command wrote.
 const LIBRARY: &str = "the library";
@@ -89,7 +89,8 @@ impl Destination {
     }
 
     /// The destination with another kind of content.
-    pub(crate) fn of(self, kind: Kind) -> Self {
+    #[must_use]
+    pub fn of(self, kind: Kind) -> Self {
         Self { kind, ..self }
     }
 

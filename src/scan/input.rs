@@ -2,10 +2,8 @@
 //!
 //! A pipe without a writer would block, and a device such as `/dev/zero` has no end.
 
-use crate::error::{Error, Result};
+use crate::digest::digest_file;
 use crate::limit;
-use crate::provenance::digest_file;
-use crate::words;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, Metadata};
@@ -13,6 +11,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
+use trgs_core::error::{Error, Result};
+use trgs_core::words;
 
 /// Size and time of the last change of a file: equal ones mean equal content.
 type Stamp = (u64, Option<SystemTime>);
@@ -53,7 +53,7 @@ fn stamp(found: &Metadata) -> Stamp {
 }
 
 /// Opens a regular file, and records it.
-pub(crate) fn open(path: &Path) -> io::Result<File> {
+pub fn open(path: &Path) -> io::Result<File> {
     let file = open_unrecorded(path)?;
     let stamp = stamp(&file.metadata()?);
     // The first reading counts: a later change is one during the command.
@@ -68,7 +68,7 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
 }
 
 /// Opens a regular file.
-pub(crate) fn open_unrecorded(path: &Path) -> io::Result<File> {
+pub fn open_unrecorded(path: &Path) -> io::Result<File> {
     // Opening a pipe would wait for its writer.
     let found = fs::metadata(path)?;
     if found.is_file() || found.is_dir() {
@@ -78,12 +78,12 @@ pub(crate) fn open_unrecorded(path: &Path) -> io::Result<File> {
 }
 
 /// The content of a regular file.
-pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     limit::read_to_end(open(path)?)
 }
 
 /// The content of a text, which may also come from a pipe, as the shell's `<(command)` does.
-pub(crate) fn read_text(path: &Path) -> io::Result<Vec<u8>> {
+pub fn read_text(path: &Path) -> io::Result<Vec<u8>> {
     #[cfg(unix)]
     if fs::metadata(path).is_ok_and(|found| std::os::unix::fs::FileTypeExt::is_fifo(&found.file_type())) {
         return limit::read_to_end(File::open(path)?);
@@ -100,7 +100,7 @@ pub fn digests() -> Result<BTreeMap<String, String>> {
 }
 
 /// The result of `work`, and the digests of the files that it reads on this thread.
-pub(crate) fn digests_of<T>(work: impl FnOnce() -> Result<T>) -> Result<(T, BTreeMap<String, String>)> {
+pub fn digests_of<T>(work: impl FnOnce() -> Result<T>) -> Result<(T, BTreeMap<String, String>)> {
     OF_THREAD.set(Some(Record::new()));
     let found = work();
     let files = OF_THREAD.take().unwrap_or_default();
@@ -124,7 +124,7 @@ fn of(files: Record) -> Result<BTreeMap<String, String>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::provenance::digest_bytes;
+    use crate::digest::digest_bytes;
 
     #[test]
     fn digests_are_those_of_the_bytes_that_were_read() {

@@ -5,13 +5,13 @@
 //! strips, entries and listed files are compared as a whole. Ratios that no sound file can have are refused by the
 //! readers themselves.
 
-use crate::error::{Error, Result};
 use bytesize::ByteSize;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
+use trgs_core::error::{Error, Result};
 
 /// Part of the machine's memory that is the limit unless another is set: three quarters.
 const PART: [u64; 2] = [3, 4];
@@ -102,7 +102,7 @@ pub fn room<T>(what: impl ToString, count: usize) -> Result<Vec<T>> {
 ///
 /// # Errors
 /// That of the operating system, or an [`Error::Memory`] within one, which [`Error::read`] takes out again.
-pub(crate) fn read_to_end(file: File) -> io::Result<Vec<u8>> {
+pub fn read_to_end(file: File) -> io::Result<Vec<u8>> {
     let size = file.metadata()?.len();
     let mut content = room::<u8>("content", usize::try_from(size).unwrap_or(usize::MAX)).map_err(io::Error::other)?;
     let read = file.take(self::bytes().saturating_add(1)).read_to_end(&mut content)?;

@@ -5,14 +5,14 @@ use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
 use super::mark::Mark;
 use super::sweep::{RANDOM, sweep};
 use super::{COMMIT, MARK, OWNER, TEMPORARY, folder_of, step};
-use crate::error::{Error, Result};
-use crate::words;
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tempfile::Builder;
+use trgs_core::error::{Error, Result};
+use trgs_core::words;
 
 /// Content of the file that names a staging folder as ours.
 const OWNER_TEXT: &[u8] = b"temporary folder of trgs\n";

@@ -4,12 +4,12 @@ use super::destination::Destination;
 use super::lock::is_at;
 use super::mark::Mark;
 use super::{LOCK, create_folder, write_atomically};
-use crate::error::{Error, Result};
-use crate::provenance::{digest_bytes, digest_file};
-use crate::setting::Setting;
+use crate::digest::{digest_bytes, digest_file};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::PathBuf;
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
 
 /// A folder whose files are replaced only if they are as they were written.
 #[derive(Debug)]

@@ -3,9 +3,7 @@
 use super::staging::is_staging;
 use super::sweep::is_temporary;
 use super::{Kind, LOCK, LOG, MARK, write_atomically};
-use crate::error::Result;
-use crate::provenance::digest_file;
-use crate::words;
+use crate::digest::digest_file;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,6 +11,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
+use trgs_core::error::Result;
+use trgs_core::words;
 
 /// The content of the mark. It holds no time, so equal folders have equal marks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,7 +53,7 @@ impl Mark {
             files.extend(entry.is_file().then(|| (path.to_owned(), file.to_owned())));
             None::<()>
         });
-        listed.map_err(|source| crate::Error::read(folder, source))?;
+        listed.map_err(|source| trgs_core::Error::read(folder, source))?;
         for (path, file) in files {
             let digest = if working.contains(&&*path) { None } else { Some(digest_file(&file)?) };
             self.files.insert(path, digest);

@@ -1,0 +1,52 @@
+//! SHA-256 digests of files and bytes.
+
+use crate::input;
+use sha2::{Digest, Sha256};
+use std::io;
+use std::path::Path;
+use trgs_core::error::{Error, Result};
+
+/// SHA-256 of a regular file, 64 hexadecimal digits.
+///
+/// # Errors
+/// [`Error::Read`] with the error of the operating system, and for a pipe or a device.
+pub fn digest_file(path: &Path) -> Result<String> {
+    let mut hasher = Sha256::new();
+    let copied = input::open_unrecorded(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
+    copied.map_err(|source| Error::read(path, source))?;
+    Ok(hex(hasher))
+}
+
+/// SHA-256 of bytes, 64 hexadecimal digits.
+pub fn digest_bytes(bytes: &[u8]) -> String {
+    digest_parts(&[bytes])
+}
+
+/// [`digest_bytes`] of the concatenated parts.
+pub fn digest_parts(parts: &[&[u8]]) -> String {
+    hex(parts.iter().fold(Sha256::new(), |hasher, part| hasher.chain_update(part)))
+}
+
+fn hex(hasher: Sha256) -> String {
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digest_of_a_file_is_the_published_one_of_abc() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("abc.txt");
+        std::fs::write(&path, "abc").unwrap();
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(digest_file(&path).unwrap(), expected);
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let message = digest_file(Path::new("/nowhere/at/all")).unwrap_err().to_string();
+        assert!(message.contains("/nowhere/at/all"), "{message}");
+    }
+}
