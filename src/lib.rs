@@ -108,13 +108,10 @@
 #[path = "../tests/common/tolerances.rs"]
 mod tolerances;
 
-pub mod classical;
 pub mod config;
 pub mod duration;
-pub mod evaluation;
 pub mod experiments;
 pub mod memory;
-pub mod neural;
 #[cfg(feature = "oracle")]
 pub mod oracle;
 pub mod provenance;
@@ -135,5 +132,6 @@ pub use trgs_core::{
     confidence, density, error, error::Error, error::Result, geometry, loss, numeric, optim, primitives, projector,
     setting, wavelet, words,
 };
+pub use trgs_methods::{classical, evaluation, neural};
 pub use trgs_scan as scan;
 pub use trgs_scan::{input, limit, output};

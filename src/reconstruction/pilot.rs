@@ -18,7 +18,7 @@
 use super::finish::{LEAST, SHORTEST, target};
 use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
-use crate::classical::algebraic::{Choice, FinishSearch, Trial, choose_finish, pilot_folds};
+use crate::classical::algebraic::{Choice, Trial};
 use crate::config::{Config, Plan, Precision, Sampling, Start};
 use crate::error::Result;
 use crate::geometry::{Projections, Volume};
@@ -27,6 +27,7 @@ use crate::reconstruction::Evidence;
 use crate::scan::{Dataset, interpolant};
 use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, train};
 use std::ops::ControlFlow;
+use trgs_methods::internals::{FinishSearch, choose_finish, pilot_folds};
 
 /// Iterations of the pilot as a fraction of those of the run.
 pub const PILOT_PART: f64 = 0.5;

@@ -22,7 +22,7 @@ pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model};
 
-use crate::classical::density_unit::{density_unit, in_unit};
+use crate::classical::density_unit::density_unit;
 use crate::confidence::{Coverage, nu_target, spearman};
 use crate::config::{Config, DensityControl, Plan, Precision, Start};
 use crate::density::{self, NextPrimitive, adc, ar};
@@ -45,6 +45,7 @@ use state::State;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
+use trgs_methods::internals::in_unit;
 use views::ViewOrder;
 
 /// Called after every iteration, with a record where one is due. `Break` stops the run.

@@ -16,9 +16,9 @@ const NUMERICAL: [&str; 10] = [
     "src/core/loss",
     "src/core/wavelet",
     "src/core/optim",
-    "src/classical",
-    "src/neural",
-    "src/evaluation.rs",
+    "src/methods/classical",
+    "src/methods/neural",
+    "src/methods/evaluation.rs",
 ];
 
 fn root() -> PathBuf {
@@ -86,7 +86,7 @@ fn resolve(function: &str) -> (PathBuf, String) {
     let parts: Vec<&str> = function.split("::").collect();
     let name = *parts.last().unwrap();
     for depth in (1..parts.len()).rev() {
-        for folder in ["src", "src/core"] {
+        for folder in ["src", "src/core", "src/methods"] {
             let stem = root().join(folder).join(parts[..depth].join("/"));
             for path in [stem.with_extension("rs"), stem.join("mod.rs")] {
                 if path.is_file() && fs::read_to_string(&path).unwrap().contains(&format!("fn {name}")) {

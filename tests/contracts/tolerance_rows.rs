@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 /// Thresholds that select data or repeat a definition: file, text of the comparison, reason.
 const NO_TOLERANCES: [(&str, &str, &str); 19] = [
-    ("src/classical/algebraic/tests.rs", "length > 0.5 * scanner", "the definition of a ray that counts"),
-    ("src/classical/fdk/mod.rs", "distance > 0.5", "inside or outside of the ball"),
-    ("src/classical/fdk/mod.rs", "(0.35..0.65).contains(", "the shell that no mean contains"),
-    ("src/classical/fdk/tests.rs", ".length() < 0.25", "the middle of the volume"),
+    ("src/methods/classical/algebraic/tests.rs", "length > 0.5 * scanner", "the definition of a ray that counts"),
+    ("src/methods/classical/fdk/mod.rs", "distance > 0.5", "inside or outside of the ball"),
+    ("src/methods/classical/fdk/mod.rs", "(0.35..0.65).contains(", "the shell that no mean contains"),
+    ("src/methods/classical/fdk/tests.rs", ".length() < 0.25", "the middle of the volume"),
     ("src/core/numeric/lanes.rs", "truth < 1e-36", "values that f32 cannot hold are skipped"),
     ("src/scan/noise.rs", "count < 19.5", "the last cell of the histogram"),
     ("src/scan/noise.rs", "count < 0.75", "the first cell of the histogram"),

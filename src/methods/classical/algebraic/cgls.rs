@@ -1,0 +1,139 @@
+//! Conjugate gradients on the normal equations (CGLS). Not in the paper.
+
+use super::{
+    Observe, Pass, See, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers,
+};
+use crate::classical::VoxelProjector;
+use trgs_core::error::Result;
+use trgs_core::geometry::{Projections, View, Volume};
+use trgs_core::numeric::{Real, real};
+
+/// Minimises `‖A x - p‖` over the Krylov space of `iterations` dimensions, from zeros `[HS52]`.
+///
+/// Few iterations smooth, many fit the noise. The volume is attenuation per scene unit, and values may be negative. The
+/// residual never grows, and the iteration ends early when no search direction is left.
+///
+/// # Errors
+/// Those of [`super::sart()`].
+///
+/// Tests: `consistent_data_are_solved`, `the_residual_of_cgls_never_grows`, `the_number_of_threads_changes_no_bit`.
+pub fn cgls<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    iterations: usize,
+    observe: &mut Observe<'_>,
+) -> Result<Volume> {
+    run_to_the_end(CglsRun::<R>::new(projector, projections, iterations, None)?, observe)
+}
+
+/// [`cgls()`] that passes the volume to `see` after every iteration.
+pub(super) fn cgls_seen<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    iterations: usize,
+    see: &mut See<'_, R>,
+) -> Result<Volume> {
+    let mut run = CglsRun::<R>::new(projector, projections, iterations, None)?;
+    while !run.is_finished() {
+        let Some(residual) = run.improve() else { break };
+        if see(run.iteration, residual, &run.x)?.is_break() {
+            break;
+        }
+        run.turn();
+    }
+    run.system.volume(run.x)
+}
+
+/// CGLS, run one iteration at a time.
+pub struct CglsRun<'a, R> {
+    system: System<'a, R>,
+    views: Vec<View>,
+    iterations: usize,
+    x: Vec<R>,
+    /// `p - A x`.
+    residual: Vec<R>,
+    direction: Vec<R>,
+    /// Squared norm of the gradient that the direction comes from.
+    gamma: f64,
+    iteration: usize,
+}
+
+impl<'a, R: Real> CglsRun<'a, R> {
+    /// Begins at zeros, or continues from a state with the bits of an uninterrupted run.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit the projector.
+    pub fn new(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        iterations: usize,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let views = projector.views(system.trajectory)?;
+        let (x, residual) = (system.empty(), system.measured.clone());
+        let mut run = Self { system, views, iterations, x, residual, direction: Vec::new(), gamma: 0.0, iteration: 0 };
+        if let Some(state) = state {
+            let lengths = [run.x.len(), run.residual.len(), run.x.len()];
+            ([run.gamma], [run.x, run.residual, run.direction]) = state.get(lengths)?;
+            run.iteration = state.iteration;
+        } else {
+            run.direction = run.gradient();
+            run.gamma = dot(&run.direction, &run.direction);
+        }
+        Ok(run)
+    }
+
+    /// `Aᵀ(p - A x)`.
+    fn gradient(&self) -> Vec<R> {
+        let mut out = self.system.empty();
+        self.system.projector.adjoin(&self.views, [&self.residual], &mut out, |out, [value]| *out = value);
+        out
+    }
+
+    /// Moves along the direction; returns the norm of the residual, or `None` when no direction is left.
+    fn improve(&mut self) -> Option<f64> {
+        let image = self.system.projector.project(&self.views, &self.direction).values;
+        let size = dot(&image, &image);
+        if size == 0.0 {
+            return None;
+        }
+        let step = self.gamma / size;
+        add_scaled(&mut self.x, step, &self.direction);
+        add_scaled(&mut self.residual, -step, &image);
+        self.iteration += 1;
+        Some(norm(&self.residual))
+    }
+
+    /// Finds the next direction.
+    fn turn(&mut self) {
+        let gradient = self.gradient();
+        let next = dot(&gradient, &gradient);
+        let factor: R = real(next / self.gamma);
+        let pairs = self.direction.iter_mut().zip(&gradient);
+        pairs.for_each(|(direction, &gradient)| *direction = gradient + factor * *direction);
+        self.gamma = next;
+    }
+}
+
+impl<R: Real> VoxelRun for CglsRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        self.iteration >= self.iterations
+    }
+
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let Some(residual) = self.improve() else { return Ok(None) };
+        let pass = Pass::new(self.iteration, self.iterations, residual)?;
+        self.turn();
+        Ok(Some(pass))
+    }
+
+    fn state(&self) -> VoxelState {
+        let arrays = [&self.x, &self.residual, &self.direction].map(|values| Numbers::new(values)).into();
+        VoxelState { iteration: self.iteration, scalars: vec![self.gamma], arrays }
+    }
+
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.x)
+    }
+}

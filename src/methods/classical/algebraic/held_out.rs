@@ -1,0 +1,526 @@
+//! Settings chosen by cross-validation over views. Not in the paper.
+//!
+//! ```text
+//! error² = Σ_f ‖A_f x_f - p_f‖² / Σ_f ‖p_f‖²      x_f: from all views but those of fold f
+//! ```
+//!
+//! Views are sorted by angle, and every k-th view belongs to one fold. Parallel views from opposite sides stay
+//! together, because each determines the other. The procedure is deterministic.
+
+use super::{SartSettings, System, TvRun, TvSettings, cgls_seen, dot, sart_seen};
+use crate::classical::VoxelProjector;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+use std::ops::ControlFlow;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Beam, Projections, View, Volume};
+use trgs_core::numeric::Real;
+use trgs_core::numeric::elementary::{log, pow};
+
+/// Number of folds for a weight; every second one is held out in turn.
+const WEIGHT_FOLDS: usize = 4;
+/// With fewer folds than this, nothing is chosen.
+const FEWEST_FOLDS: usize = 3;
+/// The first weight tried, the factor between neighbours, and the largest number of steps either way.
+const FIRST: f64 = 1e-3;
+const FACTOR: f64 = 4.0;
+const MOST_NEIGHBOURS: i32 = 5;
+/// Fewest reconstructions of a choice by [`choose_weight`]: three weights in each fold held out.
+pub const FEWEST_TRIALS: usize = 3 * WEIGHT_FOLDS.div_ceil(2);
+/// Number of folds for a number of passes; one of them is held out.
+const PASS_FOLDS: usize = 4;
+/// Number of folds of a pilot run; one of them is held out.
+const PILOT_FOLDS: usize = 6;
+/// A finish is judged after every so many iterations, and ends so many iterations after its least error.
+const JUDGED_EVERY: usize = 5;
+const IN_VAIN: usize = 40;
+/// The search for a number of passes ends when the error exceeds the best by this factor.
+const PATIENCE: f64 = 1.2;
+
+/// A value of a setting and its held-out error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// The value of the setting.
+    pub value: f64,
+    /// Residual of the held-out views relative to the measured values.
+    pub error: f64,
+}
+
+/// The chosen value of a setting, with its evidence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// `tv.weight` or `passes`.
+    pub key: String,
+    /// The chosen value.
+    pub value: f64,
+    /// All values tried, in increasing order; empty if there are too few views to hold any out.
+    pub curve: Vec<Trial>,
+    /// Number of reconstructions without some of the views.
+    pub folds: usize,
+    /// Cost of the choice, in iterations or passes over all views.
+    pub cost: f64,
+    /// Number of iterations that belongs to the value, where it was chosen with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+}
+
+impl Choice {
+    /// Whether it can be a choice: what was read from a file is checked by this.
+    #[doc(hidden)]
+    pub fn is_valid(&self) -> bool {
+        let is_trial =
+            |trial: &Trial| trial.value > 0.0 && trial.value.is_finite() && (0.0..f64::INFINITY).contains(&trial.error);
+        self.value > 0.0
+            && [self.value, self.cost].iter().all(|value| value.is_finite())
+            && self.curve.iter().all(is_trial)
+    }
+
+    /// The given value, where there are too few views to hold any out.
+    fn without_folds(key: &str, value: f64) -> Self {
+        Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None }
+    }
+}
+
+/// Observer of a choice: gets the setting's name and each trial; breaking ends it with an error.
+pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
+
+/// The method whose number of passes is chosen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Passes {
+    /// SART or OS-SART, with at most the iterations of the settings.
+    Sart(SartSettings),
+    /// CGLS with at most this many iterations.
+    Cgls(usize),
+}
+
+/// The weight of [`super::tv()`] with the least error on held-out views, a quarter of the views each.
+///
+/// Not in the paper. Each weight is judged after the iterations of `settings`, from zeros: with fewer, small weights are
+/// further from their minimum than they will be in the run, and a weight too large is chosen. Weights change by factors
+/// of four from the first one to either side until the error rises; then a parabola in the logarithm of the weight is
+/// fitted to the three around the best. With two views or fewer, the weight of `settings` is returned.
+///
+/// # Errors
+/// Those of [`super::tv()`].
+///
+/// Tests: `the_weight_is_near_the_best_of_a_grid`, `two_views_are_too_few_to_choose`.
+pub fn choose_weight<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &TvSettings,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "tv.weight";
+    let used = weight_folds(projector, projections);
+    if used.is_empty() {
+        return Ok(Choice::without_folds(KEY, settings.weight));
+    }
+    // Power of the factor → sums over the folds of the squared residual and of the squared measured values.
+    let mut sums: BTreeMap<i32, [f64; 2]> = BTreeMap::new();
+    let mut work = 0;
+    let settings = TvSettings { weight: FIRST, ..*settings };
+    let weight = |power: i32| FIRST * pow(FACTOR, f64::from(power));
+    for (number, [train, held]) in used.iter().enumerate() {
+        let (train, held) = (projections.select(train), projections.select(held));
+        let held = Held::<R>::new(projector, &held)?;
+        let mut run = TvRun::<R>::new(projector, &train, &settings, None)?;
+        let mut error_of = |power: i32| {
+            run.restart(weight(power));
+            while !run.is_finished() {
+                run.step()?;
+                go_on(observe(KEY, None))?;
+                work += train.len();
+            }
+            let error = held.error(run.values());
+            if number == 0 {
+                go_on(observe(KEY, Some(&Trial { value: weight(power), error: (error[0] / error[1]).sqrt() })))?;
+            }
+            Ok::<_, Error>(error)
+        };
+        if number > 0 {
+            for (&power, sums) in &mut sums {
+                let error = error_of(power)?;
+                (0..2).for_each(|k| sums[k] += error[k]);
+            }
+            continue;
+        }
+        // The first fold decides which weights are tried: from the first weight to either side until the error rises.
+        sums.insert(0, error_of(0)?);
+        for side in [1, -1] {
+            for power in (1..=MOST_NEIGHBOURS).map(|k| side * k) {
+                let (error, before) = (error_of(power)?, sums[&(power - side)]);
+                sums.insert(power, error);
+                if error[0] > before[0] {
+                    break;
+                }
+            }
+        }
+    }
+    let curve: Vec<Trial> = (sums.iter())
+        .map(|(&power, [error, size])| Trial { value: weight(power), error: (error / size).sqrt() })
+        .collect();
+    let value = least(&curve);
+    Ok(Choice {
+        key: KEY.into(),
+        value,
+        curve,
+        folds: used.len(),
+        cost: work as f64 / projections.len() as f64,
+        iterations: None,
+    })
+}
+
+/// The number of passes with the least error on held-out views, a quarter of all views.
+///
+/// Not in the paper. The search ends when the error exceeds the best by a fifth, so it costs about as much as the
+/// passes that it finds. With two views or fewer, the given number is returned.
+///
+/// # Errors
+/// Those of [`super::sart()`].
+///
+/// Tests: `the_number_of_passes_is_where_the_error_of_the_volume_is_small`, `two_views_are_too_few_to_choose`.
+pub fn choose_passes<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    passes: Passes,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "passes";
+    let most = match passes {
+        Passes::Sart(settings) => settings.iterations,
+        Passes::Cgls(most) => most,
+    };
+    let folds = folds(projector, projections, PASS_FOLDS);
+    let Some([train, held]) = folds.get(1).filter(|_| projections.len() > 2) else {
+        return Ok(Choice::without_folds(KEY, most as f64));
+    };
+    let (train, held) = (projections.select(train), projections.select(held));
+    let share = train.len() as f64 / projections.len() as f64;
+    let held = Held::<R>::new(projector, &held)?;
+    let mut curve: Vec<Trial> = Vec::new();
+    let mut best = Trial { value: 0.0, error: f64::INFINITY };
+    let mut see = |iteration: usize, _: f64, x: &[R]| {
+        let [error, size] = held.error(x);
+        let trial = Trial { value: iteration as f64, error: (error / size).sqrt() };
+        curve.push(trial);
+        if trial.error < best.error {
+            best = trial;
+        }
+        go_on(observe(KEY, Some(&trial)))?;
+        let ends = trial.value >= (best.value * PATIENCE).max(best.value + 1.0);
+        Ok(if ends { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    };
+    match passes {
+        Passes::Sart(settings) => sart_seen::<R>(projector, &train, &settings, &mut see)?,
+        Passes::Cgls(most) => cgls_seen::<R>(projector, &train, most, &mut see)?,
+    };
+    let cost = curve.len() as f64 * share;
+    Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost, iterations: None })
+}
+
+/// What is searched for a finish from a given volume.
+#[derive(Clone, Copy, Debug)]
+pub struct FinishSearch {
+    /// The weight, if it is not to be chosen.
+    pub weight: Option<f64>,
+    /// The number of iterations, if it is not to be chosen.
+    pub iterations: Option<usize>,
+    /// Smallest and largest number of iterations otherwise.
+    pub range: [usize; 2],
+    /// The smallest weight that is tried otherwise.
+    pub first: f64,
+    /// Of the iterations whose error is above the least by no more than this fraction, the first are chosen.
+    pub near: f64,
+}
+
+/// Weight and number of iterations of [`super::tv()`] from the volume `start` with the least error of the held-out views.
+///
+/// `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
+/// until the error rises. The curve has the least error of each weight.
+///
+/// # Errors
+/// As [`super::tv()`].
+pub fn choose_finish<R: Real>(
+    projector: &VoxelProjector,
+    views: [&Projections; 2],
+    start: &Volume,
+    settings: &TvSettings,
+    search: &FinishSearch,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
+    const KEY: &str = "tv.weight";
+    let [train, held] = views;
+    let held = Held::<R>::new(projector, held)?;
+    let error = |x: &[R]| {
+        let [error, size] = held.error(x);
+        (error / size).sqrt()
+    };
+    let mut steps = 0;
+    // The least error with a weight, and the fewest iterations that come near it.
+    let mut least = |weight: f64| {
+        let [fewest, most] = search.iterations.map_or(search.range, |iterations| [iterations; 2]);
+        let settings = TvSettings { weight, iterations: most, ..*settings };
+        let mut run = TvRun::<R>::new(projector, train, &settings, Some(start))?;
+        let (mut best, mut judged) = ((0, f64::INFINITY), Vec::new());
+        let mut iteration = 0;
+        loop {
+            let ends = run.is_finished();
+            let is_judged = iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
+            if is_judged || ends {
+                let error = error(run.values());
+                judged.push((iteration, error));
+                if error < best.1 {
+                    best = (iteration, error);
+                }
+            }
+            if ends || iteration >= best.0.max(fewest) + IN_VAIN {
+                break;
+            }
+            run.step()?;
+            go_on(observe(KEY, None))?;
+            iteration += 1;
+            steps += 1;
+        }
+        go_on(observe(KEY, Some(&Trial { value: weight, error: best.1 })))?;
+        let is_near = |(_, error): &&(usize, f64)| *error <= (1.0 + search.near) * best.1;
+        let near = judged.iter().find(is_near).map_or(best.0, |judged| judged.0);
+        Ok::<_, Error>((weight, near, best.1))
+    };
+    let first = search.weight.unwrap_or(search.first);
+    let mut tried = vec![least(first)?];
+    for power in (1..=MOST_NEIGHBOURS).filter(|_| search.weight.is_none()) {
+        let trial = least(first * pow(FACTOR, f64::from(power)))?;
+        let before = tried[tried.len() - 1].2;
+        tried.push(trial);
+        if trial.2 >= before {
+            break;
+        }
+    }
+    let (value, iterations, _) =
+        tried.iter().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
+    let curve = tried.iter().map(|&(value, _, error)| Trial { value, error }).collect();
+    let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.trajectory.len()) as f64;
+    Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
+}
+
+/// The views that a pilot run fits and those that it leaves out; none where there are too few views.
+pub fn pilot_folds(projector: &VoxelProjector, projections: &Projections) -> Option<[Vec<usize>; 2]> {
+    let folds = folds(projector, projections, PILOT_FOLDS);
+    folds.into_iter().nth(1).filter(|[train, _]| train.len() >= PILOT_FOLDS - 1)
+}
+
+pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => {
+            Err(Error::Interrupted { step: 0, remedy: "nothing was written; run the same command again".into() })
+        }
+    }
+}
+
+/// The held-out views.
+pub(super) struct Held<'a, R> {
+    system: System<'a, R>,
+    views: Vec<View>,
+    idle: Vec<bool>,
+}
+
+impl<'a, R: Real> Held<'a, R> {
+    pub(super) fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let views = projector.views(system.trajectory)?;
+        let idle = system.idle(&views);
+        Ok(Self { system, views, idle })
+    }
+
+    /// `‖A x - p‖²` and `‖p‖²` over the rays that are used.
+    pub(super) fn error(&self, x: &[R]) -> [f64; 2] {
+        let seen = self.system.projector.project(&self.views, x).values;
+        let counted = |values: &mut Vec<R>| {
+            values.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
+        };
+        let mut measured = self.system.measured.clone();
+        let mut residual: Vec<R> = seen.iter().zip(&measured).map(|(&seen, &p)| seen - p).collect();
+        counted(&mut residual);
+        counted(&mut measured);
+        [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)]
+    }
+}
+
+/// The folds held out for a weight; empty if there are too few views.
+fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
+    let folds = folds(projector, projections, WEIGHT_FOLDS);
+    if folds.len() < FEWEST_FOLDS { Vec::new() } else { folds.into_iter().step_by(2).collect() }
+}
+
+/// For each fold, the views to reconstruct from and the views held out.
+///
+/// There are fewer folds than k if there are fewer views.
+fn folds(projector: &VoxelProjector, projections: &Projections, k: usize) -> Vec<[Vec<usize>; 2]> {
+    /// Angles (radians) closer than this are equal.
+    const SAME: f64 = 1e-6;
+    let turn = if matches!(projector.scanner().beam, Beam::Parallel { .. }) { PI } else { TAU };
+    // An angle just below 0 and one just below a full turn are equal, too.
+    let angle = |view: usize| (projections.angles[view] + SAME).rem_euclid(turn);
+    let mut order: Vec<usize> = (0..projections.len()).collect();
+    order.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+    let mut rank = vec![0; order.len()];
+    for pair in order.windows(2) {
+        rank[pair[1]] = rank[pair[0]] + usize::from(angle(pair[1]) - angle(pair[0]) > SAME);
+    }
+    let k = k.min(rank.iter().max().map_or(0, |last| last + 1));
+    let of = |fold: usize| (0..rank.len()).partition(|&view| rank[view] % k != fold);
+    (0..k)
+        .map(of)
+        .map(|(train, held): (Vec<usize>, Vec<usize>)| [train, held])
+        .filter(|[train, _]| !train.is_empty())
+        .collect()
+}
+
+/// The value of least error, interpolated by a parabola in the logarithm of the value.
+fn least(curve: &[Trial]) -> f64 {
+    let best =
+        (0..curve.len()).min_by(|&a, &b| curve[a].error.total_cmp(&curve[b].error)).expect("something was tried");
+    if best == 0 || best + 1 == curve.len() {
+        return curve[best].value;
+    }
+    let [low, middle, high] = [best - 1, best, best + 1].map(|i| log(curve[i].error));
+    let bend = low - 2.0 * middle + high;
+    let shift = if bend > 0.0 { 0.5 * (low - high) / bend } else { 0.0 };
+    curve[best].value * pow(FACTOR, shift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::classical::RayModel;
+    use crate::classical::algebraic::{Pass, sart, tv};
+    use crate::evaluation::psnr_3d;
+    use trgs_core::geometry::{Detector, Grid, Scanner};
+    use trgs_scan::simulate::{Object, Plan, simulate};
+    use trgs_scan::{Dataset, Noise, Phantom};
+
+    fn scan(views: usize, beam: Beam) -> Dataset {
+        let detector = Detector { rows: 32, columns: 32, pitch_v: 0.12, pitch_u: 0.12, offset_u: 0.0, offset_v: 0.0 };
+        let scanner = Scanner { beam, detector, grid: Grid::cube(24) };
+        let plan = Plan { views, test_views: 0, noise: Noise::MEDIUM, seed: 3 };
+        let phantom = Phantom::by_name("torso", 0).unwrap();
+        // Projections of the voxels, interpolated, since the projector can represent those. Projections of the phantom
+        // itself say less about the best voxel means.
+        let volume = simulate("torso", Object::Phantom(&phantom), &scanner, &plan).unwrap().truth.unwrap();
+        simulate("torso", Object::Volume(&volume), &scanner, &plan).unwrap()
+    }
+
+    const CONE: Beam = Beam::Cone { dso: 5.0, dsd: 7.0 };
+
+    #[test]
+    fn the_weight_is_near_the_best_of_a_grid() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let choice = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let psnr = |weight: f64| {
+            let settings = TvSettings { weight, ..TvSettings::default() };
+            let volume =
+                tv::<f32>(&projector, &scan.train, &settings, None, &mut |_| ControlFlow::Continue(())).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let best = (0..7).map(|i| psnr(0.03 / pow(2.0, f64::from(i)))).fold(0.0, f64::max);
+        let found = psnr(choice.value);
+        eprintln!("weight {:.5}: {found:.2} dB, best {best:.2} dB, {choice:?}", choice.value);
+        within!(best - found, "{found} dB, best {best} dB: {choice:?}");
+        assert!(found > psnr(0.03) + 1.0, "no better than a weight far off");
+        assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.folds == 2);
+        // Fewer iterations leave small weights far from their minimum, and cost as much less.
+        let short = TvSettings { iterations: 20, ..TvSettings::default() };
+        let short = choose_weight::<f32>(&projector, &scan.train, &short, &mut quiet).unwrap();
+        assert!(short.value > choice.value, "{short:?}");
+        assert!(short.cost / (short.curve.len() as f64) < choice.cost / choice.curve.len() as f64, "{short:?}");
+    }
+
+    #[test]
+    fn the_number_of_passes_is_where_the_error_of_the_volume_is_small() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let settings = SartSettings { iterations: 60, ..SartSettings::default() };
+        let choice = choose_passes::<f32>(&projector, &scan.train, Passes::Sart(settings), &mut quiet).unwrap();
+        let psnr = |iterations: usize| {
+            let settings = SartSettings { iterations, ..settings };
+            let volume = sart::<f32>(&projector, &scan.train, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let best = [1, 2, 3, 4, 6, 8, 12, 20, 40, 60].map(psnr).into_iter().fold(0.0, f64::max);
+        let found = psnr(choice.value as usize);
+        eprintln!("{} passes: {found:.2} dB, best {best:.2} dB", choice.value);
+        within!(best - found, "{found} dB after {} passes, best {best} dB", choice.value);
+        assert!(found > psnr(1) + 1.0, "no better than a single pass");
+    }
+
+    #[test]
+    fn a_finish_is_chosen_where_the_volume_is_good() {
+        let scan = scan(12, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let [fitted, held] = pilot_folds(&projector, &scan.train).unwrap();
+        assert_eq!((fitted.len(), held.len()), (10, 2));
+        let [fitted, held] = [fitted, held].map(|views| scan.train.select(&views));
+        let settings = SartSettings { iterations: 3, ..SartSettings::default() };
+        let start = sart::<f32>(&projector, &fitted, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+        let truth = scan.truth.as_ref().unwrap().values.view();
+        let finished = |weight: f64, iterations: usize| {
+            let settings = TvSettings { weight, iterations, tolerance: 0.0, ..TvSettings::default() };
+            let mut quiet = |_: &Pass| ControlFlow::Continue(());
+            let volume = tv::<f32>(&projector, &fitted, &settings, Some(&start), &mut quiet).unwrap();
+            psnr_3d(truth, volume.values.view()).value
+        };
+        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4, near: 0.005 };
+        let choose = |search: &FinishSearch| {
+            let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+            let views = [&fitted, &held];
+            choose_finish::<f32>(&projector, views, &start, &TvSettings::default(), search, &mut quiet).unwrap()
+        };
+        let choice = choose(&free);
+        let found = finished(choice.value, choice.iterations.unwrap());
+        let weights = [1e-4, 4e-4, 1.6e-3, 6.4e-3, 2.56e-2];
+        let all = weights.map(|weight| [5, 20, 60].map(|iterations| finished(weight, iterations)));
+        let best = all.iter().flatten().copied().fold(0.0, f64::max);
+        let start = psnr_3d(truth, start.values.view()).value;
+        eprintln!("{found:.2} dB by {choice:?}; start {start:.2}, grid {all:.2?}");
+        within!(best - found, "{found} dB, best {best} dB");
+        assert!(found > start + 1.0, "{found} dB, start {start} dB");
+        assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.curve.len() >= 2);
+        // A fixed weight and a fixed number are not varied.
+        let fixed = choose(&FinishSearch { weight: Some(0.01), iterations: Some(7), ..free });
+        assert_eq!((fixed.value, fixed.iterations, fixed.curve.len()), (0.01, Some(7), 1));
+        let most = choose(&FinishSearch { range: [10, 60], first: 2e-3, ..free });
+        assert!(most.curve[0].value == 2e-3 && most.iterations.unwrap() >= 10);
+    }
+
+    #[test]
+    fn two_views_are_too_few_to_choose() {
+        let scan = scan(2, CONE);
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
+        let weight = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        assert!(weight.curve.is_empty() && weight.value == TvSettings::default().weight);
+        let passes = choose_passes::<f32>(&projector, &scan.train, Passes::Cgls(7), &mut quiet).unwrap();
+        assert!(passes.curve.is_empty() && passes.value == 7.0);
+        assert_eq!(pilot_folds(&projector, &scan.train), None);
+    }
+
+    #[test]
+    fn folds_share_all_views_and_opposite_parallel_views_stay_together() {
+        let scan = scan(8, Beam::Parallel { dso: 5.0 });
+        let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
+        let folds = folds(&projector, &scan.train, 3);
+        let mut all: Vec<usize> = folds.iter().flat_map(|[_, held]| held.clone()).collect();
+        all.sort_unstable();
+        assert_eq!(all, [0, 1, 2, 3, 4, 5, 6, 7]);
+        for [_, held] in folds {
+            assert!(held.iter().all(|&view| held.contains(&((view + 4) % 8))), "{held:?}");
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! SART and OS-SART. Not in the paper, which compares with it.
+
+use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
+use crate::classical::VoxelProjector;
+use trgs_core::error::Result;
+use trgs_core::geometry::{Projections, View, Volume};
+use trgs_core::numeric::{Real, real, reduce, threads};
+
+/// Parameters of SART and OS-SART.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SartSettings {
+    /// Number of passes over all views.
+    pub iterations: usize,
+    /// λ of the first pass, the relaxation.
+    pub relaxation: f64,
+    /// Factor on λ after every pass.
+    pub reduction: f64,
+    /// Keeps λ constant, as TIGRE does, which accepts a reduction but ignores it.
+    pub constant_relaxation: bool,
+    /// Number of views per correction: 1 is SART, more are OS-SART.
+    pub subset: usize,
+    /// Order of the views; consecutive views form the subsets.
+    pub order: Order,
+    /// Sets negative values to 0 after every correction.
+    pub non_negative: bool,
+    /// Ends when a pass lowers the residual by less than this fraction; 0 runs all passes.
+    pub tolerance: f64,
+    /// Seed of all random choices.
+    pub seed: u64,
+}
+
+impl Default for SartSettings {
+    fn default() -> Self {
+        Self {
+            iterations: 20,
+            relaxation: 1.0,
+            reduction: 0.999,
+            constant_relaxation: false,
+            subset: 1,
+            order: Order::Input,
+            non_negative: true,
+            tolerance: 0.0,
+            seed: 0,
+        }
+    }
+}
+
+impl SartSettings {
+    /// The factor on λ after a pass.
+    pub(super) fn factor(&self) -> f64 {
+        if self.constant_relaxation { 1.0 } else { self.reduction }
+    }
+}
+
+/// Reconstructs from zeros by passes of `x ← x + λ·Aᵀ[(p - A x)/A1]/Aᵀ1` over view subsets `[SART84]`.
+///
+/// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
+/// ignored, because their correction would be a division by nearly 0.
+///
+/// # Errors
+/// When the projections do not fit the scanner, values become non-finite, or `observe` breaks.
+///
+/// Tests: `consistent_data_are_solved`, `a_subset_of_all_views_is_the_formula`, `the_number_of_threads_changes_no_bit`.
+pub fn sart<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &SartSettings,
+    observe: &mut Observe<'_>,
+) -> Result<Volume> {
+    run_to_the_end(SartRun::<R>::new(projector, projections, settings, None)?, observe)
+}
+
+/// [`sart()`] that passes the volume to `see` after every pass.
+pub(super) fn sart_seen<R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &SartSettings,
+    see: &mut See<'_, R>,
+) -> Result<Volume> {
+    let mut run = SartRun::<R>::new(projector, projections, settings, None)?;
+    while !run.is_finished() {
+        let residual = run.pass();
+        if see(run.iteration, residual, &run.x)?.is_break() {
+            break;
+        }
+    }
+    run.system.volume(run.x)
+}
+
+/// SART or OS-SART, run one pass at a time.
+pub struct SartRun<'a, R> {
+    system: System<'a, R>,
+    sweeps: Sweeps<R>,
+    settings: SartSettings,
+    x: Vec<R>,
+    /// λ of the next pass.
+    relaxation: f64,
+    /// Residuals of the last pass but one and of the last pass.
+    residuals: [f64; 2],
+    iteration: usize,
+}
+
+impl<'a, R: Real> SartRun<'a, R> {
+    /// Begins at zeros, or continues from a state with the bits of an uninterrupted run.
+    ///
+    /// # Errors
+    /// When the projections or the state do not fit the projector.
+    pub fn new(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &SartSettings,
+        state: Option<&VoxelState>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let (sweeps, x) = (Sweeps::new(&system, settings)?, system.empty());
+        let (relaxation, residuals) = (settings.relaxation, [f64::INFINITY; 2]);
+        let mut run = Self { system, sweeps, settings: *settings, x, relaxation, residuals, iteration: 0 };
+        if let Some(state) = state {
+            let ([relaxation, before, last], [x]) = state.get([run.x.len()])?;
+            (run.x, run.relaxation, run.residuals, run.iteration) = (x, relaxation, [before, last], state.iteration);
+        }
+        Ok(run)
+    }
+
+    /// Runs one pass; returns its residual.
+    fn pass(&mut self) -> f64 {
+        let residual = self.sweeps.pass(&self.system, &mut self.x, self.relaxation);
+        self.iteration += 1;
+        self.residuals = [self.residuals[1], residual];
+        self.relaxation *= self.settings.factor();
+        residual
+    }
+}
+
+impl<R: Real> VoxelRun for SartRun<'_, R> {
+    fn is_finished(&self) -> bool {
+        let [before, last] = self.residuals;
+        let slow = before - last < self.settings.tolerance * before && before.is_finite();
+        self.iteration >= self.settings.iterations || slow
+    }
+
+    fn step(&mut self) -> Result<Option<Pass>> {
+        let residual = self.pass();
+        Pass::new(self.iteration, self.settings.iterations, residual).map(Some)
+    }
+
+    fn state(&self) -> VoxelState {
+        let [before, last] = self.residuals;
+        let scalars = vec![self.relaxation, before, last];
+        VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
+    }
+
+    fn into_volume(self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.x)
+    }
+}
+
+/// Passes over all views, one subset after another.
+pub(super) struct Sweeps<R> {
+    subsets: Vec<Vec<usize>>,
+    views: Vec<View>,
+    /// 1/A1 of every ray, 0 for ignored rays.
+    per_length: Vec<R>,
+    non_negative: bool,
+}
+
+impl<R: Real> Sweeps<R> {
+    pub(super) fn new(system: &System<'_, R>, settings: &SartSettings) -> Result<Self> {
+        let views = system.projector.views(system.trajectory)?;
+        let grid = &system.projector.scanner().grid;
+        let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
+        let least = real(0.5 * grid.spacing.min_element());
+        let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
+        let order = settings.order.of(system.trajectory.angles, settings.seed);
+        let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
+        Ok(Self { subsets, views, per_length, non_negative: settings.non_negative })
+    }
+
+    /// Runs one pass; returns the residual, in which each view counts before its own correction.
+    pub(super) fn pass(&self, system: &System<'_, R>, x: &mut [R], relaxation: f64) -> f64 {
+        let relaxation: R = real(relaxation);
+        let correct = |subset: &Vec<usize>| self.correct(system, x, relaxation, subset);
+        let squares: Vec<f64> = self.subsets.iter().map(correct).collect();
+        reduce::sum(&squares).sqrt()
+    }
+
+    /// Corrects x by a subset of the views; returns the sum of its squared residuals before the correction.
+    fn correct(&self, system: &System<'_, R>, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
+        let (projector, pixels) = (system.projector, system.pixels);
+        let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();
+        let seen = projector.project(&views, x).values;
+        let mut corrections = vec![R::ZERO; seen.len()];
+        threads::for_each_chunk(&mut corrections, pixels, |slot, corrections| {
+            let view = subset[slot] * pixels;
+            let (measured, per_length) = (&system.measured[view..], &self.per_length[view..]);
+            for (i, (correction, &seen)) in corrections.iter_mut().zip(&seen[slot * pixels..]).enumerate() {
+                *correction = (measured[i] - seen) * per_length[i];
+            }
+        });
+        let weights = subset.iter().flat_map(|&view| &self.per_length[view * pixels..][..pixels]);
+        let counts: Vec<R> = weights.map(|&weight| if weight > R::ZERO { R::ONE } else { R::ZERO }).collect();
+        let residual = |i: usize| (system.measured[subset[i / pixels] * pixels + i % pixels] - seen[i]).to_f64();
+        let squares = threads::map(seen.len().div_ceil(CHUNK), |chunk| {
+            let from = chunk * CHUNK;
+            reduce::sum_by(CHUNK.min(seen.len() - from), &|i| residual(from + i) * residual(from + i))
+        });
+        let non_negative = self.non_negative;
+        projector.adjoin(&views, [&corrections, &counts], x, |x, [correction, weight]| {
+            if weight > R::ZERO {
+                *x += relaxation * (correction / weight);
+            }
+            if non_negative && *x < R::ZERO {
+                *x = R::ZERO;
+            }
+        });
+        reduce::sum(&squares)
+    }
+}

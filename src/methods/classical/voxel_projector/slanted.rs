@@ -1,0 +1,121 @@
+//! The rays of views that are not upright, one by one: a turned or tilted detector has no fans.
+//!
+//! The weights are those of the fans: the planes of Joseph's method, the lengths of Siddon's.
+
+use super::joseph::Slab;
+use std::ops::Range;
+use trgs_core::geometry::{Grid, View};
+
+/// A ray in voxel units: voxel i has its centre at i.
+pub(super) struct SlantedRay {
+    origin: [f64; 3],
+    /// Voxels per scene unit of length.
+    direction: [f64; 3],
+}
+
+impl SlantedRay {
+    /// The ray through the pixel `k` rows above the lowest one.
+    pub(super) fn new(grid: &Grid, view: &View, column: usize, k: usize) -> Self {
+        let ray = view.ray(view.detector.rows - 1 - k, column);
+        let origin = (ray.origin - grid.min) / grid.spacing - 0.5;
+        Self { origin: origin.to_array(), direction: (ray.direction / grid.spacing).to_array() }
+    }
+
+    /// Calls `visit(line, z, weight)` for the voxels of the slab by Joseph's method.
+    pub(super) fn visit_joseph(&self, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
+        let per_voxel = self.direction.map(f64::abs);
+        let horizontal = if per_voxel[0] >= per_voxel[1] { 0 } else { 1 };
+        let main = if per_voxel[2] > per_voxel[horizontal] { 2 } else { horizontal };
+        let [a, b] = [[1, 2], [0, 2], [0, 1]][main];
+        let ends = ends(slab);
+        let low = ends.each_ref().map(|end| end.start as f64 - 1.0);
+        let high = ends.each_ref().map(|end| end.end as f64);
+        let Some((from, to)) = self.within(low, high) else { return };
+        let [from, to] = [from, to].map(|t| self.origin[main] + t * self.direction[main]);
+        // A plane more at either end: rounding must not decide which voxels have a weight.
+        let planes = (from.min(to).floor() - 1.0).max(ends[main].start as f64) as usize
+            ..(from.max(to).ceil() + 2.0).clamp(0.0, ends[main].end as f64) as usize;
+        let step = 1.0 / per_voxel[main];
+        for plane in planes {
+            let t = (plane as f64 - self.origin[main]) / self.direction[main];
+            let [at_a, at_b] = [a, b].map(|axis| self.origin[axis] + t * self.direction[axis]);
+            let (low_a, low_b) = (at_a.floor(), at_b.floor());
+            let (share_a, share_b) = (at_a - low_a, at_b - low_b);
+            for (i, weight_a) in [(low_a, 1.0 - share_a), (low_a + 1.0, share_a)] {
+                if !(i >= ends[a].start as f64 && i < ends[a].end as f64) {
+                    continue;
+                }
+                for (j, weight_b) in [(low_b, 1.0 - share_b), (low_b + 1.0, share_b)] {
+                    if !(j >= ends[b].start as f64 && j < ends[b].end as f64) {
+                        continue;
+                    }
+                    let mut voxel = [0; 3];
+                    (voxel[main], voxel[a], voxel[b]) = (plane, i as usize, j as usize);
+                    visit(line(slab, voxel), voxel[2], step * weight_a * weight_b);
+                }
+            }
+        }
+    }
+
+    /// Calls `visit(line, z, length)` for the voxels of the slab by Siddon's method.
+    pub(super) fn visit_siddon(&self, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
+        let ends = ends(slab);
+        let low = ends.each_ref().map(|end| end.start as f64 - 0.5);
+        let high = ends.each_ref().map(|end| end.end as f64 - 0.5);
+        let Some((mut from, end)) = self.within(low, high) else { return };
+        let mut cell = [0, 1, 2].map(|axis| {
+            let at = (self.origin[axis] + from * self.direction[axis] + 0.5).floor();
+            at.clamp(ends[axis].start as f64, ends[axis].end as f64 - 1.0)
+        });
+        // Computed from the index of the border, so that rounding errors do not add up.
+        let crossing = |axis: usize, at: f64| {
+            let (direction, origin) = (self.direction[axis], self.origin[axis]);
+            let border = if direction > 0.0 { at + 0.5 } else { at - 0.5 };
+            if direction == 0.0 { f64::INFINITY } else { (border - origin) / direction }
+        };
+        while from < end {
+            let next = [0, 1, 2].map(|axis| crossing(axis, cell[axis]));
+            let to = end.min(next[0]).min(next[1]).min(next[2]);
+            if to > from {
+                let voxel = cell.map(|at| at as usize);
+                visit(line(slab, voxel), voxel[2], to - from);
+                from = to;
+            }
+            for axis in 0..3 {
+                if next[axis] <= to {
+                    cell[axis] += self.direction[axis].signum();
+                }
+            }
+            if (0..3).any(|axis| cell[axis] < ends[axis].start as f64 || cell[axis] >= ends[axis].end as f64) {
+                break;
+            }
+        }
+    }
+
+    /// The interval of lengths along the ray with `low < coordinate < high` on all axes.
+    fn within(&self, low: [f64; 3], high: [f64; 3]) -> Option<(f64, f64)> {
+        let mut part = (f64::NEG_INFINITY, f64::INFINITY);
+        for axis in 0..3 {
+            let (origin, direction) = (self.origin[axis], self.direction[axis]);
+            if direction == 0.0 {
+                if !(low[axis] < origin && origin < high[axis]) {
+                    return None;
+                }
+            } else {
+                let (a, b) = ((low[axis] - origin) / direction, (high[axis] - origin) / direction);
+                part = (part.0.max(a.min(b)), part.1.min(a.max(b)));
+            }
+        }
+        (part.0 < part.1).then_some(part)
+    }
+}
+
+/// Index ranges of the slab along x, y and z.
+fn ends(slab: &Slab) -> [Range<usize>; 3] {
+    [slab.x.clone(), 0..slab.shape[1], 0..slab.shape[2]]
+}
+
+/// The line of a voxel, counted from the slab's first.
+fn line(slab: &Slab, [x, y, _]: [usize; 3]) -> usize {
+    (x - slab.x.start) * slab.shape[1] + y
+}
