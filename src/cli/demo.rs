@@ -20,7 +20,7 @@ use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::scan::{Dataset, Noise, Phantom};
 
 /// The paper's experiment at a quarter of its size in every direction.
-const SCALE: Scale = Scale { size: 64, matching: Matching::Edge };
+const SCALE: Scale = Scale { size: 64, matching: Matching::Edge, pixels: None };
 
 /// Fewer iterations than the default, which keep the demo under a minute.
 const ITERATIONS: usize = 500;

@@ -31,11 +31,9 @@ impl Report {
         let requests = requests(&self.folder)?;
         let folder = shared(&self.folder, requests.keys().map(String::as_str), self.replace)?;
         let of = |(name, what): (&String, &What)| {
-            let cases = what.cases()?;
-            what.tables(name)?
-                .iter()
-                .map(|table| what.write(table, &cases, &self.folder, &folder))
-                .collect::<Result<Vec<_>>>()
+            let tables = what.tables(name)?;
+            let cases = what.cases(&tables)?;
+            tables.iter().map(|table| what.write(table, &cases, &self.folder, &folder)).collect::<Result<Vec<_>>>()
         };
         let written = requests.iter().map(of);
         let written = interrupt::shielded(|| written.collect::<Result<Vec<_>>>())?;

@@ -38,13 +38,14 @@ const PAGE: &str = ".html";
   trgs table volume --out out/middle --data data/volumes --crop 64
   trgs table volume --out out/tables --networks naf
   trgs table volume --out out/measured --data data/r2_gaussian/real --measured
+  trgs table own.toml --out out/own --seeds 3
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
 
 Cells finished in DIR are not run again: an interrupted run continues, and several processes may share DIR.")]
 pub(super) struct Table {
-    /// Name of a table; `all` runs all tables, `list` lists them
-    #[arg(value_name = "NAME|all|list")]
+    /// Name of a table, or a file with one in the same form; `all` runs all tables of the paper, `list` lists them
+    #[arg(value_name = "NAME|FILE.toml|all|list")]
     name: String,
     /// Folder of cells and tables
     #[arg(long, value_name = "DIR")]
@@ -97,10 +98,20 @@ pub(super) struct What {
     #[arg(long, requires = "data")]
     #[serde(default)]
     measured: bool,
+    /// The content of the file of an own table.
+    #[arg(skip)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    definition: Option<String>,
 }
 
 impl What {
-    pub(super) fn cases(&self) -> Result<Vec<Case>> {
+    /// The cases of tables: those that are named, or all.
+    pub(super) fn cases(&self, tables: &[experiments::Table]) -> Result<Vec<Case>> {
+        let named =
+            if self.cases.is_empty() { tables.first().map_or(&[][..], |table| &table.cases) } else { &self.cases };
+        if self.data.is_none() && !named.is_empty() {
+            return named.iter().map(|name| Case::phantom(name)).collect();
+        }
         let all = match &self.data {
             Some(folder) => match self.crop {
                 Some(size) => Case::middles_in_folder(folder, size.into())?,
@@ -108,10 +119,10 @@ impl What {
             },
             None => Case::stand_ins(),
         };
-        if self.cases.is_empty() {
+        if named.is_empty() {
             return Ok(all);
         }
-        let chosen = self.cases.iter().map(|name| {
+        let chosen = named.iter().map(|name| {
             all.iter().find(|case| case.name == *name).cloned().ok_or_else(|| {
                 let names: Vec<_> = all.iter().map(|case| case.name.as_str()).collect();
                 Error::invalid(
@@ -127,9 +138,10 @@ impl What {
 
     /// The table with a name, or all tables.
     pub(super) fn tables(&self, name: &str) -> Result<Vec<experiments::Table>> {
-        let tables = match name {
-            "all" => experiments::Table::all(),
-            name => vec![experiments::Table::by_name(name)?],
+        let tables = match (&self.definition, name) {
+            (Some(definition), name) => vec![experiments::Table::parsed(name, definition)?],
+            (None, "all") => experiments::Table::all(),
+            (None, name) => vec![experiments::Table::by_name(name)?],
         };
         let with = |table: experiments::Table| table.with_networks(&self.networks).with(&self.set);
         let tables: Vec<_> = tables.into_iter().map(with).collect::<Result<_>>()?;
@@ -149,11 +161,12 @@ impl What {
         Ok(measured)
     }
 
-    fn scale(&self) -> Scale {
-        match self.crop {
-            Some(size) => Scale { size: size.into(), matching: Matching::Ray },
-            None => Scale { size: self.size.into(), matching: self.matched },
-        }
+    fn scale(&self, table: &experiments::Table) -> Scale {
+        let scale = match self.crop {
+            Some(size) => Scale::new(size.into(), Matching::Ray),
+            None => Scale::new(self.size.into(), self.matched),
+        };
+        Scale { pixels: table.detector, ..scale }
     }
 
     /// Writes all files of a table from the finished cells.
@@ -165,7 +178,7 @@ impl What {
         folder: &SharedFolder,
     ) -> Result<Written> {
         let store = Store::open(out)?;
-        let summary = Summary::new(table, cases, self.scale(), self.seeds, &store)?;
+        let summary = Summary::new(table, cases, self.scale(table), self.seeds, &store)?;
         let file = |ending: &str, text: String| folder.write(&format!("{}{ending}", table.name), text.as_bytes());
         file(CSV, summary.csv())?;
         file(CASES, summary.cases_csv())?;
@@ -181,7 +194,7 @@ impl What {
                 .fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
         };
         Ok(Written {
-            table: table.name,
+            table: table.name.clone(),
             page,
             cells: summary.findings.len(),
             missing: summary.missing,
@@ -194,7 +207,7 @@ impl What {
 /// The files and agreement of a table.
 #[derive(Clone, Serialize)]
 pub(super) struct Written {
-    table: &'static str,
+    table: String,
     #[serde(serialize_with = "trgs::words::serialize_name")]
     page: PathBuf,
     cells: usize,
@@ -210,13 +223,14 @@ impl Table {
         if self.name == "list" {
             return Ok(list());
         }
-        let tables = self.what.tables(&self.name)?;
-        if let Some(folder) = self.what.data.as_deref().filter(|folder| folder.to_str().is_none()) {
+        let (name, what) = self.named()?;
+        let tables = what.tables(&name)?;
+        if let Some(folder) = what.data.as_deref().filter(|folder| folder.to_str().is_none()) {
             let remedy = "rename the folder, or give a link to it: trgs report reads its name from the table's folder";
             return Err(Error::invalid("--data", words::name(folder), "a name in UTF-8", remedy));
         }
-        let cases = self.what.cases()?;
-        let cells_of = |table: &experiments::Table| table.cells(&cases, self.what.scale(), self.what.seeds);
+        let cases = what.cases(&tables)?;
+        let cells_of = |table: &experiments::Table| table.cells(&cases, what.scale(table), what.seeds);
         if self.list_cells {
             return Ok(listed(&tables.iter().flat_map(cells_of).collect::<Vec<_>>()));
         }
@@ -229,21 +243,37 @@ impl Table {
         if !self.cell.is_empty() {
             cells = self.chosen(cells)?;
         }
-        let sides = [self.what.scale().size; 3];
+        let sides = [what.crop.unwrap_or(what.size).into(); 3];
         let together = threads::count().min(cells.len());
         let checked = limit::allow_array("cells at work, on volumes", &sides, together * PER_VOXEL);
         checked.map_err(|error| error.or_instead("a smaller --size, or fewer --threads"))?;
-        let folder = shared(out, tables.iter().map(|table| table.name), self.replace)?;
+        let folder = shared(out, tables.iter().map(|table| table.name.as_str()), self.replace)?;
         let store = Store::open(out)?;
         interrupt::shielded(|| run(&cells, &store, global))?;
         if !self.cell.is_empty() {
             let found = cells.iter().filter_map(|cell| store.find(&cell.id).transpose()).collect::<Result<Vec<_>>>()?;
             return Ok(Output::list(&json!({ "out": words::name(out), "cells": found })));
         }
-        remember(&tables, &self.what, out, &folder)?;
-        let written =
-            tables.iter().map(|table| self.what.write(table, &cases, out, &folder)).collect::<Result<Vec<_>>>()?;
+        remember(&tables, &what, out, &folder)?;
+        let written = tables.iter().map(|table| what.write(table, &cases, out, &folder)).collect::<Result<Vec<_>>>()?;
         Ok(answer(out, &written))
+    }
+
+    /// The name of the table, and the arguments with the definition if it is a file.
+    fn named(&self) -> Result<(String, What)> {
+        let path = Path::new(&self.name);
+        if path.extension().is_none_or(|extension| extension != "toml") {
+            return Ok((self.name.clone(), self.what.clone()));
+        }
+        let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let plain = |c: char| c.is_alphanumeric() || "-_".contains(c);
+        let free = !stem.is_empty() && stem.chars().all(plain) && !NAMES.contains(&stem) && stem != "all";
+        if !free {
+            let expected = "letters, digits, - and _, and no table of the paper";
+            return Err(Error::invalid("name of the table's file", &self.name, expected, "rename the file"));
+        }
+        Ok((stem.into(), What { definition: Some(text), ..self.what.clone() }))
     }
 
     /// The cells with the requested ids.
@@ -262,7 +292,7 @@ impl Table {
 pub(super) fn answer(out: &Path, written: &[Written]) -> Output {
     let rows = written.iter().map(|w| {
         let of = |[kept, all]: [usize; 2]| format!("{kept} of {all}");
-        [w.table.into(), w.cells.to_string(), of(w.pairs), of(w.signs), w.page.display().to_string()]
+        [w.table.clone(), w.cells.to_string(), of(w.pairs), of(w.signs), w.page.display().to_string()]
     });
     Output::table(
         &json!({ "out": words::name(out), "tables": written }),
@@ -304,8 +334,8 @@ fn list() -> Output {
     let rows = tables.iter().map(|table| {
         let views: Vec<_> = table.views.iter().map(usize::to_string).collect();
         [
-            table.name.into(),
-            table.number.to_string(),
+            table.name.clone(),
+            table.number.map(|number| number.to_string()).unwrap_or_default(),
             table.title.clone(),
             table.rows.len().to_string(),
             views.join(", "),
@@ -325,7 +355,7 @@ fn listed(cells: &[Cell]) -> Output {
 /// Stores the arguments in DIR, in addition to earlier ones.
 fn remember(tables: &[experiments::Table], what: &What, out: &Path, folder: &SharedFolder) -> Result<()> {
     let mut requests = if out.join(REQUESTS).exists() { requests(out)? } else { BTreeMap::new() };
-    requests.extend(tables.iter().map(|table| (table.name.to_owned(), what.clone())));
+    requests.extend(tables.iter().map(|table| (table.name.clone(), what.clone())));
     let text = serde_json::to_string_pretty(&requests).expect("string keys") + "\n";
     folder.write(REQUESTS, text.as_bytes()).map(drop)
 }
@@ -348,8 +378,8 @@ pub(super) fn requests(folder: &Path) -> Result<BTreeMap<String, What>> {
     let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
     let requests: BTreeMap<String, What> = serde_json::from_slice(&text)
         .map_err(|error| Error::format(&path, "tables", error, "what `trgs table` writes", "run the table again"))?;
-    match requests.keys().find(|name| !NAMES.contains(&name.as_str())) {
-        Some(name) => Err(Error::format(&path, "table", name, NAMES.join(", "), "run the table again")),
+    match requests.iter().find(|(name, what)| what.definition.is_none() && !NAMES.contains(&name.as_str())) {
+        Some((name, _)) => Err(Error::format(&path, "table", name, NAMES.join(", "), "run the table again")),
         None => Ok(requests),
     }
 }

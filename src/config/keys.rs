@@ -90,7 +90,8 @@ pub(super) mod ranges {
     pub(in crate::config) const SEED: Range<u64> =
         range("at most 2^63 - 1, the largest integer of TOML", |seed| i64::try_from(*seed).is_ok());
     pub(in crate::config) const AT_LEAST_1: Range<usize> = range("at least 1", |count| *count >= 1);
-    pub(in crate::config) const AT_LEAST_2: Range<usize> = range("at least 2", |count| *count >= 2);
+    pub(in crate::config) const BLOCK: Range<usize> =
+        range("at least 2, or 0: as the scan says", |side| *side == 0 || *side >= 2);
     pub(in crate::config) const COUNT_OR_AUTO: Range<Auto<usize>> = range("at least 1", |count| count.or(1) >= 1);
     pub(in crate::config) const POPULATION: Range<usize> =
         range("4 to 10 million, or 0: as the scan says", |n| *n == 0 || (4..=MOST_POINTS).contains(n));
@@ -107,6 +108,8 @@ pub(super) mod ranges {
         range("a number that is not negative", |value| value.or(0.0) >= 0.0 && value.or(0.0).is_finite());
     pub(in crate::config) const FRACTION: Range<f64> =
         range("a number from 0 to 1", |value| (0.0..=1.0).contains(value));
+    pub(in crate::config) const FRACTION_OR_AUTO: Range<Auto<f64>> =
+        range("a number from 0 to 1, or auto", |value| (0.0..=1.0).contains(&value.or(0.0)));
     pub(in crate::config) const BELOW_1: Range<f64> = range("a number in [0, 1)", |value| (0.0..1.0).contains(value));
     pub(in crate::config) const UP_TO_1: Range<f64> =
         range("a number in (0, 1]", |value| *value > 0.0 && *value <= 1.0);

@@ -1,8 +1,8 @@
 //! The defaults of each method, and what the parts of the library are told.
 
 use super::{
-    AlgebraicConfig, AsdPocsConfig, Auto, Config, DensityControl, Finish, Method, NeuralConfig, NeuralOutput,
-    PositionOptimiser, Preset, Sampling, Start, TvConfig, VoxelPartner,
+    AlgebraicConfig, AsdPocsConfig, Config, DensityControl, Finish, Method, NeuralConfig, NeuralOutput,
+    PositionOptimiser, Preset, TvConfig, VoxelPartner,
 };
 use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
 use crate::neural::NeuralSettings;
@@ -23,7 +23,6 @@ impl Config {
                 config.wavelet.enabled = false;
                 config.optimiser.position = PositionOptimiser::Adam;
                 config.density_control.method = DensityControl::Adc;
-                config.density_control.stop = 0.5;
             }
             Method::Sart | Method::Cgls => config.iterations = SartSettings::default().iterations,
             Method::OsSart => (config.iterations, config.algebraic.subset) = (SartSettings::default().iterations, 10),
@@ -50,31 +49,8 @@ impl Config {
             (self.asd_pocs.epsilon, self.asd_pocs.r_max) = (0.2, 0.95);
         }
         if preset == Preset::Paper && self.method.fits_primitives() {
-            self.as_in_the_paper();
+            self.use_paper();
         }
-    }
-
-    /// The settings of the paper's experiment, for volumes of 256³.
-    ///
-    /// What the paper states, or takes over from R²-Gaussian without a word: numbers of iterations and primitives, start,
-    /// affine projection, point samples, no finish, R²-Gaussian's smallest scale and weight of the total variation, densities
-    /// as they are. It leaves the weight λ of the pull on ν open, which here is the one that its Table 5 asks for
-    /// (reference/results/confidence.md).
-    fn as_in_the_paper(&mut self) {
-        self.projection = Projection::Affine;
-        self.density_unit = Auto::Fixed(1.0);
-        (self.iterations, self.optimiser.longest) = (30_000, 30_000);
-        self.model.points = 50_000;
-        self.density_control.cap = match self.density_control.method {
-            // The last step of ADC exceeds its cap.
-            DensityControl::Adc => 80_000,
-            DensityControl::Ar | DensityControl::None => 100_000,
-        };
-        self.initialisation.from = Start::Fdk;
-        (self.sampling, self.finish) = (Sampling::Point, Finish::None);
-        self.model.smallest_scale = 0.128;
-        self.loss.tv = Auto::Fixed(0.05);
-        self.confidence.weight = 4e-4;
     }
 
     /// What SART is told.

@@ -7,6 +7,7 @@
 mod auto;
 mod keys;
 mod methods;
+mod paper;
 mod parts;
 mod plan;
 mod tables;
@@ -66,7 +67,7 @@ described! {
         R2Gaussian,
         /// Those of SAX-NeRF's comparison.
         SaxNerf,
-        /// The paper's method and experiment; constants that it leaves open are chosen to reproduce its tables.
+        /// The paper's method, scaled with the volume; what it leaves open is as in the works that it follows.
         Paper,
     }
 }
@@ -81,6 +82,16 @@ described! {
         /// Double.
         F64,
     }
+}
+
+/// How keys that are 0 or auto follow from the scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rules {
+    /// Ours: [`Config::plan`].
+    Trgs,
+    /// The paper's numbers at 256³, scaled with the volume.
+    Paper,
 }
 
 /// Where the primitives start.

@@ -1,6 +1,7 @@
 //! What follows from the scan: the one place where lengths of runs and sizes of populations are set.
 //!
-//! A key that is 0 is filled in before a run starts. n is the side of a cube with as many voxels as the volume.
+//! A key that is 0 is filled in before a run starts. n is the side of a cube with as many voxels as the volume. Lengths of
+//! runs, populations, intervals and blocks are these with `rules = "trgs"`; `paper` has the others.
 //!
 //! | key | value | reason |
 //! |---|---|---|
@@ -12,12 +13,14 @@
 //! | `neural.levels` | the last has 4 n cells a side | finer ones are not seen by any ray |
 //! | `neural.table` | n³ entries as a power of two, 2^14 to 2^19 | NAF's 2^19 is for 256³ |
 //! | `neural.samples` | 1.5 n | NAF has 192 to 320 for 256³ |
+//! | `density_control.stop` | 1/2 with adc, 5/6 with ar | R²-Gaussian's 15,000 and 3D Student Splatting's 25,000 of 30,000 |
 //! | `loss.tv` | 0.05 n/256 | the mean difference of neighbours is in proportion to the voxel: R²'s weight is for 256³ |
 //!
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
-use super::{Auto, Config, DensityControl, Finish, Sampling, Start, TvConfig};
+use super::paper::SIDE;
+use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start, TvConfig};
 use crate::error::Result;
 use crate::geometry::Scanner;
 use crate::numeric::elementary::{cbrt, pow};
@@ -36,9 +39,11 @@ const RAYS: usize = 8;
 /// Cells of the finest level of a hash grid along a voxel, and most doublings of anything.
 const CELLS_PER_VOXEL: f64 = 4.0;
 const LEVELS: u32 = 19;
-/// R²-Gaussian's weight of the total variation, and the voxels a side that it is for.
+/// R²-Gaussian's weight of the total variation, for the side of the paper's volumes.
 const TOTAL_VARIATION: f64 = 0.05;
-const SIDE: f64 = 256.0;
+/// Side of the blocks, and iterations between two wavelet blocks.
+const BLOCK: usize = 32;
+const WAVELET_EVERY: usize = 10;
 
 /// A configuration of which every value is in its range, and every key that follows from the scan is filled in.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,6 +99,10 @@ impl Config {
         if !config.method.fits_primitives() {
             return config;
         }
+        let side = cbrt(scanner.grid.voxels() as f64);
+        if config.rules == Rules::Paper {
+            config.fill_as_in_the_paper(side);
+        }
         let surface = pow(scanner.grid.voxels() as f64, 2.0 / 3.0);
         let rays = views.saturating_mul(scanner.detector.pixels());
         fill(&mut config.iterations, (ITERATIONS_PER_VIEW * views).clamp(FEWEST_ITERATIONS, MOST_ITERATIONS));
@@ -104,7 +113,11 @@ impl Config {
         fill(&mut config.density_control.cap, if adaptive { cap * 4 / 5 } else { cap });
         fill(&mut config.density_control.every, (config.iterations / 60).clamp(1, 100));
         fill(&mut config.confidence.every, (config.iterations / 12).clamp(1, 500));
-        let side = cbrt(scanner.grid.voxels() as f64);
+        config.density_control.stop =
+            Auto::Fixed(config.density_control.stop.or(if adaptive { 0.5 } else { 5.0 / 6.0 }));
+        fill(&mut config.wavelet.every, WAVELET_EVERY);
+        fill(&mut config.wavelet.block, BLOCK);
+        fill(&mut config.loss.tv_block, BLOCK);
         config.loss.tv = Auto::Fixed(config.loss.tv.or(TOTAL_VARIATION * side / SIDE));
         config.wavelet.enabled &= scanner.grid.shape.into_iter().all(|n| n >= 1 << config.wavelet.levels);
         config
@@ -135,7 +148,7 @@ impl Config {
                 let (mut population, mut sum) = (points as f64, 0.0);
                 for iteration in 1..=self.iterations {
                     let part = iteration as f64 / self.iterations as f64;
-                    if iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop {
+                    if iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop.or(1.0) {
                         population = (population * (1.0 + control.growth)).min(cap);
                     }
                     sum += population;
@@ -147,7 +160,7 @@ impl Config {
 }
 
 /// Sets a key that is 0.
-fn fill(key: &mut usize, value: usize) {
+pub(super) fn fill(key: &mut usize, value: usize) {
     if *key == 0 {
         *key = value;
     }

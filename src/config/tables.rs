@@ -2,7 +2,7 @@
 
 use super::keys::{keys, ranges::*};
 use super::{
-    AlphaConfig, AlphaReading, Auto, DensityControl, Finish, Method, NeuralOutput, PositionOptimiser, Precision,
+    AlphaConfig, AlphaReading, Auto, DensityControl, Finish, Method, NeuralOutput, PositionOptimiser, Precision, Rules,
     Sampling, Start, VoxelPartner,
 };
 use crate::classical::algebraic::{AsdPocsSettings, Order, SartSettings, TvSettings};
@@ -21,6 +21,8 @@ keys! {
         iterations: usize = 0;
         /// Seed of all random numbers.
         seed: u64 = 0, SEED;
+        /// How keys that are 0 or auto follow from the scan: trgs, or paper (its numbers for 256³, scaled with the volume).
+        rules: Rules = Rules::Trgs;
         /// Arithmetic of the pixel kernels: f32 or f64.
         precision: Precision = Precision::F32;
         /// Projection of a primitive in a cone beam: exact (the line integral), or affine as in the paper.
@@ -109,8 +111,8 @@ keys! {
         d_ssim: f64 = 0.25, NOT_NEGATIVE;
         /// Weight of the total variation of the block; 0: none. auto: 0.05 n/256 for a volume of n³ voxels.
         tv: Auto<f64> = Auto::Auto, NOT_NEGATIVE_OR_AUTO;
-        /// Side of the block, voxels.
-        tv_block: usize = 32, AT_LEAST_2;
+        /// Side of the block, voxels. 0: 32.
+        tv_block: usize = 0, BLOCK;
         /// Whether total variation and wavelet loss have a gradient to the centres of primitives.
         blocks_move: bool = true;
     }
@@ -145,10 +147,10 @@ keys! {
     pub struct WaveletConfig {
         /// Whether the loss is used.
         enabled: bool = true;
-        /// Iterations between two blocks.
-        every: usize = 10, AT_LEAST_1;
-        /// Side of the block, voxels.
-        block: usize = 32;
+        /// Iterations between two blocks. 0: 10.
+        every: usize = 0;
+        /// Side of the block, voxels. 0: 32.
+        block: usize = 0;
         /// Levels of the Haar transform.
         levels: usize = wavelet::Settings::default().levels, LEVELS;
         /// K: number of nearest primitives of a voxel whose confidence counts.
@@ -214,8 +216,8 @@ keys! {
         method: DensityControl = DensityControl::Ar;
         /// Fraction of the run before the first step.
         start: f64 = 1.0 / 60.0, FRACTION;
-        /// Fraction of the run after which there are no more steps.
-        stop: f64 = 25.0 / 30.0, FRACTION;
+        /// Fraction of the run after which there are no more steps. auto: 1/2 with adc, otherwise 5/6.
+        stop: Auto<f64> = Auto::Auto, FRACTION_OR_AUTO;
         /// Iterations between two steps. 0: a sixtieth of the run, at most 100.
         every: usize = 0;
         /// Largest number of primitives; adc may exceed it by one step. 0: 2 (voxels)^⅔, at most a primitive for 8 rays.
@@ -229,6 +231,8 @@ keys! {
         /// ar: how copies share the density of their parent. exact: field and projections do not change; sss: the rule for
         /// opacities; sss-program: that of 3D Student Splatting's program.
         relocation: Relocation = Relocation::Exact;
+        /// ar: whether Adam's moments of a primitive that was copied start anew, as in 3D Student Splatting.
+        reset_parents: bool = false;
         /// ar: distance of copies from their parent, in its standard deviations. 0: the same place, where they never separate.
         spread: f64 = 1.0, NOT_NEGATIVE;
         /// adc: mean length of the gradient to a projected centre, in halves of the detector, from which a primitive is cloned

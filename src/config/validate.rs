@@ -79,19 +79,19 @@ impl Config {
             require("confidence.alpha", voxels, positive, "own, median or a positive number of voxels")?;
         }
         let levels = wavelet.levels;
-        let whole = wavelet.block >> levels >= 1 && wavelet.block.trailing_zeros() as usize >= levels;
+        // 0 is a multiple, too: the rules of the scan set it.
+        let whole = wavelet.block.trailing_zeros() as usize >= levels;
         require("wavelet.block", wavelet.block, whole, &format!("a multiple of 2^levels = {}", 1 << levels))?;
 
-        // Beyond this the momentum changes its sign with every step and can grow without bound. A factor on the rates of
-        // a short run divides frictions by its root, which leaves the product as it is.
+        // From there on momentum grows without bound; the burn-in has none. A factor on the rates of a short run divides
+        // frictions by its root, which leaves the product as it is.
         let rate = optimiser.mean[0].max(optimiser.mean[1]).sqrt();
         let stirred = optimiser.position != PositionOptimiser::Adam;
-        for (key, friction) in [("sghmc.burn_in_friction", sghmc.burn_in_friction), ("sghmc.friction", sghmc.friction)]
-        {
-            let stable = friction >= 0.0 && (!stirred || rate * friction <= 1.0);
-            let expected = format!("at most 1/√(learning rate of means) = {:.4}, where sampling is stable", 1.0 / rate);
-            require(key, friction, stable, &expected)?;
-        }
+        let (first, friction) = (sghmc.burn_in_friction, sghmc.friction);
+        require("sghmc.burn_in_friction", first, first >= 0.0 && first.is_finite(), "a number that is not negative")?;
+        let stable = friction >= 0.0 && (!stirred || rate * friction < 2.0);
+        let expected = format!("below 2/√(learning rate of means) = {:.4}, where sampling is stable", 2.0 / rate);
+        require("sghmc.friction", friction, stable, &expected)?;
         let any = neural.rays.saturating_add(neural.windows);
         let expected = "at least 1 without windows, at most 10 million";
         require("neural.rays", neural.rays, (1..=10_000_000).contains(&any), expected)
@@ -152,9 +152,9 @@ mod tests {
     #[test]
     fn friction_that_samples_unstably_is_refused() {
         let mut config = Config::default();
-        config.set("sghmc.friction=71").unwrap();
+        config.set("sghmc.friction=142").unwrap();
         let message = config.validate().unwrap_err().to_string();
-        assert!(message.starts_with("sghmc.friction: got 71.0") && message.contains("70.7"), "{message}");
+        assert!(message.starts_with("sghmc.friction: got 142.0") && message.contains("141.4"), "{message}");
         // It has no meaning for Adam.
         config.set("optimiser.position=adam").unwrap();
         config.validate().unwrap();
@@ -175,6 +175,9 @@ mod tests {
                 "confidence.every",
                 "density_control.every",
                 "density_control.cap",
+                "wavelet.every",
+                "wavelet.block",
+                "loss.tv_block",
                 "neural.levels",
                 "neural.table",
                 "neural.samples",

@@ -267,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_pixel_matched_by_ray_is_the_mean_of_four_rays_and_has_one_noise() {
-        let scale = Scale { size: 32, matching: Matching::Ray };
+        let scale = Scale::new(32, Matching::Ray);
         let acquisition = Acquisition { views: 3, noise: Noise::HIGH, seed: 5 };
         let scan = Case::phantom("pepper").unwrap().scan(scale, &acquisition).unwrap();
         let plan = Plan { views: 3, test_views: scale.test_views(), noise: Noise::None, seed: 5 };

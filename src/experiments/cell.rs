@@ -1,6 +1,7 @@
 //! One run of an experiment: a case, its acquisition, and the settings of a method.
 
 use super::case::{Acquisition, Case};
+use super::damage::Damage;
 use super::scale::Scale;
 use super::table::{Table, TableRow, noise};
 use crate::config::{Config, Method};
@@ -32,6 +33,7 @@ pub struct Cell {
     pub seed: u64,
     /// The size that all sizes are derived from.
     pub scale: Scale,
+    damage: Damage,
     config: Config,
 }
 
@@ -84,32 +86,40 @@ impl Table {
         level: &str,
         seed: u64,
     ) -> Option<Cell> {
-        let config = scale.applied(row, &self.set)?;
-        Cell::new(config, case, scale, views, level, seed)
+        let config = row.config(self.basis, &self.set)?;
+        Cell::new(config, case, scale, views, level, seed, self.damage)
     }
 }
 
 impl Cell {
-    /// A cell with a scaled configuration; `None` if the case has other noise than the one asked for.
-    fn new(mut config: Config, case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> Option<Self> {
+    /// A cell with a configuration; `None` if the case has other noise than the one asked for.
+    fn new(
+        mut config: Config,
+        case: &Case,
+        scale: Scale,
+        views: usize,
+        level: &str,
+        seed: u64,
+        damage: Damage,
+    ) -> Option<Self> {
         if !case.takes_noise() && level != "low" {
             return None;
         }
         config.seed = seed;
-        let scan = Self::scan_key(case, scale, views, level, seed);
+        let scan = Self::scan_key(case, scale, views, level, seed, damage);
         let settings = serde_json::to_string(&config).expect("a configuration has string keys");
         let program = commit().unwrap_or(env!("CARGO_PKG_VERSION"));
         let id = digest_bytes(format!("{program}\n{scan}\n{settings}").as_bytes())[..ID_DIGITS].to_owned();
-        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, config })
+        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, damage, config })
     }
 
-    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64) -> String {
-        format!("{} {} {:?} {views} {level} {seed}", case.digest, scale.size, scale.matching)
+    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64, damage: Damage) -> String {
+        format!("{} {scale:?} {views} {level} {seed} {damage:?}", case.digest)
     }
 
     /// Id of the scan; equal for cells of the same scan.
     pub(super) fn scan_id(&self) -> String {
-        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed)
+        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed, self.damage)
     }
 
     /// A short description for display.
@@ -123,7 +133,9 @@ impl Cell {
     pub(super) fn scan(&self) -> Result<Dataset> {
         let acquisition =
             Acquisition { views: self.views, noise: self.scale.noise(noise(&self.noise)), seed: self.seed };
-        self.case.scan(self.scale, &acquisition)
+        let mut scan = self.case.scan(self.scale, &acquisition)?;
+        self.damage.apply(&mut scan.train, self.seed);
+        Ok(scan)
     }
 
     /// Runs the cell on its scan; also returns the [`picture`] of its result.
@@ -132,7 +144,7 @@ impl Cell {
         dataset: &Dataset,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(Finding, Vec<u8>)> {
-        let Reconstruction { primitives, volume, log, .. } =
+        let Reconstruction { primitives, volume, unfinished, log, .. } =
             Run::new(dataset, &self.config).observe(|_| go_on()).reconstruct()?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
@@ -140,6 +152,10 @@ impl Cell {
             .filter_map(|(name, metric)| Some((name.into(), metric?.value)))
             .filter(|(_, value)| value.is_finite())
             .collect();
+        if let Some(before) = unfinished {
+            let before = reconstruction::evaluate(dataset, &before, None, &self.config)?.metrics;
+            metrics.extend(before.psnr_3d.map(|metric| ("unfinished".into(), metric.value)));
+        }
         if let Some(spearman) = log.last().and_then(|record| record.spearman) {
             metrics.insert("spearman".into(), spearman);
         }

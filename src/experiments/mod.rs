@@ -1,6 +1,7 @@
 //! The paper's tables, one command each: cells that run once on any machine, and their summary.
 //!
-//! A [`Table`] is data (`src/experiments/tables/*.toml`): rows, numbers of views, levels of noise. Each combination
+//! A [`Table`] is data: rows, numbers of views, levels of noise (`src/experiments/tables/*.toml`, `reference/experiments/*.toml`,
+//! or a file of the user). Each combination
 //! with a case and a seed is a [`Cell`], whose id follows from configuration, data and program. [`run`] runs the cells
 //! that are not in the [`Store`] yet; a [`Summary`] compares the results with the paper's figures
 //! (`reference/paper/*.csv`).
@@ -11,6 +12,7 @@
 
 mod case;
 mod cell;
+mod damage;
 mod page;
 #[cfg(feature = "plots")]
 mod plot;
@@ -23,11 +25,12 @@ mod text;
 
 pub use case::Case;
 pub use cell::{Cell, Finding};
+pub use damage::Damage;
 pub use runner::{Done, Observe, run};
 pub use scale::{Matching, Scale};
 pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
-pub use table::{NAMES, Table, TableRow};
+pub use table::{Basis, NAMES, Table, TableRow};
 
-/// All metrics of a cell.
-pub const METRICS: [&str; 5] = ["spearman", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
+/// All metrics of a cell; `unfinished` is PSNR_3D before the finish on voxels.
+pub const METRICS: [&str; 6] = ["spearman", "unfinished", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];

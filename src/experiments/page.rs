@@ -2,7 +2,7 @@
 
 use super::case::Case;
 #[cfg(feature = "plots")]
-use super::plot::plot;
+use super::plot::{plot, targets};
 use super::store::Store;
 use super::summary::Summary;
 use super::text::{number, ours, title, with_interval};
@@ -13,9 +13,9 @@ use std::fmt::Write;
 impl Summary {
     /// The page as HTML. `cases` are those of the summary.
     ///
-    /// Pictures show the first case with its first seed, in the middle block.
+    /// Pictures show each case with its first seed, in the middle block.
     pub fn html(&self, cases: &[Case], store: &Store) -> String {
-        let heading = format!("Table {}: {}", self.table.number, self.table.title);
+        let heading = self.heading();
         let mut content = String::new();
         for block in &self.blocks {
             content += &self.block(block);
@@ -27,6 +27,10 @@ impl Summary {
                 content +=
                     "<p class=\"note\">Solid: ours, with the interval over seeds; dashed: the paper.</p>\n</section>\n";
             }
+        }
+        #[cfg(feature = "plots")]
+        if let Some(svg) = targets(self) {
+            let _ = write!(content, "<section>\n<h2>Confidence to target of ν</h2>\n{svg}\n</section>\n");
         }
         content += &self.pictures(cases, store);
         content += &self.appendix();
@@ -66,43 +70,52 @@ impl Summary {
         )
     }
 
-    /// Slices of the truth and of every row, side by side.
+    /// For each case slices of the truth and of every row side by side, with the PSNR of each volume.
     fn pictures(&self, cases: &[Case], store: &Store) -> String {
-        let (Some(case), Some(block)) = (cases.first(), self.blocks.get(self.blocks.len() / 2)) else {
-            return String::new();
-        };
-        let mut figures = String::new();
-        let mut add = |name: &str, png: Vec<u8>| {
-            let data = BASE64_STANDARD.encode(png);
-            let name = escape(name);
-            let _ = writeln!(
-                figures,
-                "<figure><img alt=\"{name}\" src=\"data:image/png;base64,{data}\"><figcaption>{name}</figcaption></figure>"
-            );
-        };
-        let cells = || {
-            self.table
-                .rows
-                .iter()
-                .filter_map(|row| Some((row, self.table.cell(row, case, self.scale, block.views, &block.noise, 0)?)))
-        };
-        if let Some(png) = cells().next().and_then(|(_, cell)| store.picture_of_truth(&cell)) {
-            add("truth", png);
-        }
-        for (row, cell) in cells() {
-            if let Some(png) = store.picture(&cell) {
-                add(&row.name, png);
+        let Some(block) = self.blocks.get(self.blocks.len() / 2) else { return String::new() };
+        let mut galleries = String::new();
+        for case in cases {
+            let figures = self.slices(case, block, store);
+            if !figures.is_empty() {
+                let (open, name) = (if galleries.is_empty() { " open" } else { "" }, escape(&case.name));
+                let _ = writeln!(
+                    galleries,
+                    "<details{open}><summary>{name}</summary>\n<div class=\"slices\">\n{figures}</div></details>"
+                );
             }
         }
-        if figures.is_empty() {
-            return figures;
+        if galleries.is_empty() {
+            return galleries;
         }
         format!(
-            "<section>\n<h2>A slice of {}, {}</h2>\n<div class=\"slices\">\n{figures}</div>\n\
-             <p class=\"note\">Across z in the middle; densities from 0 to 1 from black to white.</p>\n</section>\n",
-            escape(&case.name),
+            "<section>\n<h2>Slices, {}</h2>\n{galleries}<p class=\"note\">Across z in the middle; densities from 0 to 1 from \
+             black to white. Decibels are PSNR_3D of the whole volume.</p>\n</section>\n",
             escape(&block.title())
         )
+    }
+
+    fn slices(&self, case: &Case, block: &super::summary::Block, store: &Store) -> String {
+        let mut figures = String::new();
+        let mut add = |name: &str, psnr: Option<f64>, png: Vec<u8>| {
+            let (data, name) = (BASE64_STANDARD.encode(png), escape(name));
+            let psnr = psnr.map_or(String::new(), |value| format!(", {value:.2} dB"));
+            let _ = writeln!(
+                figures,
+                "<figure><img alt=\"{name}\" src=\"data:image/png;base64,{data}\"><figcaption>{name}{psnr}</figcaption></figure>"
+            );
+        };
+        let of_row = |row| Some((row, self.table.cell(row, case, self.scale, block.views, &block.noise, 0)?));
+        let cells: Vec<_> = self.table.rows.iter().filter_map(of_row).collect();
+        if let Some(png) = cells.first().and_then(|(_, cell)| store.picture_of_truth(cell)) {
+            add("truth", None, png);
+        }
+        for (row, cell) in &cells {
+            if let Some(png) = store.picture(cell) {
+                let found = self.findings.iter().find(|finding| finding.id == cell.id);
+                add(&row.name, found.and_then(|finding| finding.metrics.get("psnr_3d").copied()), png);
+            }
+        }
+        figures
     }
 
     /// The figures of each case.

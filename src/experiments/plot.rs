@@ -1,7 +1,9 @@
 //! Plots a metric against the varied parameter: a line per row, or one line through numbered rows.
 
 use super::summary::{Estimate, Summary};
-use super::table::TableRow;
+use super::table::{Table, TableRow};
+use crate::confidence::nu_target;
+use crate::primitives::activation::Interval;
 use crate::report::escape;
 use plotters::prelude::*;
 use std::collections::BTreeSet;
@@ -34,8 +36,33 @@ pub(super) fn plot(summary: &Summary, metric: &str) -> Option<String> {
     if places.len() < 2 {
         return None;
     }
+    drawn(&series, summary.table.against.as_deref()?, &summary.table.noise)
+}
+
+/// The target of ν against the confidence `[Eq. 9]`, a line for each temperature of the rows, as inline SVG; `None` if all have the
+/// same.
+pub(super) fn targets(summary: &Summary) -> Option<String> {
+    let Table { rows, basis, set, .. } = &summary.table;
+    let configs = rows.iter().filter_map(|row| row.config(*basis, set)).filter(|config| config.confidence.enabled);
+    let settings = configs.map(|config| (config.confidence.settings(1.0), config.model.nu_min, config.model.nu_max));
+    let mut series: Vec<Series> = Vec::new();
+    for (settings, min, max) in settings {
+        let name = format!("T = {}", settings.temperature);
+        let target = |k: u32| {
+            let c = f64::from(k) / 200.0;
+            (c, Estimate { mean: nu_target(c, &settings, Interval { min, max }), interval: None })
+        };
+        if series.iter().all(|line| line.name != name) {
+            series.push(Series { name, ours: (0..=200).map(target).collect(), paper: Vec::new() });
+        }
+    }
+    if series.len() < 2 { None } else { drawn(&series, "confidence", &[]) }
+}
+
+/// The chart as SVG with its legend.
+fn drawn(series: &[Series], against: &str, noise: &[String]) -> Option<String> {
     let mut svg = String::new();
-    draw(&mut svg, summary, &series).ok()?;
+    draw(&mut svg, series, against, noise).ok()?;
     let svg = &svg[svg.find("<svg ")?..];
     let names = series.iter().zip(COLOURS.iter().cycle()).map(|(Series { name, ours, paper }, RGBColor(r, g, b))| {
         let whose = match (ours.is_empty(), paper.is_empty()) {
@@ -88,21 +115,24 @@ fn series(summary: &Summary, column: usize) -> Vec<Series> {
     }
 }
 
-fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(
+    svg: &mut String,
+    series: &[Series],
+    against: &str,
+    noise: &[String],
+) -> Result<(), Box<dyn std::error::Error>> {
     let range = |values: Vec<f64>| {
         let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
         let margin = 0.05 * (high - low).max(1e-6);
         low - margin..high + margin
     };
-    let against = summary.table.against.clone().unwrap_or_default();
     let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     let mut chart = ChartBuilder::on(&area).margin(8).x_label_area_size(36).y_label_area_size(56).build_cartesian_2d(
         range(points(series).map(|p| p.0).collect()),
         range(points(series).map(|p| p.1).collect()),
     )?;
     let grey = RGBColor(128, 128, 128);
-    let noise = &summary.table.noise;
-    let label = |x: &f64| match against.as_str() {
+    let label = |x: &f64| match against {
         "noise" => {
             noise.iter().enumerate().find(|(i, _)| (*i as f64 - x).abs() < 1e-6).map_or(String::new(), |n| n.1.clone())
         }
@@ -117,7 +147,7 @@ fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Bo
         .label_style(("sans-serif", 13, &grey))
         .x_labels(if against == "noise" { 2 * noise.len() } else { 6 })
         .x_label_formatter(&label)
-        .x_desc(against.as_str())
+        .x_desc(against)
         .draw()?;
     for (number, Series { ours, paper, .. }) in series.iter().enumerate() {
         let colour = COLOURS[number % COLOURS.len()];
@@ -126,7 +156,8 @@ fn draw(svg: &mut String, summary: &Summary, series: &[Series]) -> Result<(), Bo
         chart.draw_series([Polygon::new(outline.collect::<Vec<_>>(), colour.mix(0.2))])?;
         chart.draw_series(DashedLineSeries::new(paper.clone(), 4, 4, colour.into()))?;
         let line = ours.iter().map(|(x, estimate)| (*x, estimate.mean));
-        chart.draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?;
+        let size = if ours.len() < 50 { 3 } else { 0 };
+        chart.draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(size))?;
     }
     area.present()?;
     Ok(())

@@ -1,6 +1,7 @@
 //! The paper's tables as data: rows, what each row runs, and which figures of the paper belong to it.
 
-use crate::config::{Config, Method};
+use super::damage::Damage;
+use crate::config::{Auto, Config, Method, Preset};
 use crate::error::{Error, Result};
 use crate::scan::Noise;
 use serde::Deserialize;
@@ -26,11 +27,12 @@ tables!("volume", "projection", "noise", "ablation", "temperature", "optimiser",
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// Name on the command line.
+    /// Name on the command line, or that of the file.
     #[serde(skip)]
-    pub name: &'static str,
-    /// Number in the paper.
-    pub number: u8,
+    pub name: String,
+    /// Number in the paper; `None` for a table of a file.
+    #[serde(default)]
+    pub number: Option<u8>,
     /// Title for display.
     pub title: String,
     /// Columns, from [`super::METRICS`].
@@ -46,15 +48,38 @@ pub struct Table {
     pub full: String,
     /// The x axis of the plot: views, noise, or a column that numbers the rows in the paper.
     pub against: Option<String>,
+    /// What the settings of rows that fit primitives start from.
+    #[serde(default)]
+    pub basis: Basis,
+    /// Its cases, if not all of a folder or the fifteen stand-ins: names of phantoms, or of volumes and scans of the folder.
+    #[serde(default)]
+    pub cases: Vec<String>,
+    /// Pixels along each side of the detector, if not those of the [`Scale`](super::Scale): a ray through each pixel's centre.
+    #[serde(default)]
+    pub detector: Option<usize>,
+    /// What is wrong in the training views.
+    #[serde(default)]
+    pub damage: Damage,
     /// Rows from top to bottom.
     pub rows: Vec<TableRow>,
-    /// Settings of all rows that fit primitives, in the form that [`Config::set`] takes. They apply after the scaling; a
+    /// Settings of all rows that fit primitives, in the form that [`Config::set`] takes. A
     /// row's own settings apply after them.
-    #[serde(skip)]
+    #[serde(default)]
     pub set: Vec<String>,
     /// The paper's figures.
     #[serde(skip)]
     printed: Vec<BTreeMap<String, String>>,
+}
+
+/// What settings start from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Basis {
+    /// The preset `paper`.
+    #[default]
+    Paper,
+    /// The defaults of the program.
+    Trgs,
 }
 
 /// A row in each block of a table.
@@ -106,7 +131,9 @@ impl Table {
         let mut config = Config::of(Method::TrGs);
         settings.iter().try_for_each(|setting| config.set(setting))?;
         config.validate()?;
-        settings.clone_into(&mut self.set);
+        let all = [&self.set, settings].concat();
+        self.rows.iter().try_for_each(|row| row.checked(self.basis, &all).map(drop))?;
+        self.set.extend_from_slice(settings);
         Ok(self)
     }
 
@@ -126,12 +153,57 @@ impl Table {
         TABLES.iter().map(Self::load).collect()
     }
 
-    fn load(&(name, definition, printed): &(&'static str, &str, &str)) -> Self {
-        let mut table: Self = toml::from_str(definition).unwrap_or_else(|error| panic!("table {name}: {error}"));
+    fn load(&(name, definition, printed): &(&str, &str, &str)) -> Self {
+        let mut table = Self::parsed(name, definition).unwrap_or_else(|error| panic!("table {name}: {error}"));
         let mut reader = csv::Reader::from_reader(printed.as_bytes());
         table.printed = reader.deserialize().collect::<csv::Result<_>>().expect("the paper's tables are rectangular");
-        table.name = name;
         table
+    }
+
+    /// A table in the form of `src/experiments/tables`, without figures of the paper.
+    ///
+    /// # Errors
+    /// For a text in another form, and for the first row whose settings are invalid.
+    pub fn parsed(name: &str, definition: &str) -> Result<Self> {
+        let wrong = |what: &str, got: String, expected: &str| {
+            Error::invalid(
+                format!("table {name:?}: {what}"),
+                got,
+                expected,
+                "correct it; src/experiments/tables has examples",
+            )
+        };
+        let mut table: Self = toml::from_str(definition)
+            .map_err(|error| wrong("its definition", error.message().into(), "the keys of a table"))?;
+        table.name = name.into();
+        let names: Vec<_> = table.rows.iter().map(|row| row.name.as_str()).collect();
+        if names.iter().enumerate().any(|(k, name)| names[..k].contains(name)) || !names.contains(&table.full.as_str())
+        {
+            return Err(wrong(
+                "full",
+                format!("{:?}", table.full),
+                &format!("one of different rows: {}", names.join(", ")),
+            ));
+        }
+        if let Some(metric) = table.metrics.iter().find(|metric| !super::METRICS.contains(&metric.as_str())) {
+            return Err(wrong("metrics", format!("{metric:?}"), &super::METRICS.join(", ")));
+        }
+        let known = Noise::NAMED.map(|(name, _)| name);
+        if let Some(level) = table.noise.iter().find(|level| !known.contains(&level.as_str())) {
+            return Err(wrong("noise", format!("{level:?}"), &known.join(", ")));
+        }
+        if table.detector.is_some_and(|pixels| !(1..=8192).contains(&pixels)) {
+            return Err(wrong("detector", format!("{:?}", table.detector), "1 to 8192 pixels"));
+        }
+        if table.views.is_empty() || table.views.contains(&0) {
+            return Err(wrong("views", format!("{:?}", table.views), "numbers of at least 1"));
+        }
+        for row in &table.rows {
+            let invalid =
+                |error: Error| wrong(&format!("row {:?}", row.name), error.to_string(), "settings that are valid");
+            row.checked(table.basis, &table.set).map_err(invalid)?;
+        }
+        Ok(table)
     }
 
     /// The figure that the paper prints for a row, if any.
@@ -159,19 +231,27 @@ impl Table {
 }
 
 impl TableRow {
-    /// Its configuration before scaling; `None` for a row that only the paper has.
-    ///
-    /// Both methods on primitives use the paper's affine projection, unless the row says otherwise.
+    /// Its configuration; `None` for a row that only the paper has. `settings` apply to what fits primitives, and the row's own
+    /// after them.
     ///
     /// # Panics
     /// When a setting is invalid.
-    pub fn config(&self) -> Option<Config> {
-        let mut config = Config::of(self.method?);
-        config.projection = crate::projector::Projection::Affine;
-        for setting in &self.set {
-            config.set(setting).unwrap_or_else(|error| panic!("row {}: {error}", self.name));
+    pub fn config(&self, basis: Basis, settings: &[String]) -> Option<Config> {
+        self.checked(basis, settings).unwrap_or_else(|error| panic!("row {}: {error}", self.name))
+    }
+
+    fn checked(&self, basis: Basis, settings: &[String]) -> Result<Option<Config>> {
+        let Some(method) = self.method else { return Ok(None) };
+        let mut config = Config::of(method);
+        if basis == Basis::Paper {
+            config.apply(Preset::Paper);
+            // Densities of the cases are from 0 to about 1.
+            config.density_unit = Auto::Fixed(1.0);
         }
-        Some(config)
+        let settings = settings.iter().filter(|_| method.fits_primitives());
+        settings.chain(&self.set).try_for_each(|setting| config.set(setting))?;
+        config.validate()?;
+        Ok(Some(config))
     }
 }
 
@@ -193,7 +273,7 @@ mod tests {
     #[test]
     fn every_figure_of_the_paper_has_its_place() {
         let measured: Vec<_> = Table::all().into_iter().filter_map(Table::measured).collect();
-        assert_eq!(measured.iter().map(|table| table.name).collect::<Vec<_>>(), ["volume", "projection"]);
+        assert_eq!(measured.iter().map(|table| &*table.name).collect::<Vec<_>>(), ["volume", "projection"]);
         for table in Table::all().into_iter().chain(measured) {
             let part = table.paper.get("data");
             let mut found = BTreeSet::new();
@@ -223,7 +303,7 @@ mod tests {
             assert_eq!(names.len(), table.rows.len(), "{}", table.name);
             assert!(names.contains(&table.full), "{}", table.name);
             for row in &table.rows {
-                row.config().map_or(Ok(()), |config| config.validate()).unwrap();
+                row.checked(table.basis, &table.set).unwrap();
             }
             assert!(table.noise.iter().all(|level| noise(level) != Noise::NAMED[0].1));
             let placed = table.rows.iter().all(|row| table.place(row, table.views[0], &table.noise[0]).is_some());
@@ -241,6 +321,52 @@ mod tests {
         assert_eq!(of(&[]), [("SAX-NeRF".into(), None)]);
         assert_eq!(of(&[Method::Naf]), [("NAF".into(), Some(Method::Naf)), ("SAX-NeRF".into(), None)]);
         assert_eq!(of(&[Method::SaxNerf]), [("SAX-NeRF".into(), Some(Method::SaxNerf))]);
+    }
+
+    #[test]
+    fn rows_of_the_paper_are_the_preset() {
+        for table in Table::all() {
+            for row in table.rows.iter().filter(|row| row.set.is_empty()) {
+                let Some(method) = row.method else { continue };
+                let mut preset = Config::of(method);
+                preset.apply(Preset::Paper);
+                preset.density_unit = Auto::Fixed(1.0);
+                assert_eq!(row.config(table.basis, &[]), Some(preset), "{}: {}", table.name, row.name);
+            }
+        }
+    }
+
+    #[test]
+    fn a_table_of_a_file_is_checked_as_a_whole() {
+        let good = "title = 'ν'\nmetrics = ['psnr_3d']\nviews = [12]\nnoise = ['low']\nfull = 'a'\nbasis = 'trgs'\n\
+                    rows = [{ name = 'a', method = 'tr-gs', set = ['optimiser.nu=[0,0]'] }, { name = 'b', method = 'sart' }]";
+        let table = Table::parsed("nu", good).unwrap();
+        let config = table.rows[0].config(table.basis, &[]).unwrap();
+        assert_eq!((config.optimiser.nu, config.rules), ([0.0, 0.0], crate::config::Rules::Trgs));
+        for (from, to, what) in [
+            ("'psnr_3d'", "'psnr'", "metrics"),
+            ("'low'", "'loud'", "noise"),
+            ("[12]", "[0]", "views"),
+            ("full = 'a'", "full = 'c'", "full"),
+            ("'b'", "'a'", "full"),
+            ("optimiser.nu", "optimiser.mu", "row \"a\""),
+            ("views", "vues", "definition"),
+        ] {
+            let error = Table::parsed("nu", &good.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(what), "{error}");
+        }
+    }
+
+    #[test]
+    fn tables_of_the_reference_are_valid() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("reference");
+        let in_folder = |name| std::fs::read_dir(root.join(name)).unwrap().map(|entry| entry.unwrap().path());
+        let files = ["verdict", "experiments"].into_iter().flat_map(in_folder);
+        let files: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "toml")).collect();
+        assert!(!files.is_empty());
+        for path in files {
+            Table::parsed("own", &std::fs::read_to_string(&path).unwrap()).unwrap_or_else(|e| panic!("{path:?}: {e}"));
+        }
     }
 
     #[test]

@@ -63,6 +63,12 @@ impl Agreement {
 }
 
 impl Summary {
+    /// The title, with the number in the paper.
+    pub(super) fn heading(&self) -> String {
+        let title = &self.table.title;
+        self.table.number.map_or_else(|| title.clone(), |number| format!("Table {number}: {title}"))
+    }
+
     /// A sentence on what the figures are means of, and at which size.
     pub fn conditions(&self) -> String {
         let (cases, seeds, size) = (self.cases.len(), self.seeds, self.scale.size);
@@ -88,17 +94,12 @@ impl Summary {
         }
         let views: Vec<usize> =
             self.blocks.iter().map(|block| block.views).collect::<BTreeSet<_>>().into_iter().collect();
-        let of_views = |k: usize, digits: usize| {
-            let of = |&views: &usize| format!("{:.digits$}", self.scale.rays_per_voxel_and_parameter(views)[k]);
-            views.iter().map(of).collect::<Vec<_>>().join(", ")
-        };
+        let rays = |&views: &usize| format!("{:.2}", self.scale.rays_per_voxel(views));
         format!(
-            "{means} at {size}³ voxels, {}² pixels{spread}{missing}. Matched by {}: {} rays per voxel and {} per parameter \
-             with {} views.",
+            "{means} at {size}³ voxels, {}² pixels{spread}{missing}. Matched by {}: {} rays per voxel with {} views.",
             self.scale.detector(),
             self.scale.matching,
-            of_views(0, 2),
-            of_views(1, 1),
+            views.iter().map(rays).collect::<Vec<_>>().join(", "),
             views.iter().map(usize::to_string).collect::<Vec<_>>().join(", "),
         )
     }
@@ -172,7 +173,7 @@ impl Summary {
 
     /// Markdown; our three best are marked as far as Markdown can: bold, italic, underlined.
     pub fn markdown(&self) -> String {
-        let mut text = format!("# Table {}: {}\n\n{}\n", self.table.number, self.table.title, self.conditions());
+        let mut text = format!("# {}\n\n{}\n", self.heading(), self.conditions());
         for block in &self.blocks {
             let _ = write!(text, "\n## {}\n\n|  |", block.title());
             for metric in &self.table.metrics {

@@ -269,7 +269,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
     fn control_density(&mut self, iteration: usize) -> Result<()> {
         let control = &self.config.density_control;
         let part = iteration as f64 / self.config.iterations as f64;
-        let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop;
+        let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop.or(1.0);
         if !due {
             return Ok(());
         }
@@ -312,7 +312,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             let remedy = "lower density_control.faint or the learning rates";
             return Err(Error::invalid(format!("density control at step {iteration}"), "none left", expected, remedy));
         }
-        self.state.replace_population(&physical.parameters, &next, &self.activation);
+        self.state.replace_population(&physical.parameters, &next, control.reset_parents, &self.activation);
         self.inherit_confidence(&next);
         Ok(())
     }

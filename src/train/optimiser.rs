@@ -80,12 +80,12 @@ impl Optimiser {
         threads::join(move_positions, step_others);
     }
 
-    /// Adapts to a new population: old rows keep their moments and momentum.
-    pub(super) fn remap_rows(&mut self, rows: &[Option<usize>]) {
+    /// Adapts to a new population: the old rows that keep Adam's moments, and those that keep their momentum.
+    pub(super) fn remap_rows(&mut self, moments: &[Option<usize>], momentum: &[Option<usize>]) {
         for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
-            adam.remap_rows(group.width(), rows);
+            adam.remap_rows(group.width(), moments);
         }
-        self.sghmc.remap_rows(rows);
+        self.sghmc.remap_rows(momentum);
     }
 }
 

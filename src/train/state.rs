@@ -119,11 +119,13 @@ impl State {
         require(continues, "iterations of a continuation", "others", "iterations done, in their order")
     }
 
-    /// Replaces the population. Unchanged values keep their raw values to the bit.
+    /// Replaces the population. Unchanged values keep their raw values to the bit; with `reset_parents` Adam's moments of what was
+    /// copied start anew.
     pub(super) fn replace_population(
         &mut self,
         physical: &Parameters,
         next: &[NextPrimitive],
+        reset_parents: bool,
         activation: &Activation,
     ) {
         let new = activation.inverse(&next_parameters(physical, next));
@@ -152,8 +154,13 @@ impl State {
             }
         };
         self.ids = next.iter().map(&mut id).collect();
-        let rows: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
-        self.optimiser.remap_rows(&rows);
+        let mut reset = vec![false; physical.density.len()];
+        if reset_parents {
+            next.iter().filter(|s| s.fresh).for_each(|s| reset[s.parent] = true);
+        }
+        let momentum: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
+        let moments: Vec<_> = momentum.iter().map(|row| row.filter(|&parent| !reset[parent])).collect();
+        self.optimiser.remap_rows(&moments, &momentum);
         self.gradient_stats = GradientStats::new(next.len());
     }
 }
@@ -163,6 +170,7 @@ mod tests {
     use super::*;
     use crate::primitives::{KernelKind, activation::Interval};
     use crate::tolerances::relative;
+    use crate::train::optimiser::Step;
 
     fn activation() -> Activation {
         Activation {
@@ -188,12 +196,31 @@ mod tests {
         let physical = activation().forward(&state.raw).parameters;
         let same = NextPrimitive::same(&physical, 1);
         let half = NextPrimitive { density: physical.density[0] / 2.0, ..NextPrimitive::same(&physical, 0) };
-        state.replace_population(&physical, &[same, half, NextPrimitive { fresh: true, ..half }], &activation());
+        state.replace_population(&physical, &[same, half, NextPrimitive { fresh: true, ..half }], false, &activation());
         assert_eq!((state.raw.scale[0], state.raw.density[0]), (raw().scale[1], raw().density[1]));
         assert_eq!((state.raw.scale[1], state.raw.nu[2]), (raw().scale[0], raw().nu[0]));
         let density = activation().forward(&state.raw).parameters.density;
         within!(relative(density[1] + density[2], physical.density[0]));
         assert_eq!((state.ids.as_slice(), state.next_id), (&[1, 0, 2][..], 3));
+    }
+
+    #[test]
+    fn moments_of_what_was_copied_start_anew_where_that_is_asked_for() {
+        let physical = activation().forward(&raw()).parameters;
+        let next = [0, 1].map(|row| NextPrimitive::same(&physical, row));
+        let next = [next[0], next[1], NextPrimitive { fresh: true, ..next[0] }];
+        let moments = |reset| {
+            let config = Config::default();
+            let mut state = State::new(raw(), &config);
+            let (primitives, mut direction) = (activation().forward(&raw()), Vec::new());
+            let step = Step { config: &config, done: 0, physical: &primitives, ids: &[0, 1] };
+            state.optimiser.step(&mut state.raw, &raw(), &mut direction, &step);
+            state.replace_population(&physical, &next, reset, &activation());
+            let optimiser = serde_json::to_value(&state.optimiser).unwrap();
+            let of_densities = optimiser["adam"][3]["moments"].as_array().unwrap();
+            of_densities.iter().map(|moments| *moments == serde_json::json!([0.0, 0.0])).collect::<Vec<_>>()
+        };
+        assert_eq!((moments(false), moments(true)), (vec![false, false, true], vec![true, false, true]));
     }
 
     #[test]

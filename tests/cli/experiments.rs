@@ -56,7 +56,8 @@ fn a_table_is_filled_and_set_beside_the_papers_figures() {
     }
     assert!(text("volume.tex").contains("\\textbf{") && text("volume.tex").contains("\\bottomrule"));
     let page = text("volume.html");
-    assert!(page.matches("data:image/png;base64,").count() == 7, "truth and six rows");
+    assert_eq!(page.matches("data:image/png;base64,").count(), 14, "truth and six rows of two cases");
+    assert_eq!(page.matches(" dB</figcaption>").count(), 12, "a figure for each result");
     assert_eq!(page.matches("<svg ").count(), 2, "a plot of each metric");
     for outside in ["http://", "https://", "<script"] {
         // The SVG namespace is not a link.
@@ -86,7 +87,8 @@ fn finished_cells_are_not_run_again_and_pages_are_made_from_what_there_is() {
     // Its row has the mean of the other case, which is not compared with means of both.
     for page in ["threshold.html", "threshold.md"] {
         let text = sandbox.text(&format!("out/{page}"));
-        assert_eq!(["(1 of 2)", " of 3 pairs)"].map(|part| text.matches(part).count()), [4, 4], "{text}");
+        let rows: String = text.lines().filter(|line| line.contains("<td") || line.starts_with('|')).collect();
+        assert_eq!((rows.matches("(1 of 2)").count(), text.matches(" of 3 pairs)").count()), (4, 4), "{text}");
     }
     let lines = lines_of(&sandbox, "out/threshold.csv");
     assert_eq!(lines.iter().filter(|line| line["ours"].is_empty()).count(), 4, "{lines:?}");
@@ -97,6 +99,7 @@ fn any_number_of_threads_and_of_processes_finds_the_same_bytes() {
     let sandbox = Sandbox::new();
     let table = |out: &str, more: &str| format!("table temperature --out {out} {TINY} {more}");
     sandbox.done(&table("alone", "--threads 1"));
+    assert_eq!(sandbox.text("alone/temperature.html").matches("Confidence to target of ν").count(), 1);
     let mut two = [3, 2].map(|threads| begun(&sandbox, &table("shared", &format!("--threads {threads}"))));
     two.iter_mut().for_each(|process| assert!(process.wait().unwrap().success()));
     let (alone, shared) = (below(&sandbox, "alone"), below(&sandbox, "shared"));
@@ -128,11 +131,41 @@ fn a_kill_loses_no_finished_cell() {
     sandbox.write(left.to_str().unwrap(), "");
     let found = sandbox.done(table);
     assert_eq!(found["tables"][0]["cells"], 40);
+    assert!(!sandbox.text("out/ablation.html").contains("Confidence to target"), "all rows have one temperature");
     let after = below(&sandbox, "out/cells");
     for (name, content) in before {
         assert!(after[&name] == content, "{}", name.display());
     }
     assert!(!after.keys().any(|name| is(name, "lock")), "a lock is left");
+}
+
+#[test]
+fn a_table_of_a_file_runs_and_its_pages_are_made_again() {
+    let sandbox = Sandbox::new();
+    let row = |name: &str, set: &str| format!("[[rows]]\nname = '{name}'\nmethod = 'tr-gs'\nset = ['{set}']\n");
+    let head = "title = 'ν of the base'\nmetrics = ['psnr_3d']\nviews = [6]\nnoise = ['low']\nfull = 'free'\n";
+    let rows = row("free", "wavelet.enabled=false") + &row("fixed", "optimiser.nu=[0,0]");
+    sandbox.write("own.toml", format!("{head}{rows}"));
+    let found = sandbox.done(&format!("table own.toml --out out {TINY}"));
+    assert_eq!((&found["tables"][0]["table"], &found["tables"][0]["cells"]), (&"own".into(), &4.into()));
+    assert!(sandbox.text("out/own.md").starts_with("# ν of the base\n"));
+    // Wrong data are another scan.
+    sandbox.write("wrong.toml", format!("{head}damage = 'pixels'\n{rows}"));
+    let ids = |file: &str| cells(&sandbox, &format!("{file} {TINY}"), "id");
+    assert!(ids("own.toml").iter().all(|id| !ids("wrong.toml").contains(id)));
+    // The folder holds all that its pages are made from.
+    std::fs::remove_file(sandbox.path("own.toml")).unwrap();
+    std::fs::remove_file(sandbox.path("out/own.html")).unwrap();
+    assert_eq!(sandbox.done("report out")["tables"][0]["missing"], 0);
+    assert!(sandbox.text("out/own.html").contains("ν of the base"));
+    sandbox.write("volume.toml", format!("{head}{rows}"));
+    sandbox.write("odd.toml", format!("{head}{rows}").replace("psnr_3d", "psnr"));
+    for (file, words) in [("volume.toml", "rename"), ("odd.toml", "spearman"), ("none.toml", "none.toml")] {
+        let output = sandbox.run(&format!("table {file} --out new {TINY}"));
+        let error = crate::program::stderr(&output);
+        assert!(output.status.code() == Some(2) && error.contains(words), "{file}: {error}");
+        assert!(!sandbox.path("new").exists());
+    }
 }
 
 #[test]
@@ -185,10 +218,9 @@ fn experiments_are_matched_by_ray_and_about_the_middle_of_volumes() {
     assert_eq!(ids("--size 32"), ids("--size 32 --matched edge"));
     assert!(ids("--size 32").iter().zip(ids("--size 32 --matched ray")).all(|(edge, ray)| *edge != ray));
 
-    sandbox.done("table threshold --out ray --size 32 --cases chest --matched ray");
-    // 12 · 23² / 32³, and over 12 parameters of 2 · 98 primitives.
-    let expected =
-        "at 32³ voxels, 23² pixels. Matched by ray: 0.19 rays per voxel and 2.7 per parameter with 12 views.";
+    sandbox.done("table threshold --out ray --size 16 --cases chest --matched ray");
+    // 12 · 8² / 16³.
+    let expected = "at 16³ voxels, 8² pixels. Matched by ray: 0.19 rays per voxel with 12 views.";
     assert!(sandbox.text("ray/threshold.md").contains(expected), "{}", sandbox.text("ray/threshold.md"));
     assert_eq!(sandbox.done("report ray")["tables"][0]["missing"], 0);
 
@@ -249,13 +281,13 @@ fn what_cannot_be_run_is_refused_in_one_line() {
     assert_eq!(sandbox.done("table list").as_array().unwrap().len(), 8);
 }
 
-/// Tables of 32³ and one case, compared with committed results.
+/// Tables of 16³ and one case, compared with committed results.
 ///
 /// A change of the method changes them: then they are written again (`TRGS_WRITE_TABLES=1`) in a commit that says why.
 #[test]
 fn a_small_version_of_every_table_is_as_it_was() {
     let sandbox = Sandbox::new();
-    sandbox.done("table all --out out --size 32 --cases pepper");
+    sandbox.done("table all --out out --size 16 --cases pepper");
     let expected = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference/expected");
     for table in trgs::experiments::NAMES {
         let (name, found) = (format!("{table}.csv"), sandbox.text(&format!("out/{table}.csv")));

@@ -35,7 +35,7 @@ fn busy(method: Method) -> Config {
     (config.loss.tv_block, config.wavelet.block) = (12, 12);
     // Near the targets: a short run reaches them and learns the tails.
     config.model.nu_initial = 30.0;
-    (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8, 25);
+    (config.density_control.every, config.density_control.stop, config.confidence.every) = (10, 0.8.into(), 25);
     config
 }
 

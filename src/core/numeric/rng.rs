@@ -38,6 +38,8 @@ pub enum Purpose {
     Rays = 13,
     /// Places of points along rays; step = step, id = ray.
     Jitter = 14,
+    /// Wrong pixels of an experiment; step = view.
+    Damage = 15,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -30,7 +30,7 @@ pub struct Sghmc {
     burnt_in: bool,
 }
 
-/// The phase of a step, with its friction C. The rate times the friction must not exceed 1.
+/// The phase of a step, with its friction C. Sampling is stable while the rate times the friction is below 2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Phase {
     /// No momentum; the noise has the primitive's covariance. C scales the noise only.
