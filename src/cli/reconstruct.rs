@@ -265,7 +265,12 @@ fn extend(checkpoint: &mut Checkpoint, iterations: usize) -> Result<()> {
             "learning rates, sampler and density control follow the schedule of {iterations} iterations from here, so the \
              result differs from a run of {iterations} from its start"
         ),
-        Checkpoint::Voxels(_) => format!("the result is that of a run of {iterations} from its start"),
+        Checkpoint::Voxels(_) => {
+            let config = checkpoint.config()?;
+            let drop = config.neural.drop.fixed().filter(|_| config.method.is_network());
+            let rates = drop.map_or(String::new(), |drop| format!(" with neural.drop={drop}"));
+            format!("the result is that of a run of {iterations} from its start{rates}")
+        }
     };
     tracing::info!("continuing after iteration {done} to {iterations} instead of {before}: {meaning}");
     Ok(())

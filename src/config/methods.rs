@@ -100,6 +100,7 @@ impl Config {
         } = self.neural;
         let kind = self.method.network().expect("a method with a network");
         let (iterations, seed) = (self.iterations, self.seed);
+        let drop = drop.or(iterations);
         let is_bounded = output == NeuralOutput::Sigmoid;
         NeuralSettings {
             kind,

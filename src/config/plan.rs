@@ -13,6 +13,7 @@
 //! | `neural.levels` | the last has 4 n cells a side | finer ones are not seen by any ray |
 //! | `neural.table` | n³ entries as a power of two, 2^14 to 2^19 | NAF's 2^19 is for 256³ |
 //! | `neural.samples` | 1.5 n | NAF has 192 to 320 for 256³ |
+//! | `neural.drop` | ⅔ of the steps | the last third refines, however long the run is |
 //! | `density_control.stop` | 1/2 with adc, 5/6 with ar | R²-Gaussian's 15,000 and 3D Student Splatting's 25,000 of 30,000 |
 //! | `loss.tv` | 0.05 n/256 | the mean difference of neighbours is in proportion to the voxel: R²'s weight is for 256³ |
 //!
@@ -95,6 +96,7 @@ impl Config {
                 neural.table = doublings(scanner.grid.voxels() as f64).clamp(14, 19);
             }
             fill(&mut neural.samples, 2 * ((0.75 * side).round() as usize).max(4));
+            neural.drop = Auto::Fixed(neural.drop.or((2 * config.iterations / 3).max(1)));
         }
         if !config.method.fits_primitives() {
             return config;
@@ -219,6 +221,18 @@ mod tests {
         assert!(mean > 5000.0 && mean < 8192.0, "{mean}");
         config.density_control.method = DensityControl::None;
         assert_eq!(config.mean_population(3072), 3072.0);
+    }
+
+    #[test]
+    fn rates_of_networks_drop_after_two_thirds_of_any_run() {
+        let drop = |iterations, setting| {
+            let mut config = Config::of(Method::Naf);
+            (config.iterations, config.neural.drop) = (iterations, setting);
+            config.resolved(&scanner(64, 128), 18).neural().drop
+        };
+        assert_eq!(Config::of(Method::SaxNerf).iterations, 1500);
+        assert_eq!([1, 4, 1500, 4500, 15_000].map(|steps| drop(steps, Auto::Auto)), [1, 2, 1000, 3000, 10_000]);
+        assert_eq!(drop(4500, Auto::Fixed(1000)), 1000);
     }
 
     #[test]

@@ -332,8 +332,8 @@ keys! {
         table_rate: f64 = 1e-2, POSITIVE;
         /// Learning rate of the network.
         network_rate: f64 = 3e-3, POSITIVE;
-        /// Steps after which both learning rates are divided by ten, again and again.
-        drop: usize = 1000, AT_LEAST_1;
+        /// Steps after which both learning rates are divided by ten, again and again. auto: two thirds of all steps.
+        drop: Auto<usize> = Auto::Auto, COUNT_OR_AUTO;
         /// Last layer: sigmoid (densities from 0 to the ceiling), or relu (leaky, with small negative densities).
         output: NeuralOutput = NeuralOutput::Sigmoid;
         /// Largest density of the sigmoid, in units of the scan.
