@@ -6,14 +6,16 @@ use super::{Output, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use trgs::Result;
+use trgs::classical::RayModel;
 use trgs::geometry::{Beam, Detector, Grid, Scanner, Volume};
 use trgs::output::{Destination, Kind};
+use trgs::scan::chain::PARTS;
 use trgs::scan::hounsfield;
 use trgs::scan::phantom::{Group, PHANTOMS};
-use trgs::scan::simulate::{Object, Orbit, Plan, simulate_on};
+use trgs::scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
 use trgs::scan::volume_file;
-use trgs::scan::{Dataset, Frame, Noise, Phantom};
+use trgs::scan::{Chain, Dataset, Frame, Noise, Phantom};
+use trgs::{Error, Result};
 
 /// Simulate a scan of a phantom or a volume and write the dataset
 #[derive(Args)]
@@ -22,12 +24,18 @@ use trgs::scan::{Dataset, Frame, Noise, Phantom};
     after_help = "Examples:
   trgs simulate --phantom torso --out data/torso --noise low
   trgs simulate --volume bone.npy --out data/bone --views 50 --detector 96,128
+  trgs simulate --volume bone.npy --out data/tigre --rays siddon
+  trgs simulate --phantom torso --out data/measured --realistic scatter=0.2,axis=0 --noise 2e4,10
   trgs simulate --phantom torso --out data/helix --helix 0.4,3 --views 60
   trgs simulate --volume thorax_in_hu.nii.gz --mu-water 1 --out data/thorax"
 )]
 pub(super) struct Simulate {
     #[command(flatten)]
     object: ObjectArgs,
+    /// What a volume's voxels stand for: densities at their centres, linear between them; constant densities, as in TIGRE
+    /// (siddon); or planes of centres (joseph) [default: trilinear]
+    #[arg(long, value_enum)]
+    rays: Option<RaysName>,
     /// Read the volume as Hounsfield units: attenuation X (1 + HU/1000), where X is that of water per unit of the file
     #[arg(long, value_name = "X", requires = "volume", value_parser = finite)]
     mu_water: Option<f64>,
@@ -49,9 +57,12 @@ pub(super) struct Simulate {
     /// Number of test views, at random angles and without noise
     #[arg(long, value_name = "N", default_value_t = 50)]
     test_views: u16,
-    /// Noise: none, low, medium, high, or I0 photons and SIGMA counts (TIGRE); `,physical`: Beer-Lambert law
-    #[arg(long, value_name = "LEVEL|I0,SIGMA", default_value = "none")]
-    noise: Noise,
+    /// Noise: none, low, medium, high, or I0 photons and SIGMA counts (TIGRE); `,physical`: Beer-Lambert law [default: none;
+    /// low with --realistic, whose photons follow its own law]
+    #[arg(long, value_name = "LEVEL|I0,SIGMA")]
+    noise: Option<Noise>,
+    #[arg(long, value_name = "PART=NUMBER,..", num_args = 0..=1, default_missing_value = "", help = realistic_help())]
+    realistic: Option<Chain>,
     /// Geometry of the beam
     #[arg(long, value_enum, default_value_t = BeamName::Cone)]
     beam: BeamName,
@@ -97,6 +108,16 @@ enum BeamName {
     Parallel,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum RaysName {
+    /// Exact line integrals of the trilinear function between centres.
+    Trilinear,
+    /// The length of the ray in each voxel times its density.
+    Siddon,
+    /// Bilinear interpolation in planes of centres across the ray.
+    Joseph,
+}
+
 /// The result of the command.
 #[derive(Serialize)]
 struct Simulated<'a> {
@@ -128,6 +149,16 @@ fn phantom_help() -> String {
     )
 }
 
+fn realistic_help() -> String {
+    let parts = PARTS.map(|part| format!("{} ({})", part.name, part.docs));
+    format!(
+        "Training views of a real scanner's measuring chain; test views and volume stay ideal. Parts: {}. Without numbers: \
+         {}; 0 leaves a part out",
+        parts.join("; "),
+        Chain::default()
+    )
+}
+
 impl Simulate {
     pub(super) fn run(&self) -> Result<Output> {
         let destination = Destination::new(&self.out, Kind::Scan, "simulate").overwrite(self.replace.overwrite);
@@ -150,21 +181,34 @@ impl Simulate {
     }
 
     fn scan(&self) -> Result<Dataset> {
-        let plan =
-            Plan { views: self.views.into(), test_views: self.test_views.into(), noise: self.noise, seed: self.seed };
+        let noise = self.noise.unwrap_or(if self.realistic.is_some() { Noise::LOW } else { Noise::None });
+        let plan = Plan { views: self.views.into(), test_views: self.test_views.into(), noise, seed: self.seed };
         let [pitch, turns] = self.helix.unwrap_or([Orbit::CIRCLE.pitch, Orbit::CIRCLE.turns]);
         let orbit = Orbit { turns, pitch, roll: self.roll.to_radians(), axis_shift: self.axis_shift };
+        let simulate = |name: &str, object: Object<'_>, scanner: &Scanner| match &self.realistic {
+            Some(chain) => simulate_measured(name, object, scanner, &plan, &orbit, chain),
+            None => simulate_on(name, object, scanner, &plan, &orbit),
+        };
         match (&self.object.phantom, &self.object.volume) {
+            (Some(_), _) if self.rays.is_some() => {
+                let expected = "a volume: line integrals of a phantom are exact";
+                Err(Error::invalid("--rays", "a phantom", expected, "omit --rays, or give --volume FILE"))
+            }
             (Some(name), _) => {
                 let grid = Grid::cube(self.size.into());
                 let phantom = Phantom::by_name(name, self.seed)?;
-                simulate_on(name, Object::Phantom(&phantom), &self.scanner(grid), &plan, &orbit)
+                simulate(name, Object::Phantom(&phantom), &self.scanner(grid))
             }
             (None, path) => {
                 let path = path.as_deref().expect("one of the two is required");
                 let (volume, frame) = read_volume(path, self.mu_water)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                let scan = simulate_on(&name, Object::Volume(&volume), &self.scanner(volume.grid), &plan, &orbit)?;
+                let object = match self.rays {
+                    None | Some(RaysName::Trilinear) => Object::Volume(&volume),
+                    Some(RaysName::Siddon) => Object::Voxels(&volume, RayModel::Siddon.rays()),
+                    Some(RaysName::Joseph) => Object::Voxels(&volume, RayModel::Joseph.rays()),
+                };
+                let scan = simulate(&name, object, &self.scanner(volume.grid))?;
                 Ok(Dataset { frame, ..scan })
             }
         }

@@ -7,7 +7,7 @@
 //! | [`dataset`] | a scan: scanner, projections, true volume; the dataset folders of R²-Gaussian and the pickles of NAF |
 //! | [`stack`], [`intensities`], [`corrections`], [`air`] | raw detector frames → line integrals |
 //! | [`volume_file`], [`npy`], [`npz`], [`model`], [`frame`] | volumes, arrays and primitives in files; axes and units |
-//! | [`phantom`], [`noise`], [`simulate`](mod@simulate), [`interpolant`](mod@interpolant) | scans of known objects |
+//! | [`phantom`], [`noise`], [`chain`], [`simulate`](mod@simulate), [`interpolant`](mod@interpolant) | scans of known objects |
 //! | [`plausibility`], [`borders`], [`pixels`], [`truncation`], [`hounsfield`] | values that cannot be right |
 //! | [`trilinear`], [`trajectory`], [`trace`] | a volume between its voxels; the path of the source |
 //! | [`input`], [`output`], [`limit`], [`digest`] | opening of files, writing as a whole, the limit on memory, SHA-256 |
@@ -25,6 +25,7 @@ mod tolerances;
 pub mod air;
 pub mod array_path;
 pub mod borders;
+pub mod chain;
 pub mod corrections;
 pub mod dataset;
 pub mod digest;
@@ -54,6 +55,7 @@ pub mod truncation;
 pub mod volume_file;
 
 pub use air::Air;
+pub use chain::Chain;
 pub use corrections::Corrections;
 pub use dataset::Dataset;
 pub use frame::{Frame, Unit};

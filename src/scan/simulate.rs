@@ -1,5 +1,6 @@
 //! Simulated scans of phantoms and volumes.
 
+use super::chain::Chain;
 use super::dataset::Dataset;
 use super::frame::Frame;
 use super::noise::Noise;
@@ -25,6 +26,28 @@ pub enum Object<'a> {
     Phantom(&'a Phantom),
     /// Must lie on the scanner's grid; projections are those of the trilinear function.
     Volume(&'a Volume),
+    /// The same, with another model of the rays.
+    Voxels(&'a Volume, VoxelRays),
+}
+
+impl<'a> Object<'a> {
+    fn volume(&self) -> Option<&'a Volume> {
+        match *self {
+            Self::Phantom(_) => None,
+            Self::Volume(volume) | Self::Voxels(volume, _) => Some(volume),
+        }
+    }
+}
+
+/// A model of the rays through the voxels of a volume.
+#[derive(Clone, Copy, Debug)]
+pub struct VoxelRays {
+    /// Line integrals of a volume on the scanner's grid.
+    pub project: fn(&Volume, &Scanner, Trajectory<'_>) -> Result<Projections>,
+    /// A sentence for the notes of the scan.
+    pub note: &'static str,
+    /// Bytes needed for a voxel and for a pixel, besides volume and projections.
+    pub bytes: [u64; 2],
 }
 
 /// Parameters of a simulated scan.
@@ -103,6 +126,37 @@ pub fn simulate(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan) 
 ///
 /// Tests: `posed_scans_reconstruct_as_well_as_plain_ones`.
 pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Plan, orbit: &Orbit) -> Result<Dataset> {
+    scan(name, object, scanner, plan, orbit, None)
+}
+
+/// Simulates a scan on any [`Orbit`] whose training views went through a measuring chain.
+///
+/// Test views and truth are ideal: line integrals at 60 keV, from the stated place. Of the noise, the chain takes the
+/// photons and the electronic noise.
+///
+/// # Errors
+/// Those of [`simulate_on`], and for noise with the Beer-Lambert law, which the chain has of its own.
+///
+/// Tests: `a_measured_scan_has_ideal_test_views_and_says_so`.
+pub fn simulate_measured(
+    name: &str,
+    object: Object<'_>,
+    scanner: &Scanner,
+    plan: &Plan,
+    orbit: &Orbit,
+    chain: &Chain,
+) -> Result<Dataset> {
+    scan(name, object, scanner, plan, orbit, Some(chain))
+}
+
+fn scan(
+    name: &str,
+    object: Object<'_>,
+    scanner: &Scanner,
+    plan: &Plan,
+    orbit: &Orbit,
+    chain: Option<&Chain>,
+) -> Result<Dataset> {
     scanner.validate()?;
     orbit.validate()?;
     if plan.views == 0 {
@@ -113,11 +167,11 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
             format!("give {} 18, for example", Setting::Views),
         ));
     }
-    check_memory(scanner, plan, matches!(object, Object::Volume(_)))?;
+    check_memory(scanner, plan, &object, chain)?;
     let truth = match object {
         Object::Phantom(phantom) => phantom.voxelize(&scanner.grid, SAMPLES),
-        Object::Volume(volume) if volume.grid == scanner.grid => volume.clone(),
-        Object::Volume(volume) => {
+        Object::Volume(volume) | Object::Voxels(volume, _) if volume.grid == scanner.grid => volume.clone(),
+        Object::Volume(volume) | Object::Voxels(volume, _) => {
             let (got, expected) = (format!("{:?}", volume.grid), format!("the scanner's, {:?}", scanner.grid));
             return Err(Error::invalid(
                 "grid of the volume",
@@ -127,25 +181,47 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
             ));
         }
     };
-    let project = |from_start: &[f64]| -> Result<Projections> {
+    let project = |object: Object<'_>, orbit: &Orbit, from_start: &[f64]| -> Result<Projections> {
         let (angles, poses) = orbit.views(scanner, from_start);
         let views = Trajectory { angles: &angles, poses: poses.as_deref() };
         views.validate(scanner)?;
         match object {
             Object::Phantom(phantom) => phantom.project(scanner, views),
             Object::Volume(volume) => trilinear::project(volume, scanner, views),
+            Object::Voxels(volume, rays) => (rays.project)(volume, scanner, views),
         }
     };
     let span = TAU * orbit.turns;
-    let train = plan.noise.apply(&project(&Scanner::uniform_angles(plan.views, 0.0, span))?, plan.seed)?;
+    let start = Scanner::uniform_angles(plan.views, 0.0, span);
+    let train = match chain {
+        None => plan.noise.apply(&project(object, orbit, &start)?, plan.seed)?,
+        Some(chain) => {
+            let moved = Orbit { axis_shift: orbit.axis_shift + chain.axis_shift(scanner), ..*orbit };
+            let ideal = project(object, &moved, &start)?;
+            let dense = chain.dense_part(&truth).map(|dense| match object {
+                Object::Voxels(_, rays) => project(Object::Voxels(&dense, rays), &moved, &start),
+                _ => project(Object::Volume(&dense), &moved, &start),
+            });
+            let images =
+                chain.measure(&scanner.detector, &ideal, dense.transpose()?.as_ref(), plan.noise, plan.seed)?;
+            let (angles, poses) = orbit.views(scanner, &start);
+            Projections::along(Trajectory { angles: &angles, poses: poses.as_deref() }, images)?
+        }
+    };
     let test = match plan.test_views {
         0 => None,
-        n => Some(project(&random_angles(n, span, plan.seed))?),
+        n => Some(project(object, orbit, &random_angles(n, span, plan.seed))?),
     };
-    let notes = match object {
+    let mut notes: Vec<String> = match object {
         Object::Phantom(phantom) => phantom.caveat().into_iter().collect(),
         Object::Volume(_) => Vec::new(),
+        Object::Voxels(_, rays) => vec![rays.note.into()],
     };
+    notes.extend(chain.map(|chain| {
+        format!(
+            "the training views are simulated measurements ({chain}); test views and true volume are ideal, at 60 keV"
+        )
+    }));
     Ok(Dataset {
         name: name.into(),
         scanner: *scanner,
@@ -161,18 +237,25 @@ pub fn simulate_on(name: &str, object: Object<'_>, scanner: &Scanner, plan: &Pla
     })
 }
 
-/// Rejects a scan that does not fit into memory: the volume, the given one, and the training views with and without noise.
-fn check_memory(scanner: &Scanner, plan: &Plan, has_volume: bool) -> Result<()> {
-    let voxels = scanner.grid.voxels().saturating_mul(if has_volume { 2 } else { 1 });
-    let views = plan.views.saturating_mul(2).saturating_add(plan.test_views);
-    let numbers = views.saturating_mul(scanner.detector.pixels()).saturating_add(voxels);
+/// Rejects a scan that does not fit into memory: the volume, the given one, the training views with and without noise, and
+/// the needs of rays and chain.
+fn check_memory(scanner: &Scanner, plan: &Plan, object: &Object<'_>, chain: Option<&Chain>) -> Result<()> {
+    let [voxels, pixels] = [scanner.grid.voxels(), scanner.detector.pixels()];
+    // A chain has the dense part of the object as well.
+    let parts = usize::from(chain.is_some());
+    let views = plan.views.saturating_mul(2 + parts).saturating_add(plan.test_views);
+    let volumes = 1 + usize::from(object.volume().is_some()) + parts;
+    let numbers = views.saturating_mul(pixels).saturating_add(voxels.saturating_mul(volumes)) as u64;
+    let [per_voxel, per_pixel] = if let Object::Voxels(_, rays) = object { rays.bytes } else { [0; 2] };
+    let projected = plan.views.max(plan.test_views).saturating_mul(pixels) as u64;
+    let others = per_voxel.saturating_mul(voxels as u64).saturating_add(per_pixel.saturating_mul(projected));
     let what = format!(
         "scan of {:?} voxels and {} of {:?} pixels",
         scanner.grid.shape,
         counted(plan.views.saturating_add(plan.test_views), "view"),
         [scanner.detector.rows, scanner.detector.columns]
     );
-    let checked = limit::allow(what, (numbers as u64).saturating_mul(size_of::<f32>() as u64));
+    let checked = limit::allow(what, numbers.saturating_mul(size_of::<f32>() as u64).saturating_add(others));
     checked.map_err(|error| error.or_instead("fewer voxels, views or pixels"))
 }
 

@@ -10,8 +10,8 @@ use trgs::classical::geometry_check::{Candidate, Convention, GeometryCheck};
 use trgs::geometry::{Beam, Detector, Grid, Projections, Scanner};
 use trgs::numeric::threads;
 use trgs::scan::phantom::solid::{Shape, Solid};
-use trgs::scan::simulate::{Object, Orbit, Plan, simulate_on};
-use trgs::scan::{Dataset, Frame, Noise, Phantom};
+use trgs::scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
+use trgs::scan::{Chain, Dataset, Frame, Noise, Phantom};
 
 const CONE: Beam = Beam::Cone { dso: 4.0, dsd: 6.0 };
 const PARALLEL: Beam = Beam::Parallel { dso: 4.0 };
@@ -529,4 +529,17 @@ fn the_check_of_a_helix_is_refused_with_the_reason() {
     let scan = simulate_on("axes", Object::Phantom(&axes()), &scanner(CONE, 20, 20), &plan, &orbit).unwrap();
     let refused = check_geometry(&scan, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(refused.contains("a circle around z") && refused.contains("helix"), "{refused}");
+}
+
+/// The axis error of a measuring chain is found where it was put, beside hardening, scatter, blur and rings.
+#[test]
+fn the_axis_error_of_a_measured_scan_is_found() {
+    let plan = Plan { views: 12, test_views: 0, noise: Noise::LOW, seed: 5 };
+    let (phantom, scanner, chain) = (axes(), scanner(CONE, 32, 32), Chain::default());
+    let object = Object::Phantom(&phantom);
+    let scan = simulate_measured("axes", object, &scanner, &plan, &Orbit::CIRCLE, &chain).unwrap();
+    let check = checked(&scan);
+    // An axis that is off by a pixel of the detector is off by dso/dsd of it in space.
+    let found = check.axis_shift.found / scanner.detector.pitch_u * 6.0 / 4.0;
+    within!((found - chain.axis).abs(), "{found}: {:?}", check.verdict);
 }

@@ -202,3 +202,29 @@ fn remedies_of_paths_follow_from_their_cause() {
         assert!(message.contains(remedy) && !message.contains("permissions"), "{command}: {message}");
     }
 }
+
+#[test]
+fn rays_and_measuring_chain_are_chosen_and_noted_in_the_scan() {
+    let sandbox = Sandbox::with_scan();
+    let scan = |flags: &str| {
+        let small = "--views 3 --test-views 1 --detector 12";
+        let done = sandbox.done(&format!("simulate --volume scan/vol_gt.npy {small} --out {flags}"));
+        (done["notes"].to_string(), done["noise"].to_string(), Dataset::read(sandbox.path(&flags[..1])).unwrap())
+    };
+    let (notes, _, plain) = scan("a --rays trilinear");
+    assert_eq!(notes, "null");
+    let (notes, _, siddon) = scan("b --rays siddon --helix 0.3,2");
+    assert!(notes.contains("Siddon") && siddon.notes.len() == 1 && siddon.truth == plain.truth);
+    assert!(siddon.train.images != plain.train.images);
+    let (notes, noise, measured) = scan("c --realistic scatter=0.2,axis=0 --rays joseph");
+    assert!(notes.contains("Joseph") && notes.contains("scatter=0.2") && noise == "\"low\"", "{notes}");
+    assert_eq!(measured.notes.len(), 2);
+    assert_eq!(scan("d --realistic --noise none").1, "\"none\"");
+    for (flags, words) in [
+        ("--phantom torso --rays trilinear", "error: --rays: got a phantom, expected a volume"),
+        ("--phantom torso --realistic --noise low,physical", "depth=0"),
+    ] {
+        let message = sandbox.refused(&format!("simulate {flags} --size 8 --detector 8 --out other"));
+        assert!(message.contains(words), "{flags}: {message}");
+    }
+}

@@ -1,6 +1,6 @@
 //! Scans: reading, simulation, evaluation, and reconstruction by any method.
 
-use crate::arrays::{self, copy, give, named, read, wrong_type, wrong_value};
+use crate::arrays::{self, copy, give, named, read, word, wrong_type, wrong_value};
 use crate::classical::{measured, pass_event};
 use crate::geometry::{Grid, Scanner};
 use crate::model::Model;
@@ -12,6 +12,7 @@ use pyo3::types::{PyBool, PyDict, PyList, PyString, PyTuple};
 use serde_json::json;
 use std::ffi::CString;
 use std::path::PathBuf;
+use trgs::classical::RayModel;
 use trgs::reconstruction::{self, Checkpoints, Progress};
 use trgs::scan::corrections::{Corrections, PixelCorrection};
 use trgs::scan::phantom::{PHANTOMS, Phantom};
@@ -20,6 +21,10 @@ use trgs::scan::volume_file::VolumeFile;
 use trgs::scan::{Frame, Noise, Unit, plausibility, volume_file};
 use trgs::words::visible;
 use trgs::{Config, Dataset, Method, Projections, Run, Volume};
+
+/// Models of the rays through a simulated volume; the first is not one of constant voxels or planes.
+const SIMULATED_RAYS: [(&str, Option<RayModel>); 3] =
+    [("trilinear", None), ("siddon", Some(RayModel::Siddon)), ("joseph", Some(RayModel::Joseph))];
 
 /// Projections with their geometry, and the true volume if it is known.
 ///
@@ -353,6 +358,9 @@ fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
 ///     Beer and Lambert.
 /// seed : int
 ///     Of noise, test angles, and phantoms with random parts.
+/// rays : {"trilinear", "siddon", "joseph"}
+///     What the voxels of a volume stand for: densities at their centres, linear between them; constant densities, as in
+///     TIGRE; or planes of centres. Line integrals of a phantom are exact.
 ///
 /// Returns
 /// -------
@@ -361,9 +369,14 @@ fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
 /// Raises
 /// ------
 /// ValueError
-///     For an unknown phantom or noise, no views, or a volume of another shape.
+///     For an unknown phantom, noise or model of rays, one other than trilinear for a phantom, no views, or a volume of
+///     another shape.
 #[pyfunction]
-#[pyo3(name = "simulate", signature = (object, scanner, views, *, test_views = 0, noise = "none", seed = 0))]
+#[pyo3(
+    name = "simulate",
+    signature = (object, scanner, views, *, test_views = 0, noise = "none", seed = 0, rays = "trilinear")
+)]
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn simulate_scan(
     py: Python<'_>,
     object: &Bound<'_, PyAny>,
@@ -372,16 +385,23 @@ pub(crate) fn simulate_scan(
     test_views: usize,
     noise: &str,
     seed: u64,
+    rays: &str,
 ) -> PyResult<Scan> {
     let plan = Plan { views, test_views, noise: noise.parse().map_err(raise)?, seed };
+    let model = word("rays", rays, &SIMULATED_RAYS)?;
     if let Ok(name) = object.cast::<PyString>() {
         let name = name.to_string();
+        if model.is_some() {
+            let expected = "\"trilinear\" for a phantom, whose line integrals are exact";
+            return Err(wrong_value("rays", format!("{rays:?}"), expected, "omit it, or give a volume"));
+        }
         let phantom = Phantom::by_name(&name, seed).map_err(raise)?;
         let scan = try_run(py, || simulate::simulate(&name, Object::Phantom(&phantom), &scanner.0, &plan))?;
         return Ok(Scan(scan));
     }
     let volume = volume(scanner.0.grid, object, "object")?;
-    Ok(Scan(try_run(py, || simulate::simulate("volume", Object::Volume(&volume), &scanner.0, &plan))?))
+    let object = model.map_or(Object::Volume(&volume), |model| Object::Voxels(&volume, model.rays()));
+    Ok(Scan(try_run(py, || simulate::simulate("volume", object, &scanner.0, &plan))?))
 }
 
 /// The names of the phantoms.

@@ -282,6 +282,12 @@ def test_phantoms_and_volumes_are_simulated(scan):
     assert {"torso", "shepp-logan", "pepper"} <= set(trgs.phantoms())
     of_voxels = trgs.simulate(scan.truth, scan.scanner, views=4)
     assert np.array_equal(of_voxels.truth, scan.truth) and of_voxels.projections.shape == (4, 24, 24)
+    lengths = trgs.simulate(scan.truth, scan.scanner, views=4, rays="siddon")
+    projector = trgs.forward_project(scan.truth.astype(float), scan.scanner, lengths.angles, rays="siddon")
+    assert np.array_equal(lengths.projections, projector.astype(np.float32))
+    assert np.abs(lengths.projections - of_voxels.projections).max() > 0.01
+    with pytest.raises(ValueError, match="rays: got"):
+        trgs.simulate("torso", scan.scanner, views=4, rays="siddon")
     with pytest.raises(ValueError, match="trso"):
         trgs.simulate("trso", scan.scanner, views=4)
     with pytest.raises(ValueError, match="noise: got loud"):

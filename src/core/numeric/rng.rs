@@ -40,6 +40,8 @@ pub enum Purpose {
     Jitter = 14,
     /// Wrong pixels of an experiment; step = view.
     Damage = 15,
+    /// Error of a simulated flat field; id = pixel.
+    FlatField = 16,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -497,6 +497,7 @@ def simulate(
     test_views: int = 0,
     noise: str = "none",
     seed: int = 0,
+    rays: Literal["trilinear", "siddon", "joseph"] = "trilinear",
 ) -> Scan: ...
 def load_scan(path: _Path) -> Scan: ...
 @overload

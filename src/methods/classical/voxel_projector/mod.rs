@@ -34,8 +34,9 @@ use ndarray::{Array3, ArrayView3};
 use serde::{Deserialize, Serialize};
 use slanted::SlantedRay;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Scanner, Trajectory, View};
+use trgs_core::geometry::{Projections, Scanner, Trajectory, View, Volume};
 use trgs_core::numeric::{Real, real, threads};
+use trgs_scan::simulate::VoxelRays;
 
 /// Columns per task in projection: neighbouring columns meet the same voxels.
 const COLUMNS: usize = 8;
@@ -52,6 +53,32 @@ pub enum RayModel {
     Joseph,
     /// The length of the ray in each voxel.
     Siddon,
+}
+
+impl RayModel {
+    /// The rays of a simulated scan, in f64.
+    pub fn rays(self) -> VoxelRays {
+        // The voxels; the pixels in the order of rays and of images.
+        let bytes = [8, 16];
+        match self {
+            Self::Siddon => VoxelRays {
+                project: |volume, scanner, views| Self::Siddon.scan(volume, scanner, views),
+                note: "simulated from voxels of constant density: exact lengths of the rays in them (Siddon), as TIGRE's",
+                bytes,
+            },
+            Self::Joseph => VoxelRays {
+                project: |volume, scanner, views| Self::Joseph.scan(volume, scanner, views),
+                note: "simulated from voxels by bilinear interpolation in planes of their centres (Joseph)",
+                bytes,
+            },
+        }
+    }
+
+    fn scan(self, volume: &Volume, scanner: &Scanner, views: Trajectory<'_>) -> Result<Projections> {
+        let values = volume.values.mapv(f64::from);
+        let images = VoxelProjector::new(scanner, self)?.forward(views, values.view())?;
+        Projections::along(views, images.mapv(|value| value as f32))
+    }
 }
 
 /// The linear map from the voxels of a scanner's grid to the pixels of its detector.

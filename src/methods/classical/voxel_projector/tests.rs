@@ -3,6 +3,8 @@ use glam::DVec3;
 use trgs_core::geometry::{Beam, Detector, Grid};
 use trgs_core::numeric::reduce;
 use trgs_scan::phantom::solid::{Shape, Solid};
+use trgs_scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
+use trgs_scan::{Chain, Noise};
 
 const MODELS: [RayModel; 2] = [RayModel::Joseph, RayModel::Siddon];
 
@@ -147,4 +149,67 @@ fn other_shapes_and_no_views_are_refused() {
     assert!(projector.adjoint(&[0.0], wrong.view()).unwrap_err().to_string().contains("[1, 37, 22]"));
     let right = Array3::<f32>::zeros((11, 14, 9));
     assert!(projector.forward(&[], right.view()).unwrap_err().to_string().contains("angles"));
+}
+
+const PLAN: Plan = Plan { views: 3, test_views: 2, noise: Noise::None, seed: 1 };
+const HELIX: Orbit = Orbit { turns: 2.0, pitch: 0.3, roll: 0.1, axis_shift: 0.05 };
+
+#[test]
+fn scans_by_siddon_have_the_lengths_in_a_box_on_any_orbit() {
+    for scanner in scanners() {
+        let block = scanner.grid.shape.map(|n| n / 4..(n - n / 4));
+        let inside = |index: [usize; 3]| (0..3).all(|axis| block[axis].contains(&index[axis]));
+        let values = Array3::from_shape_fn(scanner.grid.shape, |(x, y, z)| 0.75 * f32::from(inside([x, y, z])));
+        let volume = Volume::new(scanner.grid, values).unwrap();
+        let corner = |at: [usize; 3]| scanner.grid.min + DVec3::from_array(at.map(|i| i as f64)) * scanner.grid.spacing;
+        let (low, high) = (corner(block.clone().map(|b| b.start)), corner(block.clone().map(|b| b.end)));
+        let cuboid = Solid::new(Shape::Cuboid, 0.75, (low + high) / 2.0, (high - low) / 2.0);
+        for orbit in [Orbit::CIRCLE, HELIX] {
+            let object = Object::Voxels(&volume, RayModel::Siddon.rays());
+            let scan = simulate_on("box", object, &scanner, &PLAN, &orbit).unwrap();
+            assert!(scan.notes[0].contains("Siddon") && scan.truth.as_ref() == Some(&volume));
+            for views in [&scan.train, scan.test.as_ref().unwrap()] {
+                for ((view, row, column), &value) in views.images.indexed_iter() {
+                    let chord = cuboid.line_integral(&views.trajectory().view(&scanner, view).ray(row, column));
+                    within!((f64::from(value) - chord).abs(), "{value} of {chord}");
+                }
+                // The helix leaves a single slice.
+                let hit = views.images.iter().filter(|value| **value > 0.0).count();
+                assert!(hit > 50 || orbit == HELIX && scanner.grid.shape[2] == 1, "{hit} pixels");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_rays_of_a_scan_agree_on_a_smooth_volume() {
+    let mut scanner = scanner(Beam::Cone { dso: 4.0, dsd: 6.0 });
+    scanner.grid = Grid::cube(32);
+    let blob = |(x, y, z): (usize, usize, usize)| {
+        let point = scanner.grid.centre([x, y, z]) - DVec3::new(0.1, -0.05, 0.0);
+        trgs_core::numeric::elementary::exp(-point.length_squared() / 0.18) as f32
+    };
+    let volume = Volume::new(scanner.grid, Array3::from_shape_fn([32; 3], blob)).unwrap();
+    let scan = |object| simulate_on("blob", object, &scanner, &PLAN, &HELIX).unwrap();
+    let trilinear = scan(Object::Volume(&volume));
+    let peak = trilinear.train.images.iter().fold(0.0_f32, |peak, &value| peak.max(value));
+    for model in MODELS {
+        let voxels = scan(Object::Voxels(&volume, model.rays()));
+        let error =
+            (&voxels.train.images - &trilinear.train.images).iter().fold(0.0_f32, |worst, e| worst.max(e.abs()));
+        match model {
+            RayModel::Joseph => within!("joseph", error / peak),
+            RayModel::Siddon => within!("siddon", error / peak),
+        }
+        beyond!("difference", error / peak, "{model:?}");
+        // A measuring chain sees the same rays.
+        let object = Object::Voxels(&volume, model.rays());
+        let measured = |chain: &str| {
+            let chain: Chain = chain.parse().unwrap();
+            simulate_measured("blob", object, &scanner, &Plan { noise: Noise::LOW, ..PLAN }, &HELIX, &chain).unwrap()
+        };
+        let scan = measured("");
+        assert!(scan == measured("") && scan.train != measured("axis=0").train && scan.notes.len() == 2);
+        assert_eq!((scan.test, scan.train.poses), (voxels.test, voxels.train.poses));
+    }
 }
