@@ -112,8 +112,6 @@ pub mod config;
 pub mod duration;
 pub mod experiments;
 pub mod memory;
-#[cfg(feature = "oracle")]
-pub mod oracle;
 pub mod provenance;
 pub mod reconstruction;
 pub mod report;
@@ -133,5 +131,7 @@ pub use trgs_core::{
     setting, wavelet, words,
 };
 pub use trgs_methods::{classical, evaluation, neural};
+#[cfg(feature = "oracle")]
+pub use trgs_oracle as oracle;
 pub use trgs_scan as scan;
 pub use trgs_scan::{input, limit, output};

@@ -212,6 +212,7 @@ impl Check {
             stages: &self.source.stage,
             waivers: &waivers,
             today: waivers::today(),
+            commit: trgs::provenance::commit(),
         };
         let report = check(&vectors, &Tolerances::embedded()?, &self.folder, &options)?;
         if let Some(path) = &self.report {

@@ -14,6 +14,7 @@ mod tables;
 mod text;
 mod validate;
 
+pub use crate::numeric::Precision;
 pub use auto::Auto;
 pub use parts::{AlphaConfig, AlphaReading, NeuralOutput, VoxelPartner};
 pub use plan::Plan;
@@ -69,18 +70,6 @@ described! {
         SaxNerf,
         /// The paper's method, scaled with the volume; what it leaves open is as in the works that it follows.
         Paper,
-    }
-}
-
-described! {
-    /// Arithmetic of the pixel kernels. Parameters and optimisers are always f64.
-    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    pub enum Precision {
-        /// Single.
-        F32,
-        /// Double.
-        F64,
     }
 }
 
@@ -221,9 +210,4 @@ impl Method {
 impl Preset {
     /// All presets.
     pub const ALL: [Self; 3] = [Self::R2Gaussian, Self::SaxNerf, Self::Paper];
-}
-
-impl Precision {
-    /// Both precisions.
-    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
 }

@@ -3,18 +3,17 @@
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
+use super::limits::{Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
 use super::question::Question;
-use super::tolerances::{Excess, Tolerances};
 use super::waivers::Waiver;
-use crate::error::{Error, Result};
-use crate::provenance;
-use crate::setting::Setting;
 use jiff::civil::Date;
 use ndarray::ArrayD;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
 
 /// File in the folder of answers in which a backend may describe itself.
 pub const BACKEND: &str = "backend.json";
@@ -32,6 +31,8 @@ pub struct Options<'a> {
     pub waivers: &'a [Waiver],
     /// The date that waivers are compared with.
     pub today: Date,
+    /// The commit that this program was built from, for the report.
+    pub commit: Option<&'a str>,
 }
 
 /// Outcome of a case or an array, from good to bad.
@@ -170,7 +171,7 @@ pub fn check(vectors: &Vectors, tolerances: &Tolerances, folder: &Path, options:
         .filter(|waiver| results.iter().any(|result| result.id == waiver.case && result.status == Status::Passed));
     Ok(Report {
         program: format!("trgs {}", env!("CARGO_PKG_VERSION")),
-        commit: provenance::commit().map(Into::into),
+        commit: options.commit.map(Into::into),
         vectors: vectors.digest.clone(),
         backend: backend(folder)?,
         format: options.format,
@@ -186,7 +187,7 @@ fn backend(folder: &Path) -> Result<Option<Value>> {
     if !path.exists() {
         return Ok(None);
     }
-    let text = crate::input::read(&path).map_err(|source| Error::read(&path, source))?;
+    let text = trgs_scan::input::read(&path).map_err(|source| Error::read(&path, source))?;
     serde_json::from_slice(&text).map(Some).map_err(|error| {
         Error::format(
             &path,
@@ -236,7 +237,7 @@ fn check_case(
 /// The arrays of the backend's file, or an outcome with a message.
 fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (Status, String)> {
     let path = folder.join(&file.file);
-    match crate::input::read(&path) {
+    match trgs_scan::input::read(&path) {
         Ok(bytes) => decode(&bytes, &path).map_err(|error| (Status::Failed, error.to_string())),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err((Status::Missing, "no such file".into())),
         Err(error) => Err((Status::Failed, error.to_string())),

@@ -4,9 +4,9 @@ use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
 use super::manifest::{Arrays, decode};
-use crate::error::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// The comparison of one array.
 #[derive(Clone, Debug, Serialize)]
@@ -75,5 +75,5 @@ pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Re
 }
 
 fn read(path: &Path) -> Result<Arrays> {
-    decode(&crate::input::read(path).map_err(|source| Error::read(path, source))?, path)
+    decode(&trgs_scan::input::read(path).map_err(|source| Error::read(path, source))?, path)
 }

@@ -1,10 +1,5 @@
 //! The conformance vectors: the manifest and its arrays.
 
-use crate::error::{Error, Result};
-use crate::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
-use crate::provenance::digest_bytes;
-use crate::scan::npy;
-use crate::scan::npz::Npz;
 use ndarray::ArrayD;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -13,6 +8,11 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use trgs_core::described;
+use trgs_core::error::{Error, Result};
+use trgs_scan::digest::digest_bytes;
+use trgs_scan::npy;
+use trgs_scan::npz::Npz;
+use trgs_scan::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
 
 /// The version of the manifest format that this program supports.
 pub const SCHEMA_VERSION: u32 = 2;
@@ -187,7 +187,7 @@ impl Vectors {
     /// `blind` leaves out the truth and its digests. Returns the number of input and truth files.
     ///
     /// # Errors
-    /// Those of [`Self::bytes`] and of [`crate::output::StagedFolder::commit`].
+    /// Those of [`Self::bytes`] and of [`trgs_scan::output::StagedFolder::commit`].
     pub fn export(&self, folder: impl Into<Destination>, blind: bool, cases: &[&Case]) -> Result<usize> {
         let mut manifest =
             Manifest { cases: cases.iter().map(|&case| case.clone()).collect(), ..self.manifest.clone() };
@@ -234,7 +234,7 @@ fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {
     match root {
         Some(root) => {
             let path = root.join(file);
-            crate::input::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
+            trgs_scan::input::read(&path).map(Cow::Owned).map_err(|source| Error::read(&path, source))
         }
         None => match EMBEDDED.binary_search_by_key(&file, |(path, _)| path) {
             Ok(index) => Ok(EMBEDDED[index].1.into()),

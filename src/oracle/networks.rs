@@ -3,10 +3,10 @@
 use super::manifest::Arrays;
 use super::outputs::{Outputs, one, two};
 use super::question::Question;
-use crate::error::Result;
-use crate::neural::conformance;
-use crate::numeric::Real;
 use ndarray::{Ix2, Ix3};
+use trgs_core::error::Result;
+use trgs_core::numeric::Real;
+use trgs_methods::neural::conformance;
 
 fn level(q: &Question) -> Result<[u32; 2]> {
     Ok([q.integer("resolution")? as u32, q.integer("entries")? as u32])

@@ -1,10 +1,10 @@
 //! Builds the outputs of a case.
 
 use super::manifest::Arrays;
-use crate::numeric::Real;
-use crate::primitives::{Group, Parameters};
 use ndarray::{Array, Array1, ArrayD, Dimension, IxDyn};
 use std::collections::BTreeMap;
+use trgs_core::numeric::Real;
+use trgs_core::primitives::{Group, Parameters};
 
 /// The outputs of a case, by role.
 pub type Outputs = BTreeMap<String, Arrays>;

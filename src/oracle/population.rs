@@ -2,15 +2,15 @@
 
 use super::outputs::{Outputs, one, parameters};
 use super::question::Question;
-use crate::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
-use crate::error::{Error, Result};
-use crate::geometry::Grid;
-use crate::optim::Sghmc;
-use crate::optim::sghmc::{NoiseInput, Phase};
-use crate::primitives::Parameters;
-use crate::projector::{Field, Kernels};
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, Ix2, Ix3};
+use trgs_core::density::{NextPrimitive, Relocation, adc, ar, next_parameters};
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Grid;
+use trgs_core::optim::Sghmc;
+use trgs_core::optim::sghmc::{NoiseInput, Phase};
+use trgs_core::primitives::Parameters;
+use trgs_core::projector::{Field, Kernels};
 
 /// `trajectory [T, M, 3]` of positions.
 pub(super) fn sghmc(q: &Question) -> Result<Array3<f64>> {

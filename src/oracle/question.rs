@@ -1,14 +1,14 @@
 //! A case with its inputs: the question to a backend.
 
 use super::manifest::{Arrays, Case, Vectors, decode};
-use crate::error::{Error, Result};
-use crate::geometry::Scanner;
-use crate::primitives::{Activation, Group, KernelKind, Parameters, Primitives, activation::Interval};
-use crate::projector::Projection;
-use crate::scan::dataset::Description;
 use ndarray::{Array, ArrayD, Dimension};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
+use trgs_core::error::{Error, Result};
+use trgs_core::geometry::Scanner;
+use trgs_core::primitives::{Activation, Group, KernelKind, Parameters, Primitives, activation::Interval};
+use trgs_core::projector::Projection;
+use trgs_scan::dataset::Description;
 
 /// Inputs in this program's types. A diagnosis changes one of them and recomputes the outputs.
 #[derive(Clone, Debug)]

@@ -1,13 +1,13 @@
 //! The report of a check as Markdown for readers, JSON for programs and JUnit for CI servers.
 
 use super::check::{CaseResult, PartResult, Report, Status};
-use crate::error::{Error, Result};
-use crate::output::write_atomically;
-use crate::setting::Setting;
 use quick_junit::{NonSuccessKind, TestCase, TestCaseStatus, TestSuite};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use trgs_core::error::{Error, Result};
+use trgs_core::setting::Setting;
+use trgs_scan::output::write_atomically;
 
 /// Writes `file.json`, `file.md` and `file.xml`.
 ///

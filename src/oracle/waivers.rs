@@ -8,11 +8,11 @@
 //! ```
 
 use super::manifest::Case;
-use crate::error::{Error, Result};
 use jiff::civil::Date;
 use jiff::{Timestamp, tz::TimeZone};
 use serde::Deserialize;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 /// A waiver for one case.
 #[derive(Clone, Debug, PartialEq)]

@@ -22,7 +22,7 @@ pub(crate) fn answer(vectors: &Vectors, precision: Precision, folder: &Path, wan
 
 /// Checks a folder of answers to some stages (all if empty), without waivers.
 pub(crate) fn judge(vectors: &Vectors, folder: &Path, format: Format, stages: &[String]) -> Report {
-    let options = Options { format, level: Level::Stress, stages, waivers: &[], today: waivers::today() };
+    let options = Options { format, level: Level::Stress, stages, waivers: &[], today: waivers::today(), commit: None };
     check(vectors, &Tolerances::embedded().unwrap(), folder, &options).unwrap()
 }
 

@@ -51,7 +51,7 @@ fn run(python: &str, backend: &Path, questions: &Path, answers: &Path, format: F
 }
 
 fn judge(answers: &Path, level: Level, stages: &[String], format: Format) -> Report {
-    let options = Options { format, level, stages, waivers: &[], today: waivers::today() };
+    let options = Options { format, level, stages, waivers: &[], today: waivers::today(), commit: None };
     check(&vectors(), &Tolerances::embedded().unwrap(), answers, &options).unwrap()
 }
 

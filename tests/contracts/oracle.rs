@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::oracle::check::{PartResult, Status};
-use trgs::oracle::tolerances::Limits;
+use trgs::oracle::limits::Limits;
 use trgs::oracle::{Case, Format, Level, Options, Question, Tolerances, Vectors, answers, check, report, waivers};
 
 fn root() -> PathBuf {
@@ -327,7 +327,14 @@ fn a_waiver_excuses_until_its_day_and_is_reported_when_it_is_not_needed() {
     let waivers = waivers::read(&file, &vectors.manifest.cases).unwrap();
     let on = |year, month, day| {
         let today = jiff::civil::date(year, month, day);
-        let options = Options { format: Format::F64, level: Level::Stress, stages: &stages, waivers: &waivers, today };
+        let options = Options {
+            format: Format::F64,
+            level: Level::Stress,
+            stages: &stages,
+            waivers: &waivers,
+            today,
+            commit: None,
+        };
         check(&vectors, &Tolerances::embedded().unwrap(), folder.path(), &options).unwrap()
     };
     let report = on(2031, 5, 7);

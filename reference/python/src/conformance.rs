@@ -101,7 +101,14 @@ pub(crate) fn conformance_check<'py>(
     try_run(py, || {
         let folder = tempfile::tempdir().map_err(|source| trgs::Error::write(&std::env::temp_dir(), source))?;
         answers::write(folder.path(), case, &outputs)?;
-        let options = Options { format, level: case.level, stages: &[], waivers: &[], today: waivers::today() };
+        let options = Options {
+            format,
+            level: case.level,
+            stages: &[],
+            waivers: &[],
+            today: waivers::today(),
+            commit: trgs::provenance::commit(),
+        };
         let report = check::check(&one, &Tolerances::embedded()?, folder.path(), &options)?;
         Ok(serde_json::to_string(&report.results[0]).expect("a result is JSON"))
     })

@@ -14,4 +14,4 @@ pub mod threads;
 pub mod vectors;
 
 pub use lanes::{Lanes, ROOT_RANGES, WIDEST};
-pub use real::{Real, real};
+pub use real::{Precision, Real, real};

@@ -1,10 +1,29 @@
 //! The scalars of the kernels: f32 and f64.
 
 use super::Lanes;
+use crate::described;
+use serde::{Deserialize, Serialize};
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use wide::f64x8;
+
+described! {
+    /// Arithmetic of the pixel kernels. Parameters and optimisers are always f64.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Precision {
+        /// Single.
+        F32,
+        /// Double.
+        F64,
+    }
+}
+
+impl Precision {
+    /// Both precisions.
+    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
+}
 
 /// A floating-point scalar that the pixel kernels can run in.
 pub trait Real:

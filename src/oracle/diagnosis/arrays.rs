@@ -2,7 +2,7 @@
 
 use super::Suspect;
 use super::evidence::Accuracy;
-use crate::oracle::format::Format;
+use crate::format::Format;
 use ndarray::{ArrayD, Axis, IxDyn, Slice};
 use std::f64::consts::{LN_2, PI, TAU};
 

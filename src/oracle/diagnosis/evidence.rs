@@ -1,7 +1,7 @@
 //! Evidence for a suspected mistake: the share of the error that it explains, and the number of elements that agree.
 
 use super::Suspect;
-use crate::oracle::format::Format;
+use crate::format::Format;
 use ndarray::ArrayD;
 
 /// The smallest evidence for a name: digits of agreement, summed over independent elements.

@@ -1,10 +1,10 @@
 //! Losses of images and blocks with one mistake; gradients by differences.
 
 use super::Suspect;
-use crate::error::Result;
-use crate::numeric::elementary::exp;
-use crate::oracle::question::Question;
+use crate::question::Question;
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix2, Ix3};
+use trgs_core::error::Result;
+use trgs_core::numeric::elementary::exp;
 
 /// The mean similarity with changes.
 #[derive(Clone, Copy)]
@@ -226,10 +226,10 @@ pub(super) fn variation(q: &Question, role: &str) -> Result<Vec<Suspect>> {
 mod tests {
     use super::super::of_part;
     use super::*;
-    use crate::config::Precision;
-    use crate::oracle::answers::answer;
-    use crate::oracle::format::Format;
-    use crate::oracle::manifest::Vectors;
+    use crate::answers::answer;
+    use crate::format::Format;
+    use crate::manifest::Vectors;
+    use trgs_core::numeric::Precision;
 
     fn question(id: &str) -> Question {
         let vectors = Vectors::embedded().unwrap();

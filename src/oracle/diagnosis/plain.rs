@@ -1,16 +1,16 @@
 //! Kernels, fields, projections and their gradients as plainly as possible, with one fault.
 
 use super::Suspect;
-use crate::error::Result;
-use crate::geometry::{Beam, Scanner, View};
-use crate::numeric::elementary::{exp, log1p};
-use crate::oracle::format::Format;
-use crate::oracle::question::Question;
-use crate::primitives::{Group, Parameters, student_t};
-use crate::projector::Projection;
+use crate::format::Format;
+use crate::question::Question;
 use glam::{DMat3, DVec3};
 use ndarray::{Array1, Array2, Array3, Array4, ArrayD, Axis, IxDyn};
 use std::f64::consts::{PI, TAU};
+use trgs_core::error::Result;
+use trgs_core::geometry::{Beam, Scanner, View};
+use trgs_core::numeric::elementary::{exp, log1p};
+use trgs_core::primitives::{Group, Parameters, student_t};
+use trgs_core::projector::Projection;
 
 /// The numbers of one primitive: mean, scale, quaternion (w, x, y, z), density, ν.
 type Numbers = [f64; 12];
@@ -324,10 +324,10 @@ pub(super) fn factors(nu: &[f64], role: &str) -> Vec<Suspect> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Precision;
-    use crate::oracle::answers::answer;
-    use crate::oracle::manifest::Vectors;
+    use crate::answers::answer;
+    use crate::manifest::Vectors;
     use crate::tolerances::largest;
+    use trgs_core::numeric::Precision;
 
     fn question(id: &str) -> Question {
         let vectors = Vectors::embedded().unwrap();

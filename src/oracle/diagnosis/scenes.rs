@@ -1,18 +1,18 @@
 //! Mistakes whose result is found by recomputing the question with one change.
 
 use super::{Suspect, losses, plain, steps};
-use crate::config::Precision;
-use crate::error::Result;
-use crate::geometry::{Beam, Detector, Scanner};
-use crate::numeric::elementary::{exp, log};
-use crate::oracle::answers::answer;
-use crate::oracle::format::Format;
-use crate::oracle::outputs::Outputs;
-use crate::oracle::question::Question;
-use crate::primitives::{Group, KernelKind, Parameters, Primitives, gaussian, student_t};
+use crate::answers::answer;
+use crate::format::Format;
+use crate::outputs::Outputs;
+use crate::question::Question;
 use ndarray::{Array1, Array4, ArrayD, Axis};
 use serde_json::json;
 use std::f64::consts::PI;
+use trgs_core::error::Result;
+use trgs_core::geometry::{Beam, Detector, Scanner};
+use trgs_core::numeric::Precision;
+use trgs_core::numeric::elementary::{exp, log};
+use trgs_core::primitives::{Group, KernelKind, Parameters, Primitives, gaussian, student_t};
 
 /// A change of a question.
 type Change = fn(&mut Question) -> Result<()>;
@@ -351,7 +351,7 @@ fn without_normalisation(q: &Question, p: &Parameters) -> Result<Vec<ArrayD<f64>
 mod tests {
     use super::super::of_part;
     use super::*;
-    use crate::oracle::manifest::Vectors;
+    use crate::manifest::Vectors;
 
     /// Puts each change into a case, and counts the names: right, among candidates, none, wrong.
     fn named(id: &str, role: &str, part: &str, changes: &[(&str, Change)]) -> [usize; 4] {

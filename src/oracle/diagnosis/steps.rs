@@ -1,9 +1,9 @@
 //! Adam with one mistake.
 
 use super::Suspect;
-use crate::error::Result;
-use crate::oracle::question::Question;
+use crate::question::Question;
 use ndarray::{Array2, ArrayD, Ix2};
+use trgs_core::error::Result;
 
 /// Adam with changes.
 #[derive(Clone, Copy)]
@@ -98,10 +98,10 @@ fn trajectory(rule: Adam, start: &[f64], gradients: &Array2<f64>, rates: &[f64])
 mod tests {
     use super::super::of_part;
     use super::*;
-    use crate::config::Precision;
-    use crate::oracle::answers::answer;
-    use crate::oracle::format::Format;
-    use crate::oracle::manifest::Vectors;
+    use crate::answers::answer;
+    use crate::format::Format;
+    use crate::manifest::Vectors;
+    use trgs_core::numeric::Precision;
 
     #[test]
     fn each_mistake_is_named_alone() {

@@ -1,4 +1,4 @@
-//! The oracle: checks values, gradients and optimiser steps of any implementation.
+//! **trgs-oracle** checks values, gradients and optimiser steps of any implementation.
 //!
 //! Not in the paper. The truth in `reference/vectors` was computed from the equations with 50 digits, independently of
 //! this program (`reference/generate`). The oracle exports the vectors and checks answers. Only files are exchanged:
@@ -16,12 +16,19 @@
 //! | [`answers`] | this program's answers, in f32 and f64 |
 //! | [`format`](mod@format) | f64, f32, f16, bf16: units in the last place |
 //! | [`difference`] | the norms of an error |
-//! | [`tolerances`] | `reference/tolerances.toml` |
+//! | [`limits`] | `reference/tolerances.toml` |
 //! | [`waivers`] | failures that are accepted until a date |
 //! | [`check`](mod@check) | the comparison |
 //! | [`diagnosis`] | the mistake that explains an error |
 //! | [`compare`](mod@compare) | the comparison of two files outside the vectors |
 //! | [`report`] | Markdown, JSON, JUnit |
+
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+#[macro_use]
+#[path = "../../tests/common/tolerances.rs"]
+mod tolerances;
 
 pub mod answers;
 pub mod check;
@@ -29,19 +36,20 @@ pub mod compare;
 pub mod diagnosis;
 pub mod difference;
 pub mod format;
+pub mod limits;
 pub mod manifest;
 mod networks;
 mod outputs;
 mod population;
 pub mod question;
 pub mod report;
-pub mod tolerances;
+
 pub mod waivers;
 
 pub use check::{Options, Report, Status, check};
 pub use difference::Difference;
 pub use format::Format;
+pub use limits::Tolerances;
 pub use manifest::{Case, Level, Vectors};
 pub use outputs::Outputs;
 pub use question::Question;
-pub use tolerances::Tolerances;

@@ -3,10 +3,10 @@
 use super::difference::Difference;
 use super::format::Format;
 use super::manifest::Case;
-use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use trgs_core::error::{Error, Result};
 
 const FILE: &str = "reference/tolerances.toml";
 const TEXT: &str = include_str!("../../reference/tolerances.toml");
