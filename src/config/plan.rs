@@ -42,6 +42,8 @@ const CELLS_PER_VOXEL: f64 = 4.0;
 const LEVELS: u32 = 19;
 /// R²-Gaussian's weight of the total variation, for the side of the paper's volumes.
 const TOTAL_VARIATION: f64 = 0.05;
+/// R²-Gaussian's gradient from which a primitive is cloned or split.
+pub(super) const GRADIENT: f64 = 5e-5;
 /// Side of the blocks, and iterations between two wavelet blocks.
 const BLOCK: usize = 32;
 const WAVELET_EVERY: usize = 10;
@@ -117,6 +119,7 @@ impl Config {
         fill(&mut config.confidence.every, (config.iterations / 12).clamp(1, 500));
         config.density_control.stop =
             Auto::Fixed(config.density_control.stop.or(if adaptive { 0.5 } else { 5.0 / 6.0 }));
+        config.density_control.gradient = Auto::Fixed(config.density_control.gradient.or(GRADIENT));
         fill(&mut config.wavelet.every, WAVELET_EVERY);
         fill(&mut config.wavelet.block, BLOCK);
         fill(&mut config.loss.tv_block, BLOCK);

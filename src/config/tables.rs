@@ -236,8 +236,8 @@ keys! {
         /// ar: distance of copies from their parent, in its standard deviations. 0: the same place, where they never separate.
         spread: f64 = 1.0, NOT_NEGATIVE;
         /// adc: mean length of the gradient to a projected centre, in halves of the detector, from which a primitive is cloned
-        /// or split.
-        gradient: f64 = 5e-5, NOT_NEGATIVE;
+        /// or split. auto: 5e-5.
+        gradient: Auto<f64> = Auto::Auto, NOT_NEGATIVE_OR_AUTO;
         /// adc: scale above which a primitive is split instead of cloned, as a fraction of the volume's longest side.
         split_scale: f64 = 0.1, NOT_NEGATIVE;
         /// adc: density below which a primitive is removed, in units of density_unit.

@@ -1,16 +1,22 @@
 //! Scanned objects: the fifteen stand-ins, or the volumes and scans of a folder.
 
+use super::conditions::{Conditions, Rays};
 use super::scale::Scale;
+use crate::classical::RayModel;
 use crate::error::{Error, Result};
-use crate::geometry::{Grid, Projections, Scanner, Volume};
+use crate::geometry::{Grid, Scanner, Volume};
 use crate::input;
 use crate::provenance::{digest_bytes, digest_file};
+use crate::scan::chain::Chain;
 use crate::scan::phantom::PHANTOMS;
-use crate::scan::simulate::{Object, Plan, simulate};
+use crate::scan::simulate::{Object, Orbit, Plan, simulate, simulate_measured};
 use crate::scan::{Dataset, Noise, Phantom, volume_file};
 use crate::setting::Setting;
 use ndarray::{Array3, Slice};
 use std::path::{Path, PathBuf};
+
+/// Points along each axis of a voxel, for the mean density of a phantom.
+const SAMPLES: usize = 4;
 
 /// An object to scan, or an existing scan.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,6 +76,7 @@ pub(super) struct Acquisition {
     pub(super) views: usize,
     pub(super) noise: Noise,
     pub(super) seed: u64,
+    pub(super) conditions: Conditions,
 }
 
 impl Case {
@@ -164,18 +171,33 @@ impl Case {
             noise: acquisition.noise,
             seed: acquisition.seed,
         };
+        let scanned = |object: Object<'_>, grid: Grid| {
+            let voxels = match object {
+                Object::Phantom(phantom) => phantom.voxelize(&grid, SAMPLES),
+                Object::Volume(volume) | Object::Voxels(volume, _) => volume.clone(),
+            };
+            let object = match acquisition.conditions.rays {
+                Rays::Object => object,
+                Rays::Siddon => Object::Voxels(&voxels, RayModel::Siddon.rays()),
+            };
+            let scanner = Scanner { grid, ..Scanner::synthetic(scale.size, scale.detector()) };
+            if acquisition.conditions.realistic {
+                return simulate_measured(&self.name, object, &scanner, &plan, &Orbit::CIRCLE, &Chain::default());
+            }
+            simulate(&self.name, object, &scanner, &plan)
+        };
         match &self.source {
             Source::Phantom => {
                 let phantom = Phantom::by_name(&self.name, 0)?;
-                scanned(&self.name, Object::Phantom(&phantom), scale, Grid::cube(scale.size), &plan)
+                scanned(Object::Phantom(&phantom), Grid::cube(scale.size))
             }
             Source::Volume(path) => {
                 let volume = normalised(path, scale.size)?;
-                scanned(&self.name, Object::Volume(&volume), scale, volume.grid, &plan)
+                scanned(Object::Volume(&volume), volume.grid)
             }
             Source::Middle(path) => {
                 let volume = middle(path, scale.size)?;
-                scanned(&self.name, Object::Volume(&volume), scale, volume.grid, &plan)
+                scanned(Object::Volume(&volume), volume.grid)
             }
             Source::Scan(path) => {
                 let mut dataset = Dataset::read(path)?;
@@ -184,30 +206,6 @@ impl Case {
             }
         }
     }
-}
-
-/// A simulated scan; its noise is that of the pixels, each the mean of some rays.
-fn scanned(name: &str, object: Object<'_>, scale: Scale, grid: Grid, plan: &Plan) -> Result<Dataset> {
-    let (pixels, side) = (scale.detector(), scale.rays_per_side());
-    let scanner = |pixels: usize| Scanner { grid, ..Scanner::synthetic(scale.size, pixels) };
-    if side == 1 {
-        return simulate(name, object, &scanner(pixels), plan);
-    }
-    let mut scan = simulate(name, object, &scanner(side * pixels), &Plan { noise: Noise::None, ..*plan })?;
-    let averaged = |views: &Projections| Projections { images: means(&views.images, side), ..views.clone() };
-    (scan.scanner, scan.noise) = (scanner(pixels), plan.noise);
-    scan.train = plan.noise.apply(&averaged(&scan.train), plan.seed)?;
-    scan.test = scan.test.as_ref().map(averaged);
-    Ok(scan)
-}
-
-/// Images whose pixels are the means of `side` × `side` pixels.
-fn means(images: &Array3<f32>, side: usize) -> Array3<f32> {
-    let (views, rows, columns) = images.dim();
-    Array3::from_shape_fn((views, rows / side, columns / side), |(view, v, u)| {
-        let part = |k: usize| images[[view, v * side + k / side, u * side + k % side]];
-        (0..side * side).map(part).sum::<f32>() / (side * side) as f32
-    })
 }
 
 /// The middle cube of a volume, `size` voxels along each side or all that there are, and densities scaled to at most 1.
@@ -262,29 +260,27 @@ fn longest(values: &Array3<f32>) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiments::Matching;
     use crate::scan::npy;
 
     #[test]
-    fn a_pixel_matched_by_ray_is_the_mean_of_four_rays_and_has_one_noise() {
-        let scale = Scale::new(32, Matching::Ray);
-        let acquisition = Acquisition { views: 3, noise: Noise::HIGH, seed: 5 };
-        let scan = Case::phantom("pepper").unwrap().scan(scale, &acquisition).unwrap();
-        let plan = Plan { views: 3, test_views: scale.test_views(), noise: Noise::None, seed: 5 };
-        let phantom = Phantom::by_name("pepper", 0).unwrap();
-        let rays = simulate("pepper", Object::Phantom(&phantom), &Scanner::synthetic(32, 46), &plan).unwrap();
-        assert_eq!((scan.scanner, scan.noise), (Scanner::synthetic(32, 23), Noise::HIGH));
-        let mean = |images: &Array3<f32>, [view, v, u]: [usize; 3]| {
-            let ray = |dv: usize, du: usize| images[[view, 2 * v + dv, 2 * u + du]];
-            (ray(0, 0) + ray(0, 1) + ray(1, 0) + ray(1, 1)) / 4.0
+    fn rays_see_the_object_or_its_voxels_and_a_chain_changes_what_trains_alone() {
+        let scale = Scale::new(16, crate::experiments::Matching::Edge);
+        let scan = |rays, realistic| {
+            let conditions = Conditions { rays, realistic, ..Conditions::default() };
+            let acquisition = Acquisition { views: 3, noise: Noise::None, seed: 5, conditions };
+            Case::phantom("pepper").unwrap().scan(scale, &acquisition).unwrap()
         };
-        let (test, of_rays) = (scan.test.unwrap(), rays.test.unwrap());
-        assert_eq!(test.angles, of_rays.angles);
-        assert!(test.images.indexed_iter().all(|((view, v, u), &pixel)| pixel == mean(&of_rays.images, [view, v, u])));
-        let clean = Array3::from_shape_fn((3, 23, 23), |(view, v, u)| mean(&rays.train.images, [view, v, u]));
-        let clean = Projections { images: clean, ..rays.train };
-        assert_eq!(scan.train, Noise::HIGH.apply(&clean, 5).unwrap());
-        assert_eq!(scan.truth, rays.truth);
+        let (object, voxels) = (scan(Rays::Object, false), scan(Rays::Siddon, false));
+        assert_eq!(object.truth, voxels.truth);
+        let of_truth = |scan: &Dataset| {
+            let test = scan.test.as_ref().unwrap();
+            (RayModel::Siddon.rays().project)(scan.truth.as_ref().unwrap(), &scan.scanner, test.trajectory()).unwrap()
+        };
+        assert_eq!(of_truth(&voxels).images, voxels.test.as_ref().unwrap().images);
+        assert_ne!(of_truth(&object).images, object.test.as_ref().unwrap().images);
+        let measured = scan(Rays::Siddon, true);
+        assert_eq!((&measured.test, &measured.truth), (&voxels.test, &voxels.truth));
+        assert_ne!(measured.train.images, voxels.train.images);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! One run of an experiment: a case, its acquisition, and the settings of a method.
 
 use super::case::{Acquisition, Case};
-use super::damage::Damage;
+use super::conditions::Conditions;
 use super::scale::Scale;
 use super::table::{Table, TableRow, noise};
 use crate::config::{Config, Method};
@@ -33,7 +33,7 @@ pub struct Cell {
     pub seed: u64,
     /// The size that all sizes are derived from.
     pub scale: Scale,
-    damage: Damage,
+    conditions: Conditions,
     config: Config,
 }
 
@@ -87,7 +87,7 @@ impl Table {
         seed: u64,
     ) -> Option<Cell> {
         let config = row.config(self.basis, &self.set)?;
-        Cell::new(config, case, scale, views, level, seed, self.damage)
+        Cell::new(config, case, scale, views, level, seed, self.conditions())
     }
 }
 
@@ -100,26 +100,26 @@ impl Cell {
         views: usize,
         level: &str,
         seed: u64,
-        damage: Damage,
+        conditions: Conditions,
     ) -> Option<Self> {
         if !case.takes_noise() && level != "low" {
             return None;
         }
         config.seed = seed;
-        let scan = Self::scan_key(case, scale, views, level, seed, damage);
+        let scan = Self::scan_key(case, scale, views, level, seed, conditions);
         let settings = serde_json::to_string(&config).expect("a configuration has string keys");
         let program = commit().unwrap_or(env!("CARGO_PKG_VERSION"));
         let id = digest_bytes(format!("{program}\n{scan}\n{settings}").as_bytes())[..ID_DIGITS].to_owned();
-        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, damage, config })
+        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, conditions, config })
     }
 
-    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64, damage: Damage) -> String {
-        format!("{} {scale:?} {views} {level} {seed} {damage:?}", case.digest)
+    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64, conditions: Conditions) -> String {
+        format!("{} {scale:?} {views} {level} {seed} {conditions:?}", case.digest)
     }
 
     /// Id of the scan; equal for cells of the same scan.
     pub(super) fn scan_id(&self) -> String {
-        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed, self.damage)
+        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed, self.conditions)
     }
 
     /// A short description for display.
@@ -131,10 +131,10 @@ impl Cell {
 
     /// The scan that the cell reconstructs.
     pub(super) fn scan(&self) -> Result<Dataset> {
-        let acquisition =
-            Acquisition { views: self.views, noise: self.scale.noise(noise(&self.noise)), seed: self.seed };
+        let (noise, conditions) = (noise(&self.noise), self.conditions);
+        let acquisition = Acquisition { views: self.views, noise, seed: self.seed, conditions };
         let mut scan = self.case.scan(self.scale, &acquisition)?;
-        self.damage.apply(&mut scan.train, self.seed);
+        self.conditions.damage.apply(&mut scan.train, self.seed);
         Ok(scan)
     }
 
@@ -158,6 +158,9 @@ impl Cell {
         }
         if let Some(spearman) = log.last().and_then(|record| record.spearman) {
             metrics.insert("spearman".into(), spearman);
+        }
+        if let Some(primitives) = &primitives {
+            metrics.insert("primitives".into(), primitives.len() as f64);
         }
         let finding = Finding {
             id: self.id.clone(),

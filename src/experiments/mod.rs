@@ -12,7 +12,7 @@
 
 mod case;
 mod cell;
-mod damage;
+mod conditions;
 mod page;
 #[cfg(feature = "plots")]
 mod plot;
@@ -25,12 +25,12 @@ mod text;
 
 pub use case::Case;
 pub use cell::{Cell, Finding};
-pub use damage::Damage;
+pub use conditions::{Conditions, Damage, Rays};
 pub use runner::{Done, Observe, run};
 pub use scale::{Matching, Scale};
 pub use store::Store;
 pub use summary::{Agreement, Block, Estimate, Figure, Summary};
 pub use table::{Basis, NAMES, Table, TableRow};
 
-/// All metrics of a cell; `unfinished` is PSNR_3D before the finish on voxels.
-pub const METRICS: [&str; 6] = ["spearman", "unfinished", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
+/// All metrics of a cell; `unfinished` is PSNR_3D before the finish on voxels, `primitives` their number at the end.
+pub const METRICS: [&str; 7] = ["spearman", "unfinished", "psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d", "primitives"];

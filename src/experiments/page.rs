@@ -63,6 +63,9 @@ impl Summary {
         for (metric, agreement) in self.table.metrics.iter().zip(&block.agreement) {
             let _ = writeln!(notes, "<li>{}</li>", agreement.sentence(metric));
         }
+        for remark in block.remarks(&self.table.rows) {
+            let _ = writeln!(notes, "<li>{}</li>", escape(&remark));
+        }
         format!(
             "<section>\n<h2>{}</h2>\n<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n\
              <ul class=\"note\">\n{notes}</ul>\n</section>\n",

@@ -1,7 +1,6 @@
 //! The paper's experiments at another size: how all settings scale.
 
 use crate::numeric::elementary::pow;
-use crate::scan::Noise;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -20,7 +19,7 @@ pub enum Matching {
     /// each other.
     #[default]
     Edge,
-    /// Rays per voxel, and rays per parameter. Compare methods on primitives with those on voxels.
+    /// Rays per voxel. Compare methods on primitives with those on voxels.
     Ray,
 }
 
@@ -37,9 +36,10 @@ impl fmt::Display for Matching {
 ///
 /// | quantity | at 256 | at a size of N, matched by edge | matched by ray |
 /// |---|---|---|---|
-/// | detector | 512² | (2N)², a ray through each pixel's centre | d² with d = 512 (N/256)^3/2, each pixel the mean of 2 × 2 rays |
-/// | photons | 10⁵ | 10⁵ | 10⁵ N/256, and the electronic noise times the root of N/256 |
+/// | detector | 512² | (2N)² | d² with d = 512 (N/256)^3/2 |
 /// | test views | 100 | 100 N/256, at least 8 | the same |
+///
+/// A pixel is one ray through its centre, with the paper's photons.
 ///
 /// How the method scales is defined by the preset `paper` alone; voxel methods have their own number of passes at any size.
 /// Densities of the paper's scans are from 0 to about 1: their unit is 1.
@@ -49,7 +49,7 @@ pub struct Scale {
     pub size: usize,
     /// What stays as in the paper.
     pub matching: Matching,
-    /// Pixels along each side of the detector, each a ray through its centre, if they do not follow from the size.
+    /// Pixels along each side of the detector, if they do not follow from the size.
     pub pixels: Option<usize>,
 }
 
@@ -72,22 +72,6 @@ impl Scale {
         }
     }
 
-    /// Rays along each side of a pixel, of whose line integrals it is the mean.
-    pub fn rays_per_side(self) -> usize {
-        match (self.pixels, self.matching) {
-            (None, Matching::Ray) => 2,
-            _ => 1,
-        }
-    }
-
-    /// A level of noise of the paper at this size.
-    pub fn noise(self, paper: Noise) -> Noise {
-        match self.matching {
-            Matching::Edge => paper,
-            Matching::Ray => paper.with_photons_times(self.ratio()),
-        }
-    }
-
     /// Pixels of all views over voxels.
     pub fn rays_per_voxel(self, views: usize) -> f64 {
         (views * self.detector() * self.detector()) as f64 / pow(self.size as f64, 3.0)
@@ -107,7 +91,7 @@ mod tests {
     fn the_papers_size_is_the_papers() {
         for matching in [Matching::Edge, Matching::Ray] {
             let paper = Scale::new(256, matching);
-            assert_eq!((paper.detector(), paper.test_views(), paper.noise(Noise::LOW)), (512, 100, Noise::LOW));
+            assert_eq!((paper.detector(), paper.test_views()), (512, 100));
         }
     }
 
@@ -125,10 +109,5 @@ mod tests {
         }
         let ray = Scale::new(64, Matching::Ray);
         assert_eq!((ray.detector(), Scale::new(128, Matching::Ray).detector()), (64, 181));
-        assert_eq!(ray.noise(Noise::LOW), Noise::relative(25_000.0, 5.0));
-        assert_eq!(
-            (ray.noise(Noise::None), Scale::new(64, Matching::Edge).noise(Noise::LOW)),
-            (Noise::None, Noise::LOW)
-        );
     }
 }

@@ -47,6 +47,8 @@ pub struct Block {
     pub figures: Vec<Vec<Figure>>,
     /// Indexed by metric.
     pub agreement: Vec<Agreement>,
+    /// Of each row and each of [`METRICS`] that is no column: the means over seeds, one per case.
+    pub others: Vec<(usize, &'static str, Vec<Option<f64>>)>,
 }
 
 /// A row's value for a metric.
@@ -165,14 +167,15 @@ impl Block {
         let is_complete = |row: usize| cells[row][0] == cells[row][1];
         let full = table.rows.iter().position(|row| row.name == table.full).expect("a row of the table");
         let mut figures: Vec<Vec<Figure>> = vec![Vec::new(); table.rows.len()];
+        let values = |row: usize, metric: &str| -> Vec<Vec<Option<f64>>> {
+            let value = |finding: &Option<Finding>| finding.as_ref()?.metrics.get(metric).copied();
+            found[row].iter().map(|seeds| seeds.iter().map(value).collect()).collect()
+        };
+        let by_case = |values: &[Vec<Option<f64>>]| values.iter().map(|s| mean(s.iter().flatten().copied())).collect();
         for metric in &table.metrics {
-            let values = |row: usize| -> Vec<Vec<Option<f64>>> {
-                let value = |finding: &Option<Finding>| finding.as_ref()?.metrics.get(metric).copied();
-                found[row].iter().map(|seeds| seeds.iter().map(value).collect()).collect()
-            };
-            let of_full = values(full);
+            let of_full = values(full, metric);
             for (number, row) in table.rows.iter().enumerate() {
-                let values = values(number);
+                let values = values(number, metric);
                 let pairs = values.iter().zip(&of_full).map(|(ours, full)| {
                     ours.iter().zip(full).map(|(ours, full)| Some((*ours)? - (*full)?)).collect::<Vec<_>>()
                 });
@@ -184,7 +187,7 @@ impl Block {
                     difference,
                     paper: table.printed(row, views, noise, metric),
                     rank: None,
-                    by_case: values.iter().map(|seeds| mean(seeds.iter().flatten().copied())).collect(),
+                    by_case: by_case(&values),
                 });
             }
         }
@@ -196,7 +199,11 @@ impl Block {
             }
         }
         let agreement = (0..table.metrics.len()).map(|column| Agreement::new(&figures, column, full)).collect();
-        Self { views, noise: noise.into(), figures, agreement }
+        let others = METRICS.into_iter().filter(|metric| table.metrics.iter().all(|column| column != metric));
+        let of_rows = |metric| (0..table.rows.len()).map(move |row| (row, metric));
+        let others =
+            others.flat_map(of_rows).map(|(row, metric)| (row, metric, by_case(&values(row, metric)))).collect();
+        Self { views, noise: noise.into(), figures, agreement, others }
     }
 }
 
@@ -252,7 +259,11 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// Number of decimals that a metric is printed with.
 pub(super) fn decimals(metric: &str) -> usize {
     debug_assert!(METRICS.contains(&metric), "{metric}");
-    if metric.starts_with("psnr") { 2 } else { 3 }
+    match metric {
+        "primitives" => 0,
+        "psnr_3d" | "psnr_2d" | "unfinished" => 2,
+        _ => 3,
+    }
 }
 
 #[cfg(test)]

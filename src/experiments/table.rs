@@ -1,6 +1,6 @@
 //! The paper's tables as data: rows, what each row runs, and which figures of the paper belong to it.
 
-use super::damage::Damage;
+use super::conditions::{Conditions, Damage, Rays};
 use crate::config::{Auto, Config, Method, Preset};
 use crate::error::{Error, Result};
 use crate::scan::Noise;
@@ -57,6 +57,12 @@ pub struct Table {
     /// Pixels along each side of the detector, if not those of the [`Scale`](super::Scale): a ray through each pixel's centre.
     #[serde(default)]
     pub detector: Option<usize>,
+    /// The model of the rays.
+    #[serde(default)]
+    pub rays: Rays,
+    /// Whether training views go through a measuring chain.
+    #[serde(default)]
+    pub realistic: bool,
     /// What is wrong in the training views.
     #[serde(default)]
     pub damage: Damage,
@@ -146,6 +152,11 @@ impl Table {
         }
         self.rows.retain(|row| row.method.is_some() || !row.paper.is_empty());
         self
+    }
+
+    /// How objects are scanned.
+    pub(super) fn conditions(&self) -> Conditions {
+        Conditions { rays: self.rays, realistic: self.realistic, damage: self.damage }
     }
 
     /// All tables.

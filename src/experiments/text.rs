@@ -1,6 +1,7 @@
 //! A summary as CSV, Markdown and LaTeX.
 
 use super::summary::{Agreement, Block, Estimate, Figure, Summary, decimals};
+use super::table::TableRow;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
@@ -11,6 +12,8 @@ pub(super) fn title(metric: &str) -> &str {
         "ssim_3d" => "SSIM 3D",
         "psnr_2d" => "PSNR 2D",
         "ssim_2d" => "SSIM 2D",
+        "unfinished" => "PSNR 3D before the finish",
+        "primitives" => "Primitives at the end",
         _ => "Spearman’s ρ",
     }
 }
@@ -36,6 +39,20 @@ pub(super) fn with_interval(estimate: Option<Estimate>, metric: &str, signed: bo
 }
 
 impl Block {
+    /// A sentence on the mean of each metric that is no column and that some rows have: populations, ρ.
+    pub(super) fn remarks(&self, rows: &[TableRow]) -> Vec<String> {
+        let of_metric = |metric: &&str| {
+            let means = self.others.iter().filter(|(_, name, _)| name == metric).filter_map(|(row, _, by_case)| {
+                let values: Vec<f64> = by_case.iter().flatten().copied().collect();
+                let mean = (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)?;
+                Some(format!("{} {}", rows[*row].name, number(Some(mean), metric)))
+            });
+            let means: Vec<String> = means.collect();
+            (!means.is_empty()).then(|| format!("{}: {}", title(metric), means.join("; ")))
+        };
+        ["primitives", "spearman"].iter().filter_map(of_metric).collect()
+    }
+
     /// For example "18 views, low noise".
     pub(super) fn title(&self) -> String {
         format!("{} views, {} noise", self.views, self.noise)
@@ -150,14 +167,20 @@ impl Summary {
     /// CSV with one line per block, row, metric and case: means over seeds.
     pub fn cases_csv(&self) -> String {
         let mut lines = vec![["views", "noise", "row", "metric", "case", "ours"].map(str::to_owned)];
-        self.for_each(|block, row, metric, figure| {
-            for (case, value) in self.cases.iter().zip(&figure.by_case) {
+        let mut add = |block: &Block, row: &str, metric: &str, by_case: &[Option<f64>]| {
+            for (case, value) in self.cases.iter().zip(by_case) {
                 if let Some(value) = value {
                     let (views, noise) = (block.views.to_string(), block.noise.clone());
                     lines.push([views, noise, row.into(), metric.into(), case.clone(), format!("{value:.6}")]);
                 }
             }
-        });
+        };
+        self.for_each(|block, row, metric, figure| add(block, row, metric, &figure.by_case));
+        for block in &self.blocks {
+            for (row, metric, by_case) in &block.others {
+                add(block, &self.table.rows[*row].name, metric, by_case);
+            }
+        }
         written(&lines)
     }
 
@@ -199,6 +222,7 @@ impl Summary {
             for (metric, agreement) in self.table.metrics.iter().zip(&block.agreement) {
                 let _ = writeln!(text, "- {}", agreement.sentence(metric));
             }
+            block.remarks(&self.table.rows).iter().for_each(|remark| text += &format!("- {remark}\n"));
         }
         let _ = write!(text, "\n{}\n", self.footer());
         text

@@ -62,19 +62,6 @@ impl Noise {
         Self::Counts { photons, sigma, attenuation: Attenuation::Relative }
     }
 
-    /// The level with `factor` times as many photons; σ grows with its root, so both kinds of noise keep their ratio.
-    ///
-    /// Tests: `with_fewer_photons_both_kinds_of_noise_grow_alike`.
-    #[must_use]
-    pub fn with_photons_times(self, factor: f64) -> Self {
-        match self {
-            Self::None => self,
-            Self::Counts { photons, sigma, attenuation } => {
-                Self::Counts { photons: photons * factor, sigma: sigma * factor.sqrt(), attenuation }
-            }
-        }
-    }
-
     /// The same level with photons attenuated by the Beer-Lambert law.
     #[must_use]
     pub fn physical(self) -> Self {
@@ -204,13 +191,6 @@ mod tests {
         // The floor, and a reading brighter than without an object.
         near(noisy_line_integral(8000.0, 20.0, 2.0, 3.0, -1.0), 2.0 * log(16_000.0));
         assert_eq!(noisy_line_integral(8000.0, 20.0, 2.0, 8100.0, -1.0), 0.0);
-    }
-
-    #[test]
-    fn with_fewer_photons_both_kinds_of_noise_grow_alike() {
-        let fewer = Noise::HIGH.physical().with_photons_times(0.25);
-        assert_eq!(fewer, Noise::relative(2500.0, 20.0).physical());
-        assert_eq!(Noise::None.with_photons_times(0.25), Noise::None);
     }
 
     #[test]

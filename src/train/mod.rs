@@ -280,7 +280,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             DensityControl::Adc => {
                 let grid = &self.dataset.scanner.grid;
                 let settings = adc::Settings {
-                    gradient: control.gradient,
+                    gradient: control.gradient.or(0.0),
                     split_scale: control.split_scale * grid.size().max_element(),
                     faint: control.faint,
                     cap: control.cap,

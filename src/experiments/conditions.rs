@@ -1,4 +1,4 @@
-//! Scans with data that are wrong: how robust a method is.
+//! How the objects of a table are scanned: the model of the rays, measuring errors, wrong data.
 
 use crate::geometry::Projections;
 use crate::numeric::rng::{Purpose, stream};
@@ -8,6 +8,28 @@ use serde::Deserialize;
 
 /// One pixel in so many is replaced.
 const ONE_IN: f64 = 100.0;
+
+/// How a table scans its objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Conditions {
+    /// The model of the rays.
+    pub rays: Rays,
+    /// Whether training views go through the measuring chain of [`Chain`](crate::scan::chain::Chain).
+    pub realistic: bool,
+    /// What is wrong in the training views.
+    pub damage: Damage,
+}
+
+/// What rays see.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rays {
+    /// The object as it is: a phantom, or the trilinear function of a volume.
+    #[default]
+    Object,
+    /// Voxels of constant density, as TIGRE's projector and the paper's scans have them.
+    Siddon,
+}
 
 /// What is wrong in the training views of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
