@@ -125,7 +125,7 @@ pub use scan::volume_file::write_volume;
 pub use trgs_core::geometry::{Grid, Projections, Scanner, Volume};
 pub use trgs_core::primitives::Primitives;
 pub use trgs_core::projector::{Field, Projection};
-pub use trgs_core::setting::Setting;
+pub use trgs_core::setting::{Setting, Text};
 pub use trgs_core::{
     confidence, density, error, error::Error, error::Result, geometry, loss, numeric, optim, primitives, projector,
     setting, wavelet, words,

@@ -133,9 +133,9 @@ impl Estimate {
         if self.peak() <= limit {
             return Ok(());
         }
-        let [points, views] = [Setting::Points, Setting::Views];
-        let instead = format!("fewer primitives ({points}, density_control.cap), views ({views}), pixels or voxels");
-        Err(Error::memory("run", self, limit, self.peak()).or_instead(&instead))
+        let points = "fewer primitives (" + Setting::Points + ", density_control.cap), ";
+        let instead = points + "views (" + Setting::Views + "), pixels or voxels";
+        Err(Error::memory("run", self, limit, self.peak()).or_instead(instead))
     }
 }
 

@@ -14,6 +14,7 @@
 use crate::error::{Error, Result, start_again};
 use crate::limit;
 use crate::output::write_atomically;
+use crate::setting::Text;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -68,7 +69,7 @@ pub(crate) fn open(path: &Path) -> Result<Sealed> {
 
 fn unseal(bytes: Vec<u8>, path: &Path) -> Result<Sealed> {
     let refused = |what: &str, got: &str, expected: &str, remedy: &str| {
-        Err(Error::format(path, what, got, expected, format!("{remedy}{}", start_again())))
+        Err(Error::format(path, what, got, expected, Text::from(remedy) + start_again()))
     };
     let format = FORMAT.to_string();
     // Formats 1 and 2 were a MessagePack array that began with its format.

@@ -1,7 +1,7 @@
 //! `trgs evaluate`: the quality of a reconstruction.
 
 use super::Output;
-use super::messages::warning;
+use super::messages::warnings;
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -77,7 +77,7 @@ fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
 /// The volume of a file on a grid; one that states other axes is turned to those of the grid.
 fn arrange(frame: &Frame, file: VolumeFile, grid: &Grid, path: &Path) -> Result<Volume> {
     let (volume, remarks) = frame.arrange(file, grid).map_err(|error| error.in_file(path))?;
-    remarks.iter().for_each(|remark| warning(path, remark));
+    warnings(path, remarks);
     Ok(volume)
 }
 

@@ -81,7 +81,7 @@ impl Inspect {
 
 fn dataset(path: &Path) -> Result<Value> {
     let dataset = Dataset::read(path)?;
-    let implausible: Vec<_> = plausibility::remarks(&dataset).iter().map(|remark| with_flags(remark)).collect();
+    let implausible: Vec<_> = plausibility::remarks(&dataset).iter().map(with_flags).collect();
     let Dataset { name, scanner, frame, noise, train, test, truth, initial_points, notes, mut oddities, .. } = dataset;
     oddities.extend(implausible);
     let (d, grid) = (scanner.detector, scanner.grid);
@@ -199,7 +199,7 @@ fn archive(path: &Path) -> Result<Value> {
             Err(error) => json!({
                 "kind": "archive with the arrays of a model, or gradient of one",
                 "arrays": arrays(&npz),
-                "oddities": [format!("not usable as a model: {error}")],
+                "oddities": [format!("not usable as a model: {}", with_flags(&error.text()))],
             }),
         });
     }

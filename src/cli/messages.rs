@@ -14,12 +14,12 @@ use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::{FmtContext, fmt};
 use tracing_subscriber::registry::LookupSpan;
-use trgs::Error;
 use trgs::classical::geometry_check::Step;
 use trgs::experiments::Done;
 use trgs::output::Destination;
 use trgs::scan::hounsfield;
 use trgs::words::{is_command, visible};
+use trgs::{Error, Text};
 
 /// Sends all tracing events to standard error, in the requested format.
 pub(super) fn install(global: &Global) {
@@ -34,13 +34,17 @@ pub(super) fn install(global: &Global) {
 
 /// Reports in one line the error that ended the program.
 pub(super) fn error(error: &Error) {
-    let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
-    tracing::error!("{}", with_flags(&lines.join(" ")));
+    tracing::error!("{}", with_flags(&error.text()));
 }
 
 /// Warns of an unusual property of a file, with flags for settings.
-pub(super) fn warning(path: &Path, text: &str) {
-    tracing::warn!("{}: {}", path.display(), with_flags(text));
+pub(super) fn warning(path: &Path, text: impl Into<Text>) {
+    tracing::warn!("{}: {}", path.display(), with_flags(&text.into()));
+}
+
+/// [`warning`] of each.
+pub(super) fn warnings(path: &Path, texts: impl IntoIterator<Item: Into<Text>>) {
+    texts.into_iter().for_each(|text| warning(path, text));
 }
 
 /// Says where other content of a folder was moved to, if it was.
@@ -74,7 +78,7 @@ pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, m
     }
     if below > 0 {
         let all = values.len();
-        warning(path, &format!("{below} of {all} values are below -1000, less than air, and became 0"));
+        warning(path, format!("{below} of {all} values are below -1000, less than air, and became 0"));
     }
     Ok(())
 }

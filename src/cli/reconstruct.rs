@@ -3,8 +3,7 @@
 use super::arguments::{Replace, choice, positive, seed, word};
 use super::corrections::CorrectionArgs;
 use super::evaluate::{answer, answer_again};
-use super::flags::with_flags;
-use super::messages::warning;
+use super::messages::warnings;
 use super::progress::RunProgress;
 use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file, metrics_of_results};
 use super::{Global, Output, interrupt};
@@ -127,9 +126,8 @@ impl Reconstruct {
         }
         self.corrections.refuse_region("a scan")?;
         self.corrections.apply(&mut dataset, [false; 2])?;
-        for oddity in dataset.oddities.iter().chain(&plausibility::remarks(&dataset)) {
-            warning(&self.dataset, oddity);
-        }
+        warnings(&self.dataset, &dataset.oddities);
+        warnings(&self.dataset, plausibility::remarks(&dataset));
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
@@ -170,14 +168,14 @@ impl Reconstruct {
     /// The error of an interrupted run with the command that goes on with it: its settings are in the checkpoint.
     fn with_command(&self, error: Error) -> Error {
         match error {
-            Error::Interrupted { step, remedy } if remedy.contains(&Setting::Resume.to_string()) => {
+            Error::Interrupted { step, remedy } if remedy.names(Setting::Resume) => {
                 let views = self.views.map_or(String::new(), |n| format!(" --views {n}"));
                 let corrections = self.corrections.again();
                 let [dataset, out] = [&self.dataset, &self.out].map(|path| words::quoted_path(path));
                 let remedy = format!(
                     "its state is saved; go on with: trgs reconstruct {dataset} --out {out}{views}{corrections} --resume"
                 );
-                Error::Interrupted { step, remedy }
+                Error::Interrupted { step, remedy: remedy.into() }
             }
             other => other,
         }
@@ -352,8 +350,9 @@ pub(super) fn reconstruct(
         }
         if let Some(sampled) = &sampled {
             let other = if sampled.sampling == Sampling::Interpolant { "point" } else { "interpolant" };
-            let remedy = sampled.evidence.map_or(String::new(), |_| format!("; `sampling={other}` takes the other"));
-            tracing::info!("{}", with_flags(&format!("volume: {sampled}{remedy}")));
+            let remedy =
+                sampled.evidence.map_or(String::new(), |_| format!("; --set sampling={other} takes the other"));
+            tracing::info!("volume: {sampled}{remedy}");
         }
         let method = config.method;
         let outcome = Outcome {

@@ -1,6 +1,7 @@
 //! The folder of a run. It appears completely at the end of the run, or not at all.
 
 use super::arguments::word;
+use super::flags::with_flags;
 use super::messages::moved;
 use super::run_log::{RunLog, to_line};
 use serde::Serialize;
@@ -195,7 +196,7 @@ impl RunFolder {
                     checkpoint.write(&checkpoint_file(&staged.path()))?;
                 }
                 // Another program may have changed the file; the results are not lost for that.
-                Err(error) => tracing::warn!("the run cannot be continued: {error}"),
+                Err(error) => tracing::warn!("the run cannot be continued: {}", with_flags(&error.text())),
             }
         }
         write_text(&at("report.html"), &page(dataset, config, outcome, beside, &self.provenance)?)?;

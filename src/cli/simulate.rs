@@ -1,7 +1,7 @@
 //! `trgs simulate`: a simulated scan of a phantom or a volume.
 
 use super::arguments::{Replace, finite, pair, seed};
-use super::messages::{hounsfield_to_attenuation, moved, warning};
+use super::messages::{hounsfield_to_attenuation, moved, warnings};
 use super::{Output, interrupt};
 use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
@@ -234,9 +234,8 @@ fn read_volume(path: &Path, mu_water: Option<f64>) -> Result<(Volume, Frame)> {
         Some(mu_water) => hounsfield_to_attenuation(path, &mut file.values, mu_water).map(|()| None)?,
         None => hounsfield::remark("volume", &file.values),
     };
-    for oddity in file.oddities.iter().chain(&hounsfield) {
-        warning(path, oddity);
-    }
+    warnings(path, &file.oddities);
+    warnings(path, hounsfield);
     let (frame, grid) = Frame::around(&file).map_err(|error| error.in_file(path))?;
     let volume = Volume::new(grid, file.values).map_err(|error| error.in_file(path))?;
     Ok((volume, frame))

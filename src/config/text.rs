@@ -6,6 +6,7 @@ use super::{
     LossConfig, Method, ModelConfig, NeuralConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
 };
 use crate::error::{Error, Result};
+use crate::setting::Text;
 use crate::words::utf8;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -145,7 +146,7 @@ impl Config {
         }
         place.insert(last.into(), value.clone());
         *self = table.try_into().map_err(|error: toml::de::Error| {
-            let remedy = format!("give `{key}={old}`, for example");
+            let remedy = "give " + Text::set(key, old) + ", for example";
             Error::invalid(key, format!("{value}: {}", error.message()), format!("a value like {old}"), remedy)
         })?;
         Ok(())

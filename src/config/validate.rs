@@ -4,6 +4,7 @@ use super::keys::{Keys, require};
 use super::{AlphaConfig, Config, Method, PositionOptimiser, Start};
 use crate::error::{Error, Result};
 use crate::primitives::KernelKind;
+use crate::setting::Text;
 use std::fmt::Debug;
 
 impl Config {
@@ -14,7 +15,7 @@ impl Config {
     pub fn validate(&self) -> Result<()> {
         self.check_ranges().map_err(|error| match error {
             Error::Invalid { what, got, expected, remedy } if remedy.is_empty() => {
-                let remedy = self.remedy(&what);
+                let remedy = self.remedy(&what.to_string());
                 Error::Invalid { what, got, expected, remedy }
             }
             other => other,
@@ -22,13 +23,13 @@ impl Config {
     }
 
     /// The remedy for a key out of its range: the default of the method, if that is within the range.
-    fn remedy(&self, key: &str) -> String {
+    fn remedy(&self, key: &str) -> Text {
         let default = Self::of(self.method).entries().into_iter().find(|(name, _)| name == key);
         let mut changed = self.clone();
-        let setting = default.map(|(_, value)| format!("{key}={value}")).filter(|text| changed.set(text).is_ok());
-        let is_wrong = matches!(changed.check_ranges(), Err(Error::Invalid { what, .. }) if what == key);
-        match setting.filter(|_| !is_wrong) {
-            Some(setting) => format!("give `{setting}`, the default"),
+        let default = default.filter(|(key, value)| changed.set(&format!("{key}={value}")).is_ok());
+        let is_wrong = matches!(changed.check_ranges(), Err(Error::Invalid { what, .. }) if what == Text::from(key));
+        match default.filter(|_| !is_wrong) {
+            Some((key, value)) => "give " + Text::set(&key, value) + ", the default",
             None => "give a value in this range".into(),
         }
     }
@@ -65,11 +66,11 @@ impl Config {
         require("model.nu_initial", start, min < start && start < max, &between)?;
         match (initialisation.from == Start::Model, initialisation.model.as_str()) {
             (true, "") => {
-                let remedy = "name the file: `initialisation.model=MODEL.npz`";
+                let remedy = "name the file: " + Text::set("initialisation.model", "MODEL.npz");
                 return Err(Error::invalid("initialisation.model", "no file", "the file of a model", remedy));
             }
             (false, file) if !file.is_empty() => {
-                let remedy = "start from the model, `initialisation.from=model`, or name none";
+                let remedy = "start from the model, " + Text::set("initialisation.from", "model") + ", or name none";
                 return Err(Error::invalid("initialisation.model", file, "no file for another start", remedy));
             }
             _ => {}
@@ -115,7 +116,7 @@ impl Config {
 
 /// An error about a key whose only value that fits is known.
 fn fits(key: &str, got: impl Debug, holds: bool, expected: &str, value: &str) -> Result<()> {
-    let remedy = || format!("give `{key}={value}`");
+    let remedy = || "give " + Text::set(key, value);
     if holds { Ok(()) } else { Err(Error::invalid(key, format!("{got:?}"), expected, remedy())) }
 }
 

@@ -1,70 +1,69 @@
 //! The one error type. Each message says what was wrong, what was found and expected, and the remedy.
 
-use crate::setting::Setting;
-use crate::words::{quoted_path, visible};
+use crate::setting::{Setting, Text};
+use crate::words::quoted_path;
 use bytesize::ByteSize;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fmt, io};
 
 /// Every error that the library reports at its borders.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
+#[non_exhaustive]
 pub enum Error {
     /// A file or folder could not be read.
-    #[error("cannot read {}: {source}; {}", visible(path.display()), to_read(path, source))]
     Read {
         /// The file or folder.
         path: PathBuf,
         /// The error of the operating system.
-        source: std::io::Error,
+        source: io::Error,
+        /// The action that the user can take.
+        remedy: Text,
     },
     /// A file or folder could not be written; no partial file was left behind.
-    #[error("cannot write {}: {source}; {}", visible(path.display()), to_write(path, source))]
     Write {
         /// The file or folder.
         path: PathBuf,
         /// The error of the operating system.
-        source: std::io::Error,
+        source: io::Error,
+        /// The action that the user can take.
+        remedy: Text,
     },
     /// A file was read, but its content is not as expected.
-    #[error("{}: {what}: got {got}, expected {}; {}", visible(path.display()), visible(expected), visible(remedy))]
     Format {
         /// The file.
         path: PathBuf,
         /// The part of the file that is wrong.
-        what: String,
+        what: Text,
         /// The content found.
         got: String,
         /// The content expected.
         expected: String,
         /// The action that the user can take.
-        remedy: String,
+        remedy: Text,
     },
     /// A value given by the user cannot be used.
-    #[error("{what}: got {got}, expected {}; {}", visible(expected), visible(remedy))]
     Invalid {
         /// The name of the value.
-        what: String,
+        what: Text,
         /// The value given.
         got: String,
         /// The values allowed.
         expected: String,
         /// The action that the user can take.
-        remedy: String,
+        remedy: Text,
     },
     /// Something needs more memory than the limit allows; none was allocated for it.
-    #[error("{what}: got {got}, expected at most {} of memory; {remedy}", ByteSize(*limit))]
     Memory {
         /// What needs the memory, with its file if it has one.
-        what: String,
+        what: Text,
         /// The memory needed.
         got: String,
         /// The limit, bytes.
         limit: u64,
         /// The action that the user can take.
-        remedy: String,
+        remedy: Text,
     },
     /// A computation produced a value that is not finite. Such values are reported, never replaced.
-    #[error("{stage}: {value} at index {index:?}, step {step}; the first non-finite value ends the run")]
     NonFinite {
         /// The computation.
         stage: &'static str,
@@ -76,12 +75,11 @@ pub enum Error {
         step: usize,
     },
     /// The user stopped the run.
-    #[error("interrupted at iteration {step}; {remedy}")]
     Interrupted {
         /// The iteration reached.
         step: usize,
         /// What was saved, and how to continue.
-        remedy: String,
+        remedy: Text,
     },
 }
 
@@ -91,26 +89,26 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// Builds an [`Error::Invalid`] from printable parts.
     pub fn invalid(
-        what: impl ToString,
+        what: impl Into<Text>,
         got: impl ToString,
         expected: impl Into<String>,
-        remedy: impl Into<String>,
+        remedy: impl Into<Text>,
     ) -> Self {
-        Self::Invalid { what: one_line(what), got: one_line(got), expected: expected.into(), remedy: remedy.into() }
+        Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into(), remedy: remedy.into() }
     }
 
     /// Builds an [`Error::Format`] from printable parts.
     pub fn format(
         path: &Path,
-        what: impl ToString,
+        what: impl Into<Text>,
         got: impl ToString,
         expected: impl Into<String>,
-        remedy: impl Into<String>,
+        remedy: impl Into<Text>,
     ) -> Self {
         Self::Format {
             path: path.into(),
-            what: one_line(what),
-            got: one_line(got),
+            what: what.into(),
+            got: got.to_string(),
             expected: expected.into(),
             remedy: remedy.into(),
         }
@@ -124,14 +122,14 @@ impl Error {
                 Self::Format { path: path.into(), what, got, expected, remedy }
             }
             Self::Memory { what, got, limit, remedy } => {
-                Self::Memory { what: format!("{}: {what}", visible(path.display())), got, limit, remedy }
+                Self::Memory { what: Text::from(format!("{}: ", path.display())) + what, got, limit, remedy }
             }
             other => other,
         }
     }
 
     /// Builds an [`Error::Memory`] for `needed` bytes; the remedy is a higher limit.
-    pub fn memory(what: impl ToString, got: impl ToString, limit: u64, needed: u64) -> Self {
+    pub fn memory(what: impl Into<Text>, got: impl ToString, limit: u64, needed: u64) -> Self {
         const GIGABYTE: u64 = 1_000_000_000;
         /// A petabyte.
         const MOST: u64 = 1 << 50;
@@ -141,49 +139,93 @@ impl Error {
         };
         let remedy = match needed {
             MOST.. => "give smaller sizes: no machine has so much memory".into(),
-            _ => format!("give {} {enough} on a machine that has it", Setting::MaxMemory),
+            _ => "give " + Setting::MaxMemory + format!(" {enough} on a machine that has it"),
         };
-        Self::Memory { what: one_line(what), got: one_line(got), limit, remedy }
+        Self::Memory { what: what.into(), got: got.to_string(), limit, remedy }
     }
 
     /// Adds a second remedy to an [`Error::Memory`]: something smaller.
     #[must_use]
-    pub fn or_instead(self, instead: &str) -> Self {
+    pub fn or_instead(self, instead: impl Into<Text>) -> Self {
         match self {
             Self::Memory { what, got, limit, remedy } => {
-                Self::Memory { what, got, limit, remedy: format!("{remedy}, or {instead}") }
+                Self::Memory { what, got, limit, remedy: remedy + ", or " + instead }
             }
             other => other,
         }
     }
 
     /// An [`Error::Invalid`] about a run that is not the checkpoint's: `what` differs from what it was.
-    pub fn other_run(what: impl ToString, got: impl ToString, expected: impl Into<String>) -> Self {
-        Self::invalid(what, got, expected, format!("go on with the same settings and data, or {}", start_again()))
+    pub fn other_run(what: impl Into<Text>, got: impl ToString, expected: impl Into<String>) -> Self {
+        Self::invalid(what, got, expected, "go on with the same settings and data, or " + start_again())
     }
 
     /// An [`Error::Interrupted`] after iteration `step` of a run that keeps a checkpoint or none.
     pub fn interrupted(step: usize, is_saved: bool) -> Self {
         let remedy = match is_saved {
-            true => format!("its state is saved; the same run with {} goes on from there", Setting::Resume),
+            true => "its state is saved; the same run with " + Setting::Resume + " goes on from there",
             false => "nothing was written; start it again".into(),
         };
         Self::Interrupted { step, remedy }
     }
 
-    /// Builds an [`Error::Read`] for `path`.
+    /// Builds an [`Error::Read`] for `path`, whose remedy is what the disk holds there now.
     ///
     /// A file that is too large for the limit on memory is an [`Error::Memory`].
-    pub fn read(path: &Path, source: std::io::Error) -> Self {
+    pub fn read(path: &Path, source: io::Error) -> Self {
         match source.downcast::<Self>() {
             Ok(error) => error.in_file(path),
-            Err(source) => Self::Read { path: path.into(), source },
+            Err(source) => Self::Read { path: path.into(), remedy: to_read(path, &source).into(), source },
         }
     }
 
     /// Builds an [`Error::Write`] for `path`.
-    pub fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Write { path: path.into(), source }
+    pub fn write(path: &Path, source: io::Error) -> Self {
+        Self::Write { path: path.into(), remedy: to_write(path, &source).into(), source }
+    }
+
+    /// The message, on one line.
+    pub fn text(&self) -> Text {
+        let failed = |verb: &str, path: &Path, source: &io::Error| {
+            let source: Vec<_> = source.to_string().lines().map(|line| line.trim().to_owned()).collect();
+            Text::from(format!("cannot {verb} {}: {}; ", path.display(), source.join(" ")))
+        };
+        match self {
+            Self::Read { path, source, remedy } => failed("read", path, source) + remedy,
+            Self::Write { path, source, remedy } => failed("write", path, source) + remedy,
+            Self::Format { path, what, got, expected, remedy } => {
+                Text::from(format!("{}: ", path.display()))
+                    + what
+                    + format!(": got {got}, expected {expected}; ")
+                    + remedy
+            }
+            Self::Invalid { what, got, expected, remedy } => {
+                Text::from(what) + format!(": got {got}, expected {expected}; ") + remedy
+            }
+            Self::Memory { what, got, limit, remedy } => {
+                Text::from(what) + format!(": got {got}, expected at most {} of memory; ", ByteSize(*limit)) + remedy
+            }
+            Self::NonFinite { stage, value, index, step } => {
+                format!("{stage}: {value} at index {index:?}, step {step}; the first non-finite value ends the run")
+                    .into()
+            }
+            Self::Interrupted { step, remedy } => Text::from(format!("interrupted at iteration {step}; ")) + remedy,
+        }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.text().fmt(f)
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Read { source, .. } | Self::Write { source, .. } => Some(source),
+            _ => None,
+        }
     }
 }
 
@@ -210,9 +252,9 @@ fn not_found(path: &Path) -> String {
     };
     let missing = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
     match missing.take_while(|folder| !folder.exists()).last() {
-        Some(missing) => format!("correct the path: the folder {} does not exist", visible(missing.display())),
+        Some(missing) => format!("correct the path: the folder {} does not exist", missing.display()),
         None => similar(folder, path)
-            .unwrap_or_else(|| format!("correct the name: the folder {} has no such file", visible(folder.display()))),
+            .unwrap_or_else(|| format!("correct the name: the folder {} has no such file", folder.display())),
     }
 }
 
@@ -223,7 +265,7 @@ fn similar(folder: &Path, path: &Path) -> Option<String> {
     names.sort();
     let found = names.into_iter().find(|name| name.to_string_lossy().to_lowercase() == wanted)?;
     let found = if folder == Path::new(".") { PathBuf::from(found) } else { folder.join(found) };
-    Some(format!("give {}: names distinguish capitals", visible(found.display())))
+    Some(format!("give {}: names distinguish capitals", found.display()))
 }
 
 /// The remedy for a path that cannot be written, from its cause.
@@ -246,11 +288,6 @@ fn to_write(path: &Path, source: &io::Error) -> String {
 }
 
 /// The remedy for a checkpoint that cannot be used.
-pub fn start_again() -> String {
-    format!("start again without {}", Setting::Resume)
-}
-
-/// A part of a message on one line, whatever a file or a flag holds.
-fn one_line(text: impl ToString) -> String {
-    visible(text.to_string())
+pub fn start_again() -> Text {
+    "start again without " + Setting::Resume
 }

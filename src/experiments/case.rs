@@ -114,7 +114,9 @@ impl Case {
             let got = format!("{}, which holds none", folder.display());
             let expected = format!("a folder with volumes whose longest side has more than {size} voxels");
             let remedy = match volumes.iter().map(|volume| volume.side).max() {
-                Some(side) if side > 8 => format!("give {} a number below {side}, or another folder", Setting::Crop),
+                Some(side) if side > 8 => {
+                    "give " + Setting::Crop + format!(" a number below {side}, or another folder")
+                }
                 _ => "choose another folder".into(),
             };
             return Err(Error::invalid(Setting::Data, got, expected, remedy));
@@ -147,8 +149,10 @@ impl Case {
             let got = format!("{}, which holds none", folder.display());
             let expected = format!("a folder with scans, or with volumes whose longest side is a multiple of {size}");
             let remedy = match side {
-                Some(side) => format!("give {} {side}, the side of a volume there, or another folder", Setting::Size),
-                None => format!("choose another folder or another {}", Setting::Size),
+                Some(side) => {
+                    "give " + Setting::Size + format!(" {side}, the side of a volume there, or another folder")
+                }
+                None => "choose another folder or another " + Setting::Size,
             };
             return Err(Error::invalid(Setting::Data, got, expected, remedy));
         }

@@ -5,6 +5,7 @@ use super::store::Store;
 use crate::error::{Error, Result};
 use crate::numeric::threads;
 use crate::scan::Dataset;
+use crate::setting::Text;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::Mutex;
@@ -88,8 +89,7 @@ impl Work<'_> {
             }
             let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
             if (self.observe)(Some(&Done { cell, done, cells: self.cells })).is_break() {
-                let remedy = String::new();
-                return Err(say_how_to_go_on(Error::Interrupted { step: 0, remedy }));
+                return Err(say_how_to_go_on(Error::Interrupted { step: 0, remedy: Text::default() }));
             }
         }
         Ok(())

@@ -149,7 +149,7 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
     let selected: Vec<&Case> = cases.iter().filter(wanted).collect();
     if selected.is_empty() {
         let got = format!("no case of {stages:?} up to this level");
-        let remedy = format!("raise {} or name another {}", Setting::Level, Setting::Stage);
+        let remedy = "raise " + Setting::Level + " or name another " + Setting::Stage;
         return Err(Error::invalid("selection", got, "at least one case", remedy));
     }
     Ok(selected)

@@ -21,6 +21,7 @@ use crate::geometry::{Projections, Scanner, Volume};
 use crate::numeric::Real;
 use crate::primitives::Primitives;
 use crate::scan::Dataset;
+use crate::setting::Text;
 use std::borrow::Cow;
 
 /// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant. Its start is
@@ -75,7 +76,7 @@ pub(super) fn finish<R: Real>(
     while !run.is_finished() {
         let pass = run.step()?;
         if observe(Progress::Pass(&pass)).is_break() {
-            return Err(Error::Interrupted { step: pass.iteration, remedy: String::new() });
+            return Err(Error::Interrupted { step: pass.iteration, remedy: Text::default() });
         }
         residuals.push(pass.residual);
         let done = residuals.len();

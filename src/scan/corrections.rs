@@ -162,7 +162,7 @@ mod tests {
     use super::*;
     use crate::Noise;
     use crate::phantom::Phantom;
-    use crate::plausibility::remarks;
+    use crate::plausibility::sentences as remarks;
     use crate::simulate::{Object, Plan, simulate};
 
     fn scan(noise: Noise) -> Dataset {

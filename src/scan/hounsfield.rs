@@ -12,7 +12,7 @@
 
 use ndarray::Array3;
 use trgs_core::error::{Error, Result};
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 
 /// Values below this are no attenuation per millimetre: noise of a reconstruction is far smaller.
 pub const IMPOSSIBLE: f32 = -200.0;
@@ -25,7 +25,7 @@ const SHARE_OF_AIR: f64 = 1e-3;
 ///
 /// Noise of attenuation per metre reaches below [`IMPOSSIBLE`], too. Hounsfield units have air at -1000, or are whole
 /// numbers, as scanners store them.
-pub fn remark(what: &str, values: &Array3<f32>) -> Option<String> {
+pub fn remark(what: &str, values: &Array3<f32>) -> Option<Text> {
     let (low, high) = values.iter().fold((0.0_f32, 0.0_f32), |(low, high), &value| {
         (if value < low { value } else { low }, if value > high { value } else { high })
     });
@@ -33,14 +33,13 @@ pub fn remark(what: &str, values: &Array3<f32>) -> Option<String> {
     let air = values.iter().filter(|value| AIR.contains(*value)).count() as f64 / values.len().max(1) as f64;
     let is_hounsfield = || air >= SHARE_OF_AIR || values.iter().all(|value| value.fract() == 0.0);
     (low < IMPOSSIBLE && is_hounsfield()).then(|| {
-        format!(
+        let found = format!(
             "the {what} has values from {low} to {high}, {:.1} % of them below {IMPOSSIBLE}: they look like Hounsfield \
-             units instead of attenuation; convert them with {} X, the attenuation of water (1 makes water 1): \
-             trgs convert IN OUT {} 1",
-            100.0 * share,
-            Setting::MuWater,
-            Setting::MuWater,
-        )
+             units instead of attenuation; convert them with ",
+            100.0 * share
+        );
+        let water = " X, the attenuation of water (1 makes water 1): trgs convert IN OUT ";
+        Text::from(found) + Setting::MuWater + water + Setting::MuWater + " 1"
     })
 }
 
@@ -84,7 +83,7 @@ mod tests {
     #[test]
     fn air_is_0_and_water_the_value_given() {
         let mut values = Array3::from_shape_vec((1, 1, 5), vec![-2000.0, -1000.0, -500.0, 0.0, 1000.0]).unwrap();
-        let found = remark("volume", &values).unwrap();
+        let found = remark("volume", &values).unwrap().to_string();
         assert!(found.contains("from -2000 to 1000, 60.0 % of them below -200"), "{found}");
         assert_eq!(to_attenuation(&mut values, 0.02).unwrap(), 1);
         assert_eq!(values.as_slice().unwrap(), [0.0, 0.0, 0.01, 0.02, 0.04]);

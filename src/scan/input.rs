@@ -145,6 +145,16 @@ mod tests {
         assert_eq!(digests_of(|| Ok(())).unwrap().1, BTreeMap::new());
     }
 
+    #[test]
+    fn a_remedy_says_what_was_on_disk_when_the_error_was_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a/b.npy");
+        let error = trgs_core::error::Error::read(&path, io::ErrorKind::NotFound.into());
+        let message = error.to_string();
+        fs::create_dir(folder.path().join("a")).unwrap();
+        assert!(message.ends_with("a does not exist") && error.to_string() == message, "{message}");
+    }
+
     #[cfg(unix)]
     #[test]
     fn a_pipe_is_refused_without_waiting_and_texts_may_come_from_one() {

@@ -12,6 +12,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trgs_core::error::{Error, Result};
+use trgs_core::setting::Text;
 
 /// Part of the machine's memory that is the limit unless another is set: three quarters.
 const PART: [u64; 2] = [3, 4];
@@ -72,7 +73,7 @@ fn stated((file, key): (&str, &str)) -> Option<u64> {
 ///
 /// # Errors
 /// [`Error::Memory`] with both figures.
-pub fn allow(what: impl ToString, bytes: u64) -> Result<()> {
+pub fn allow(what: impl Into<Text>, bytes: u64) -> Result<()> {
     let limit = self::bytes();
     if bytes <= limit { Ok(()) } else { Err(Error::memory(what, ByteSize(bytes), limit, bytes)) }
 }
@@ -95,7 +96,7 @@ pub fn room<T>(what: impl ToString, count: usize) -> Result<Vec<T>> {
     allow(what.to_string(), bytes)?;
     let mut values = Vec::new();
     let reserved = values.try_reserve_exact(count);
-    reserved.map_err(|_| Error::memory(what, ByteSize(bytes), self::bytes(), bytes)).map(|()| values)
+    reserved.map_err(|_| Error::memory(what.to_string(), ByteSize(bytes), self::bytes(), bytes)).map(|()| values)
 }
 
 /// The rest of a file, which may be no larger than the limit. Pipes and files of the system state no size.

@@ -160,12 +160,7 @@ fn scan(
     scanner.validate()?;
     orbit.validate()?;
     if plan.views == 0 {
-        return Err(Error::invalid(
-            "training views",
-            0,
-            "at least one",
-            format!("give {} 18, for example", Setting::Views),
-        ));
+        return Err(Error::invalid("training views", 0, "at least one", "give " + Setting::Views + " 18, for example"));
     }
     check_memory(scanner, plan, &object, chain)?;
     let truth = match object {

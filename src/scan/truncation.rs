@@ -208,7 +208,7 @@ fn widest_gap(angles: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use crate::phantom::Phantom;
-    use crate::plausibility::remarks;
+    use crate::plausibility::sentences as remarks;
     use crate::simulate::{Object, Orbit, Plan, simulate_on};
     use crate::{Dataset, Noise};
     use glam::DVec3;

@@ -9,6 +9,7 @@ use crate::output::create_folder;
 use crate::provenance::digest_parts;
 use crate::scan::Dataset;
 use crate::sealed::{self, Kind, Sealed, are_finite, require};
+use crate::setting::Text;
 use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -223,7 +224,7 @@ pub(crate) fn check_extension(iterations: usize, done: usize) -> Result<()> {
     if iterations > done {
         return Ok(());
     }
-    let remedy = format!("ask for more, such as `iterations={}`, or {}", 2 * done, start_again());
+    let remedy = "ask for more, such as " + Text::set("iterations", 2 * done) + ", or " + start_again();
     Err(Error::invalid("iterations", iterations, format!("more than {done}, which are done"), remedy))
 }
 

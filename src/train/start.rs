@@ -12,6 +12,7 @@ use crate::primitives::initialisation::{self, Point};
 use crate::primitives::{KernelKind, Primitives};
 use crate::scan::Dataset;
 use crate::scan::model;
+use crate::setting::Text;
 use glam::DVec3;
 use ndarray::{ArrayView1, Axis, Zip};
 use std::ops::ControlFlow;
@@ -58,25 +59,27 @@ pub fn primitives_of_model(grid: &Grid, config: &Config) -> Result<(Primitives, 
     let found = model::read(Path::new(file))?;
     let (m, control) = (found.len(), &config.density_control);
     if config.model.points != m {
-        let remedy = format!("leave it out or set `model.points={m}`");
+        let remedy = "leave it out or set " + Text::set("model.points", m);
         let expected = format!("{m}, the number of primitives in {file}");
         return Err(Error::invalid("model.points", config.model.points, expected, remedy));
     }
     if control.method != DensityControl::None && m > control.cap {
         let expected = format!("at most density_control.cap = {}", control.cap);
-        let remedy = format!("raise the cap: `density_control.cap={m}`");
+        let remedy = "raise the cap: " + Text::set("density_control.cap", m);
         return Err(Error::invalid("initialisation.model", format!("{m} primitives in {file}"), expected, remedy));
     }
     if found.kernel != config.model.kernel {
         let [got, asked] = [found.kernel, config.model.kernel].map(KernelKind::key);
         let expected = format!("{asked} kernels, as model.kernel has them");
         let keys = match (found.kernel, config.method) {
-            (KernelKind::StudentT, Method::R2Gaussian) => "`method=tr-gs`",
-            (KernelKind::StudentT, _) => "`model.kernel=student-t`",
+            (KernelKind::StudentT, Method::R2Gaussian) => Text::set("method", "tr-gs"),
+            (KernelKind::StudentT, _) => Text::set("model.kernel", "student-t"),
             // Gaussian kernels have no ν to pull.
-            (KernelKind::Gaussian, _) => "`model.kernel=gaussian` and `confidence.enabled=false`",
+            (KernelKind::Gaussian, _) => {
+                Text::set("model.kernel", "gaussian") + " and " + Text::set("confidence.enabled", false)
+            }
         };
-        let remedy = format!("fit kernels of that kind, {keys}, or start from another model");
+        let remedy = "fit kernels of that kind, " + keys + ", or start from another model";
         return Err(Error::invalid("initialisation.model", format!("{got} kernels in {file}"), expected, remedy));
     }
     let (low, high) = (grid.min, grid.max());
@@ -88,8 +91,8 @@ pub fn primitives_of_model(grid: &Grid, config: &Config) -> Result<(Primitives, 
     if 2 * outside > m {
         let got = format!("{outside} of {m} centres in {file} outside of the volume");
         let expected = format!("centres within {low:.4} to {high:.4}, scene units");
-        let remedy = "use the model of a scan with the same scale and position of the volume, or another start, such as \
-                      `initialisation.from=sart`";
+        let remedy = "use the model of a scan with the same scale and position of the volume, or another start, such as "
+            + Text::set("initialisation.from", "sart");
         return Err(Error::invalid("initialisation.model", got, expected, remedy));
     }
     let mut remarks = Vec::new();

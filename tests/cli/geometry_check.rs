@@ -5,6 +5,7 @@ use glam::DVec3;
 use ndarray::{Array3, Axis};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::ControlFlow;
+use trgs::Text;
 use trgs::classical::check_geometry;
 use trgs::classical::geometry_check::{Candidate, Convention, GeometryCheck};
 use trgs::geometry::{Beam, Detector, Grid, Projections, Scanner};
@@ -39,6 +40,11 @@ fn scan_of(phantom: &Phantom, scanner: &Scanner, angles: &[f64]) -> Dataset {
         oddities: Vec::new(),
         notes: Vec::new(),
     }
+}
+
+/// The sentences of a verdict.
+fn said(check: &GeometryCheck) -> String {
+    check.verdict.iter().map(Text::to_string).collect::<Vec<_>>().join(" ")
 }
 
 fn axes() -> Phantom {
@@ -82,7 +88,7 @@ fn assert_found(scan: &Dataset, convention: &Convention) {
     assert_eq!(check.looks_like, *convention, "{words}: {:?}", check.verdict);
     assert_eq!(check.agrees, *convention == Convention::AS_STATED, "{words}: {:?}", check.verdict);
     for remedy in convention.remedies() {
-        assert!(check.verdict[0].contains(remedy), "{words}: {:?}", check.verdict);
+        assert!(check.verdict[0].to_string().contains(remedy), "{words}: {:?}", check.verdict);
     }
     within!(check.offset_u.found.abs(), "{words}: {:?}", check.offset_u);
     // The views alone determine the class, whatever the truth.
@@ -115,7 +121,7 @@ fn without_a_reference_the_simplest_of_a_class_are_named() {
     let verdict = |number: usize| {
         let check = checked(&written_as(&scan, &Convention::all(true, false)[number]));
         assert_eq!(check.agrees, number == 1, "{:?}", check.verdict);
-        check.verdict.join(" ")
+        said(&check)
     };
     // Reversed rows equal the rows of a mirrored object.
     let rows = verdict(1);
@@ -174,7 +180,7 @@ fn displaced_detectors_are_found_to_a_fifth_of_a_pixel() {
         scan.scanner.detector.offset_u = stated * scanner.detector.pitch_u;
         scan.scale = 0.01;
         let check = checked(&scan);
-        let sentences = check.verdict.join(" ");
+        let sentences = said(&check);
         within!((check.offset_u.found - pixels).abs(), "{beam:?} {pixels}: {:?}", check.offset_u);
         assert_eq!(check.agrees, stated == pixels, "{sentences}");
         let set = check.off_detector[0] * scan.scale / scanner.detector.pitch_u;
@@ -209,7 +215,7 @@ fn a_detector_displaced_along_v_is_found_in_a_cone_beam_and_left_alone_in_a_para
     scan.scanner.detector.offset_v = 0.0;
     let check = checked(&scan);
     assert!(check.agrees && check.offset_v.is_none(), "{:?}", check.verdict);
-    assert!(check.verdict.iter().any(|sentence| sentence.contains("parallel")), "{:?}", check.verdict);
+    assert!(said(&check).contains("parallel"), "{:?}", check.verdict);
 }
 
 #[test]
@@ -240,7 +246,8 @@ fn the_true_volume_or_points_from_it_tell_where_the_angles_begin() {
     let check = checked(&with_truth(scan.clone(), &axes()));
     assert!(!check.agrees && check.looks_like == Convention::AS_STATED, "{:?}", check.verdict);
     assert!(
-        check.verdict[0].contains("begin 90° too early: ") || check.verdict[0].contains("add 1.570796"),
+        check.verdict[0].to_string().contains("begin 90° too early: ")
+            || check.verdict[0].to_string().contains("add 1.570796"),
         "{:?}",
         check.verdict
     );
@@ -258,7 +265,7 @@ fn the_true_volume_or_points_from_it_tell_where_the_angles_begin() {
     scan.initial_points = Some(bright.into());
     let check = checked(&scan);
     assert!(!check.agrees && check.candidates[0].resemblance.unwrap().quarter_turns == 1, "{:?}", check.verdict);
-    assert!(check.verdict.iter().any(|sentence| sentence.contains("made from these views")), "{:?}", check.verdict);
+    assert!(said(&check).contains("made from these views"), "{:?}", check.verdict);
 }
 
 #[test]
@@ -267,7 +274,7 @@ fn degrees_that_are_read_as_radians_are_recognised() {
     let convention = Convention { degrees: true, ..Convention::AS_STATED };
     let check = checked(&written_as(&scan, &convention));
     assert_eq!((check.looks_like, check.agrees), (convention, false), "{:?}", check.verdict);
-    assert!(check.verdict[0].contains("radians"), "{:?}", check.verdict);
+    assert!(check.verdict[0].to_string().contains("radians"), "{:?}", check.verdict);
     assert_eq!(check.candidates.len(), 32);
 }
 
@@ -279,7 +286,7 @@ fn a_body_of_revolution_does_not_tell_and_what_is_stated_stands() {
     };
     let check = checked(&scan_of(&ball, &scanner(CONE, 34, 34), &turn(18)));
     assert!(check.agrees && check.looks_like == Convention::AS_STATED, "{:?}", check.verdict);
-    assert!(check.verdict.iter().any(|sentence| sentence.contains("do not exclude")), "{:?}", check.verdict);
+    assert!(said(&check).contains("do not exclude"), "{:?}", check.verdict);
     // A ball does not determine the height of the detector either.
     assert_eq!(check.off_detector, [0.0, 0.0], "{:?}", check.verdict);
 }
@@ -291,9 +298,13 @@ fn what_no_convention_explains_is_not_approved() {
     scan.train.angles = (0..18).map(|i| turn(18)[i * 7 % 18]).collect();
     let check = checked(&scan);
     assert!(!check.agrees, "{:?}", check.verdict);
-    assert!(check.verdict[0].contains("No convention explains") && !check.is_explained, "{:?}", check.verdict);
+    assert!(
+        check.verdict[0].to_string().contains("No convention explains") && !check.is_explained,
+        "{:?}",
+        check.verdict
+    );
     // Nothing is said about the place of a detector that no place explains.
-    let said = check.verdict.join(" ");
+    let said = said(&check);
     assert!(!["rotDetector", "offDetector", "rolled", "pixel"].iter().any(|word| said.contains(word)), "{said}");
 }
 
@@ -346,7 +357,7 @@ fn errors_of_the_data_are_no_roll_and_no_offset() {
         scan.scale = 0.5;
         fault(&mut scan.train.images);
         let check = checked(&scan);
-        let verdict = check.verdict.join(" ");
+        let verdict = said(&check);
         assert!(check.agrees && check.is_explained, "{name}: {verdict}");
         assert!(!verdict.contains("set rotDetector") && !verdict.contains("Set offDetector"), "{name}: {verdict}");
         within!("roll, standard errors", (check.roll.found / check.roll.uncertainty).abs(), "{name}: {verdict}");
@@ -362,7 +373,7 @@ fn a_roll_is_found_beside_a_hot_pixel() {
     let mut scan = rolled(&Phantom::by_name("torso", 0).unwrap(), 2.0);
     scan.train.images.outer_iter_mut().for_each(|mut image| image[[11, 13]] = 1.5);
     let check = checked(&scan);
-    assert!(!check.agrees && check.verdict.join(" ").contains("set rotDetector"), "{:?}", check.verdict);
+    assert!(!check.agrees && said(&check).contains("set rotDetector"), "{:?}", check.verdict);
     within!((check.roll.found - 2.0).abs(), "{:?}", check.roll);
 }
 
@@ -462,11 +473,11 @@ fn assert_moved(orbit: &Orbit, noise: Noise) -> GeometryCheck {
 fn rolls_and_axis_shifts_are_found() {
     let moved = |degrees: f64, axis_shift| Orbit { roll: degrees.to_radians(), axis_shift, ..Orbit::CIRCLE };
     assert_moved(&Orbit::CIRCLE, Noise::HIGH);
-    let verdict = assert_moved(&moved(0.5, 0.0), Noise::HIGH).verdict.join(" ");
+    let verdict = said(&assert_moved(&moved(0.5, 0.0), Noise::HIGH));
     assert!(verdict.contains("set rotDetector to [0, 0, -0.0") && !verdict.contains("COR"), "{verdict}");
-    let verdict = assert_moved(&moved(0.0, 0.08), Noise::LOW).verdict.join(" ");
+    let verdict = said(&assert_moved(&moved(0.0, 0.08), Noise::LOW));
     assert!(verdict.contains("COR 0.0") && !verdict.contains("rotDetector"), "{verdict}");
-    let verdict = assert_moved(&moved(-1.5, -0.05), Noise::LOW).verdict.join(" ");
+    let verdict = said(&assert_moved(&moved(-1.5, -0.05), Noise::LOW));
     assert!(verdict.contains("COR -0.0") && verdict.contains("rotDetector"), "{verdict}");
 }
 

@@ -185,7 +185,7 @@ impl Scan {
     /// What is implausible about the values, one sentence each, with the remedy.
     #[getter]
     fn remarks(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        try_run(py, || Ok(plausibility::remarks(&self.0)))
+        try_run(py, || Ok(plausibility::remarks(&self.0).iter().map(ToString::to_string).collect()))
     }
 
     /// The scan with corrected projections; `notes` say what was changed.

@@ -64,6 +64,7 @@ pub(crate) fn raise(error: Error) -> PyErr {
         Error::Memory { .. } => PyMemoryError::new_err(message),
         Error::NonFinite { .. } => PyArithmeticError::new_err(message),
         Error::Interrupted { .. } => PyKeyboardInterrupt::new_err(message),
+        _ => PyRuntimeError::new_err(message),
     }
 }
 

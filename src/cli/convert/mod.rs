@@ -6,9 +6,9 @@ mod scan;
 mod stack;
 mod volume;
 
+use crate::cli::Output;
 use crate::cli::arguments::Replace;
 use crate::cli::corrections::CorrectionArgs;
-use crate::cli::{Output, messages};
 use clap::Args;
 use protocol::Protocol;
 use serde::Serialize;
@@ -212,10 +212,4 @@ fn holds_arrays(path: &Path) -> bool {
 
 fn extension(path: &Path) -> &str {
     path.extension().and_then(OsStr::to_str).unwrap_or_default()
-}
-
-fn warn(path: &Path, oddities: &[String]) {
-    for oddity in oddities {
-        messages::warning(path, oddity);
-    }
 }

@@ -1,7 +1,7 @@
 //! Conversion of scans to R²-Gaussian's folder.
 
-use super::{Convert, Converted, warn};
-use crate::cli::messages::moved;
+use super::{Convert, Converted};
+use crate::cli::messages::{moved, warnings};
 use crate::cli::{Output, interrupt};
 use trgs::scan::Dataset;
 use trgs::scan::plausibility::{self, AnglesFrom};
@@ -18,9 +18,9 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     destination.check()?;
     let mut dataset = Dataset::read(source)?;
     plausibility::check(&dataset, AnglesFrom::File).map_err(|error| error.in_file(source))?;
-    warn(source, &dataset.oddities);
+    warnings(source, &dataset.oddities);
     command.corrections.apply(&mut dataset, [false; 2])?;
-    warn(source, &plausibility::remarks(&dataset));
+    warnings(source, plausibility::remarks(&dataset));
     let dataset = command.protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(destination.clone()))?;
     moved(&destination);

@@ -1,8 +1,8 @@
 //! Conversion of a stack of projections to R²-Gaussian's folder.
 
-use super::{Convert, warn};
+use super::Convert;
 use crate::cli::arguments::finite;
-use crate::cli::messages::moved;
+use crate::cli::messages::{moved, warning, warnings};
 use crate::cli::{Output, interrupt};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
@@ -129,14 +129,14 @@ impl StackArgs {
                 ScanFile { frames: values, remarks, ..ScanFile::default() }
             }
         };
-        warn(source, &scan.remarks);
+        warnings(source, &scan.remarks);
         let replaced = [
             (FLAT, scan.flat.is_some() && (self.line_integrals || self.has_white())),
             (DARK, scan.dark.is_some() && (self.line_integrals || self.dark.is_some())),
             ("angles", scan.angles.is_some() && (self.angles.is_some() || self.geometry.is_some())),
         ];
         for (what, _) in replaced.iter().filter(|(_, is_replaced)| *is_replaced) {
-            warn(source, &[format!("the {what} of this file: not used, as the flags say")]);
+            warning(source, format!("the {what} of this file: not used, as the flags say"));
         }
         Ok(scan)
     }
@@ -172,7 +172,7 @@ fn field(what: &str, path: &Path) -> Result<Array2<f64>> {
 }
 
 fn mean(what: &str, frames: &Array3<f32>, path: &Path) -> Result<Array2<f64>> {
-    warn(path, &full_scale(what, frames).into_iter().chain(wrapped(what, frames)).collect::<Vec<_>>());
+    warnings(path, full_scale(what, frames).into_iter().chain(wrapped(what, frames)));
     mean_frame(what, frames).map_err(|error| error.in_file(path))
 }
 
@@ -189,7 +189,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let mut description = Description::read(scanner)?;
     if let Some(path) = &arguments.geometry {
         let RtkGeometry { poses, oddities } = RtkGeometry::read(path)?;
-        warn(path, &oddities);
+        warnings(path, &oddities);
         description = description.with_poses(&poses).map_err(|error| error.in_file(scanner))?;
     }
     let scan = arguments.read(source)?;
@@ -215,7 +215,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         (scan.frames, None)
     } else {
         let corrected = arguments.correct(source, &scan, corrections.region())?;
-        warn(source, &corrected.remarks);
+        warnings(source, &corrected.remarks);
         let Corrected { line_integrals, white, clamped, dead, drift, .. } = corrected;
         (line_integrals, Some(Summary { white, clamped, dead_pixels: dead, air: drift }))
     };
@@ -224,8 +224,8 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     let mut dataset = dataset.map_err(|error| error.in_file(source))?;
     plausibility::check(&dataset, AnglesFrom::Stack).map_err(|error| error.in_file(source))?;
     corrections.apply(&mut dataset, [arguments.flip_rows, arguments.flip_columns])?;
-    warn(scanner, &dataset.oddities);
-    warn(source, &plausibility::remarks(&dataset));
+    warnings(scanner, &dataset.oddities);
+    warnings(source, plausibility::remarks(&dataset));
     tracing::info!("{}", stack::span(&dataset.train.angles));
     let dataset = protocol.apply(dataset)?;
     interrupt::shielded(|| dataset.write(destination.clone()))?;

@@ -1,8 +1,8 @@
 //! Conversion of volumes.
 
-use super::{Convert, Converted, extension, warn};
+use super::{Convert, Converted, extension};
 use crate::cli::Output;
-use crate::cli::messages::hounsfield_to_attenuation;
+use crate::cli::messages::{hounsfield_to_attenuation, warnings};
 use trgs::output::check_file;
 use trgs::scan::Unit;
 use trgs::scan::dataset::Description;
@@ -27,7 +27,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         let (arranged, oddities) = frame.arrange(volume, &grid).map_err(|error| error.in_file(source))?;
         volume = VolumeFile { oddities, ..frame.file(&arranged) };
     }
-    warn(source, &volume.oddities);
+    warnings(source, &volume.oddities);
     if let Some(mu_water) = command.mu_water {
         hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
     }

@@ -51,7 +51,7 @@ pub(super) fn volume(path: &Path) -> Result<Value> {
 pub(super) fn hdf5(path: &Path) -> Result<Value> {
     if let Some(scan) = stack::read_scan_file(path)? {
         let radians = scan.angles.as_ref().map(range);
-        let oddities: Vec<&String> = scan.remarks.iter().collect();
+        let oddities: Vec<_> = scan.remarks.iter().map(with_flags).collect();
         return Ok(json!({
             "kind": "scan in HDF5: frames [view, v, u], with fields and angles",
             "shape": <[usize; 3]>::from(scan.frames.dim()),
@@ -94,7 +94,7 @@ pub(super) fn angles(path: &Path) -> Result<Value> {
     let unusual = plausibility::check_radians(&angles, AnglesFrom::Stack).err().filter(|_| !in_degrees);
     let oddities = [
         angles.is_empty().then(|| "there is no angle".to_owned()),
-        unusual.map(|error| with_flags(&error.to_string())),
+        unusual.map(|error| with_flags(&error.text())),
         in_degrees.then(|| "its header states degrees: give --degrees to trgs convert".to_owned()),
     ];
     Ok(json!({

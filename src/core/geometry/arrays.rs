@@ -115,7 +115,7 @@ impl Projections {
         let len = self.len();
         if n == 0 || n > len {
             let expected = format!("1 to {len}, the dataset's training views");
-            let remedy = format!("give {} {len} for all of them", Setting::Views);
+            let remedy = "give " + Setting::Views + format!(" {len} for all of them");
             return Err(Error::invalid(Setting::Views, n, expected, remedy));
         }
         Ok(self.select(&(0..n).map(|i| i * len / n).collect::<Vec<_>>()))

@@ -4,6 +4,7 @@ use super::{Beam, Detector, Scanner, View};
 use crate::error::{Error, Result};
 use crate::geometry::Projections;
 use crate::numeric::elementary::{atan2, cos, sin};
+use crate::setting::Text;
 use glam::{DMat3, DVec3};
 
 /// Largest deviation from unit length and from a right angle of a pose's axes.
@@ -239,7 +240,7 @@ impl Trajectory<'_> {
         for (number, pose) in poses.iter().enumerate() {
             pose.validate(scanner).map_err(|error| match error {
                 Error::Invalid { what, got, expected, remedy } => {
-                    Error::Invalid { what: format!("view {number}: {what}"), got, expected, remedy }
+                    Error::Invalid { what: Text::from(format!("view {number}: ")) + what, got, expected, remedy }
                 }
                 other => other,
             })?;

@@ -23,12 +23,7 @@ impl WorkerPool {
         let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         built.map(Self).map_err(|source| {
             let got = format!("{threads} ({source})");
-            Error::invalid(
-                Setting::Threads,
-                got,
-                "as many as the system can start",
-                format!("give {} 1", Setting::Threads),
-            )
+            Error::invalid(Setting::Threads, got, "as many as the system can start", "give " + Setting::Threads + " 1")
         })
     }
 

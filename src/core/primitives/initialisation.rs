@@ -6,7 +6,7 @@ use super::{KernelKind, Parameters, Primitives};
 use crate::error::{Error, Result};
 use crate::geometry::{Grid, Volume};
 use crate::numeric::{rng, threads};
-use crate::setting::Setting;
+use crate::setting::{Setting, Text};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::RngExt;
@@ -42,7 +42,7 @@ pub fn bright_voxels(volume: &Volume, threshold: f64, n: usize, seed: u64) -> Re
             "initialisation.threshold",
             format!("{threshold} with {} voxels above it", bright.len()),
             "at least 4 voxels of the first reconstruction above it",
-            "lower it, or start from random points: `initialisation.from=random`",
+            "lower it, or start from random points: " + Text::set("initialisation.from", "random"),
         ));
     }
     let mut random = rng::stream(seed, rng::Purpose::Initialisation, 0, 0);
@@ -74,7 +74,7 @@ pub fn random_points(grid: &Grid, n: usize, seed: u64) -> Vec<Point> {
 /// With fewer than four points, or a coordinate or density that is not finite.
 pub fn primitives(points: &[Point], kernel: KernelKind, factor: f64, nu: f64) -> Result<Primitives> {
     if points.len() < 4 {
-        let remedy = format!("raise {}", Setting::Points);
+        let remedy = "raise " + Setting::Points;
         return Err(Error::invalid("initial points", points.len(), "at least 4", remedy));
     }
     if let Some(i) = points.iter().position(|p| !(p.position.is_finite() && p.density.is_finite())) {

@@ -28,6 +28,7 @@ pub use loss::{WaveletLoss, Workspace, wavelet_loss, wavelet_loss_into};
 pub use routing::{Router, Routing, route};
 
 use crate::error::{Error, Result};
+use crate::setting::Text;
 
 /// Added to `|∇f|²`: keeps the gradient finite where a band is flat.
 const FLAT: f64 = 1e-12;
@@ -69,7 +70,7 @@ impl Settings {
                 "sides of the wavelet's block",
                 format!("{shape:?} with {} levels", self.levels),
                 "even sides, divisible by 2 once for each level",
-                "give `wavelet.block=32` and `wavelet.levels=1`, the defaults",
+                "give " + Text::set("wavelet.block", 32) + " and " + Text::set("wavelet.levels", 1) + ", the defaults",
             ));
         }
         Ok(())

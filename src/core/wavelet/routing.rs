@@ -7,6 +7,7 @@ use crate::numeric::Lanes;
 use crate::numeric::elementary::length;
 use crate::numeric::threads::{self, Pool};
 use crate::numeric::vectors::{LANES, f64x8};
+use crate::setting::Text;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use ndarray::Array3;
@@ -135,7 +136,7 @@ impl Router {
         // The old tree is dropped first, so that memory holds one at a time.
         self.tree = None;
         let tree = ImmutableKdTree::new_from_slice(means).map_err(|error| {
-            let remedy = "give `wavelet.enabled=false`, which needs no neighbours";
+            let remedy = "give " + Text::set("wavelet.enabled", false) + ", which needs no neighbours";
             Error::invalid("primitives", format!("{error:?}"), "centres that a kd-tree can hold", remedy)
         })?;
         self.tree = Some(tree);

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Detector, Grid, Pose, Scanner};
+use trgs_core::setting::Text;
 use trgs_core::words::utf8;
 
 /// Value of `noise_model` for the Beer-Lambert law.
@@ -499,7 +500,7 @@ impl ScannerMeta {
         let numbered = |(number, pose): (usize, Result<Pose>)| {
             pose.map_err(|error| match error {
                 Error::Invalid { what, got, expected, remedy } => {
-                    Error::Invalid { what: format!("view {number}: {what}"), got, expected, remedy }
+                    Error::Invalid { what: Text::from(format!("view {number}: ")) + what, got, expected, remedy }
                 }
                 other => other,
             })

@@ -32,7 +32,7 @@ impl Dataset {
                 "test views",
                 count,
                 expected,
-                format!("give {} {}, or keep fewer {}", Setting::TestViews, others.len(), Setting::Views),
+                "give " + Setting::TestViews + format!(" {}, or keep fewer ", others.len()) + Setting::Views,
             ));
         }
         others.shuffle(&mut stream(seed, Purpose::TestViews, 0, 0));
@@ -58,7 +58,7 @@ fn evenly_spaced(views: usize, n: usize) -> Result<Vec<usize>> {
             "views to keep",
             views,
             format!("1 to {n}, the training views"),
-            format!("give {} {n} for all of them", Setting::Views),
+            "give " + Setting::Views + format!(" {n} for all of them"),
         ));
     }
     if views == 1 {

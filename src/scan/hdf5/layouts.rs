@@ -13,7 +13,7 @@ use crate::plausibility::{self, AnglesFrom};
 use crate::stack::ScanFile;
 use ndarray::{Array3, Axis};
 use trgs_core::error::{Error, Result};
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 use trgs_core::words::{counted, verb};
 
 const DATA_EXCHANGE: &str = "/exchange/data";
@@ -73,7 +73,7 @@ impl Hdf5 {
         let others = keys.iter().filter(|key| ![VIEW, FLAT, DARK].contains(key)).count();
         if others > 0 {
             let (frames, are) = (counted(others, "frame"), verb(others, "is", "are"));
-            scan.remarks.push(format!("{frames} {are} left out: the image key is not 0, 1 or 2"));
+            scan.remarks.push(format!("{frames} {are} left out: the image key is not 0, 1 or 2").into());
         }
         let angles = self.entries.iter().filter(|entry| entry.name.ends_with(NX_TOMO_ANGLES) && entry.shape.len() == 1);
         let angles = angles.min_by_key(|entry| entry.name.len());
@@ -105,14 +105,13 @@ impl Hdf5 {
         if let (true, Some(low), Some(high)) =
             (scan.is_unit_assumed, finite().reduce(f64::min), finite().reduce(f64::max))
         {
-            let as_radians = (high - low).to_degrees();
-            let radians = match plausibility::check_radians(&stated, AnglesFrom::Stack) {
-                Ok(()) => format!("; as radians they span {as_radians:.1}°: give {} if they are", Setting::Radians),
-                Err(_) => String::new(),
-            };
-            let angles = shorter(&entry.name);
-            scan.remarks
-                .push(format!("{angles} states no unit: degrees are read, which span {:.1}°{radians}", high - low));
+            let (angles, span) = (shorter(&entry.name), high - low);
+            let mut remark = Text::from(format!("{angles} states no unit: degrees are read, which span {span:.1}°"));
+            if plausibility::check_radians(&stated, AnglesFrom::Stack).is_ok() {
+                remark = remark + format!("; as radians they span {:.1}°: give ", span.to_degrees());
+                remark = remark + Setting::Radians + " if they are";
+            }
+            scan.remarks.push(remark);
         }
         let mut angles: Vec<f64> = stated.into_iter().map(to_radians).collect();
         if let Some((views, all)) = views
@@ -130,12 +129,13 @@ impl Hdf5 {
         let angles = scan.angles.as_ref().map_or("no angles".to_owned(), |angles| counted(angles.len(), "angle"));
         let (views, flats, darks) = (scan.frames.dim().0, count(&scan.flat), count(&scan.dark));
         let (views, flats) = (counted(views, "view"), counted(flats, "frame"));
-        scan.remarks.push(format!("{layout}: {views}, {flats} of flat field, {darks} of dark field, {angles}"));
+        let found = format!("{layout}: {views}, {flats} of flat field, {darks} of dark field, {angles}");
+        scan.remarks.push(found.into());
         let others: Vec<&Entry> =
             self.distinct().into_iter().filter(|entry| !read.iter().any(|read| read.is_same(entry))).collect();
         if !others.is_empty() {
-            scan.remarks.push(format!("arrays that are not read: {}", list(&others)));
+            scan.remarks.push(format!("arrays that are not read: {}", list(&others)).into());
         }
-        scan.remarks.extend(self.limit());
+        scan.remarks.extend(self.limit().map(Text::from));
     }
 }

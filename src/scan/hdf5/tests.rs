@@ -31,6 +31,7 @@ fn a_scan_of_data_exchange_has_its_fields_and_angles() {
             "Data Exchange: 4 views, 2 frames of flat field, 1 of dark field, 4 angles",
             "arrays that are not read: /measurement/instrument/distance []",
         ]
+        .map(Text::from)
     );
     // A name asks for the array alone.
     assert_eq!(stack::read_scan_file(&path("exchange.h5:/exchange/data")).unwrap(), None);
@@ -50,6 +51,7 @@ fn a_scan_of_nx_tomo_is_divided_by_its_image_key() {
             "1 frame is left out: the image key is not 0, 1 or 2",
             "NXtomo: 4 views, 2 frames of flat field, 1 of dark field, 4 angles",
         ]
+        .map(Text::from)
     );
 }
 

@@ -289,8 +289,7 @@ fn brightest(values: impl Iterator<Item = f64>) -> Result<f64> {
     if value > 0.0 {
         return Ok(value);
     }
-    let already = Setting::LineIntegrals;
-    let remedy = format!("give the dark field of this scan, or {already} if the data are no intensities");
+    let remedy = "give the dark field of this scan, or " + Setting::LineIntegrals + " if the data are no intensities";
     Err(Error::invalid("brightest reading", value, "more than the dark field", remedy))
 }
 

@@ -98,7 +98,7 @@ pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     if let Some(i) = density.iter().position(|density| *density <= 0.0) {
         let expected = "a positive number, as R²-Gaussian has no other";
-        let remedy = format!("write a .ply, or a .npz without {}", Setting::R2);
+        let remedy = "write a .ply, or a .npz without " + Setting::R2;
         return Err(Error::invalid(format!("density of primitive {i}"), density[i], expected, remedy));
     }
     let ends = scale

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use trgs_core::error::{Error, Result};
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 
 /// The writer of a folder that no command wrote.
 const LIBRARY: &str = "the library";
@@ -140,7 +140,7 @@ impl Destination {
             found => found.map_err(|source| Error::write(&self.folder, source))?,
         };
         let another = "name another folder";
-        let refuse = |got: String, expected: &str, remedy: String| {
+        let refuse = |got: String, expected: &str, remedy: Text| {
             Err(Error::invalid(format!("output folder {}", self.folder.display()), got, expected, remedy))
         };
         if found.is_symlink() {
@@ -181,15 +181,14 @@ impl Destination {
         let by = if self.by.is_empty() { String::new() } else { format!(" of {}", self.by) };
         let expected = format!("a new or empty folder, or an unchanged {}{by}", self.kind.word());
         if is_fixed(&target) || holds_mount_point(&target) {
-            let remedy = format!("{another}, or move its content away");
-            return refuse(got, &expected, remedy);
+            return refuse(got, &expected, format!("{another}, or move its content away").into());
         }
         if self.overwrite {
             return Ok(Standing::Foreign);
         }
         let remedy = match self.by == LIBRARY {
-            true => format!("{another}, or delete it"),
-            false => format!("{another}, or give {} to move it aside", Setting::Overwrite),
+            true => format!("{another}, or delete it").into(),
+            false => Text::from(another) + ", or give " + Setting::Overwrite + " to move it aside",
         };
         refuse(got, &expected, remedy)
     }

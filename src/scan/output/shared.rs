@@ -51,7 +51,7 @@ impl SharedFolder {
             Some(Some(_)) => "a file that was changed after it was written",
             None => "a file that this program did not write",
         };
-        let remedy = format!("move it away, name another folder, or give {} to replace it", Setting::Overwrite);
+        let remedy = "move it away, name another folder, or give " + Setting::Overwrite + " to replace it";
         let expected = "a new file, or one of this program that is as it was written";
         Err(Error::invalid(format!("output file {}", path.display()), got, expected, remedy))
     }

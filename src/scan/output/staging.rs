@@ -152,10 +152,10 @@ impl StagedFolder {
         let place = place.display();
         match error {
             Error::Invalid { what, got, expected, remedy } => {
-                let remedy = format!("{remedy}. The complete result was kept in {place}");
+                let remedy = remedy + format!(". The complete result was kept in {place}");
                 Error::Invalid { what, got, expected, remedy }
             }
-            Error::Write { path, source } => {
+            Error::Write { path, source, .. } => {
                 let what = format!("output folder {}", path.display());
                 let remedy = format!("take the complete result from {place}");
                 Error::invalid(what, source, "a folder that can be written and replaced", remedy)

@@ -7,7 +7,7 @@ use super::Evidence;
 use crate::borders::Side;
 use trgs_core::numeric::rank::{SIGMA_OF_MAD, median};
 use trgs_core::numeric::reduce;
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 use trgs_core::words::verb;
 
 /// Views from which on one can differ from the others.
@@ -22,7 +22,7 @@ const LARGE_IF_CUT: f64 = 0.8;
 const EMPTY: f64 = 0.1;
 
 /// Remarks on views that are blank, without object, without beam, or of another exposure.
-pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
+pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<Text> {
     let train = &scan.dataset.train;
     let n = train.len();
     if n < LEAST || scan.are_readings {
@@ -73,25 +73,26 @@ pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
         list.push(view);
     }
     let out = "take them out with their angles, or measure them again";
-    let air = format!("convert or reconstruct with {} auto if their air differs, or {out}", Setting::Air);
+    let air = "convert or reconstruct with " + Setting::Air + " auto if their air differs, or " + out;
     [
-        (blank, "blank: all pixels have one value", out),
-        (empty, "without the object", out),
-        (dark, "without beam: darker than the object in the others", out),
-        (other, "different from the views beside, as with another exposure", air.as_str()),
+        (blank, "blank: all pixels have one value", out.into()),
+        (empty, "without the object", out.into()),
+        (dark, "without beam: darker than the object in the others", out.into()),
+        (other, "different from the views beside, as with another exposure", air),
     ]
     .into_iter()
     .filter(|(views, ..)| !views.is_empty())
     .map(|(mut views, what, remedy)| {
         views.sort_unstable();
         let list = |first: usize| views.iter().map(|view| (view + first).to_string()).collect::<Vec<_>>().join(", ");
-        format!(
-            "{} {} counted from 0 ({} from 1) {} {what}; {remedy}",
+        let found = format!(
+            "{} {} counted from 0 ({} from 1) {} {what}; ",
             verb(views.len(), "view", "views"),
             list(0),
             list(1),
             verb(views.len(), "is", "are")
-        )
+        );
+        Text::from(found) + remedy
     })
     .collect()
 }

@@ -1,5 +1,6 @@
 //! Each kind of scan that contradicts itself is found, with a remedy that mends it, and sound scans are none of them.
 
+use super::sentences as remarks;
 use super::*;
 use crate::Noise;
 use crate::phantom::{PHANTOMS, Phantom};

@@ -38,6 +38,7 @@ use super::borders::Borders;
 use super::dataset::Dataset;
 use super::pixels::WrongPixels;
 use super::{hounsfield, truncation};
+use trgs_core::setting::Text;
 
 /// A scan and what several judges need of it, measured once.
 pub(super) struct Evidence<'a> {
@@ -65,25 +66,29 @@ impl Evidence<'_> {
 }
 
 /// A kind of remark: one sentence each, with numbers and the remedy.
-type Judge = fn(&Evidence<'_>) -> Vec<String>;
+type Judge = fn(&Evidence<'_>) -> Vec<Text>;
 
 /// All kinds, in the order in which they are said.
 const JUDGES: &[Judge] = &[
-    |scan| readings::remark(scan.dataset).into_iter().collect(),
+    |scan| texts(readings::remark(scan.dataset)),
     air::remarks,
     frames::remarks,
     pixels::remarks,
-    |scan| scales::of_test(scan).into_iter().collect(),
-    |scan| hounsfield_of_truth(scan.dataset).into_iter().collect(),
-    |scan| scales::of_truth(scan).into_iter().collect(),
-    truncation::remarks,
-    |scan| outside::remark(scan).into_iter().collect(),
+    |scan| texts(scales::of_test(scan)),
+    |scan| texts(hounsfield_of_truth(scan.dataset)),
+    |scan| texts(scales::of_truth(scan)),
+    |scan| texts(truncation::remarks(scan)),
+    |scan| texts(outside::remark(scan)),
     refused::remarks,
-    views::remarks,
+    |scan| texts(views::remarks(scan)),
 ];
 
+fn texts<T: Into<Text>>(remarks: impl IntoIterator<Item = T>) -> Vec<Text> {
+    remarks.into_iter().map(T::into).collect()
+}
+
 /// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
-pub fn remarks(dataset: &Dataset) -> Vec<String> {
+pub fn remarks(dataset: &Dataset) -> Vec<Text> {
     let evidence = Evidence {
         dataset,
         borders: Borders::of(dataset.train.images.view()),
@@ -107,8 +112,14 @@ fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
     })
 }
 
-fn hounsfield_of_truth(dataset: &Dataset) -> Option<String> {
+fn hounsfield_of_truth(dataset: &Dataset) -> Option<Text> {
     dataset.truth.as_ref().and_then(|truth| hounsfield::remark("true volume", &truth.values))
+}
+
+/// [`remarks`] as strings.
+#[cfg(test)]
+pub(super) fn sentences(dataset: &Dataset) -> Vec<String> {
+    remarks(dataset).iter().map(Text::to_string).collect()
 }
 
 #[cfg(test)]

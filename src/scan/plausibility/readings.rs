@@ -3,7 +3,7 @@
 use super::{ends, is_at_border};
 use crate::dataset::Dataset;
 use trgs_core::numeric::reduce;
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 
 /// Range of whole numbers from which on they are remarked on.
 pub const LEVELS: f64 = 16.0;
@@ -15,7 +15,7 @@ const AIR: f64 = 0.7;
 const SHADE: f64 = 0.8;
 
 /// A remark on training views that are readings of a detector.
-pub(super) fn remark(dataset: &Dataset) -> Option<String> {
+pub(super) fn remark(dataset: &Dataset) -> Option<Text> {
     let (images, scale) = (&dataset.train.images, dataset.scale);
     let (views, rows, columns) = images.dim();
     let (low, high) = ends(images.iter().map(|&value| f64::from(value) / scale));
@@ -47,13 +47,11 @@ pub(super) fn remark(dataset: &Dataset) -> Option<String> {
     if shaded {
         what.push(format!("and air, at their border, is {} instead of 0", short(air)));
     }
-    Some(format!(
+    let found = format!(
         "{}: they look like readings of a detector instead of line integrals; convert the frames first: \
-         trgs convert FRAMES SCAN {} meta_data.json {} FLAT, or {} {} without a flat field",
-        what.join(", "),
-        Setting::Scanner,
-        Setting::Flat,
-        Setting::White,
-        short(bright),
-    ))
+         trgs convert FRAMES SCAN ",
+        what.join(", ")
+    );
+    let command = Text::from(found) + Setting::Scanner + " meta_data.json " + Setting::Flat + " FLAT, or ";
+    Some(command + Setting::White + format!(" {} without a flat field", short(bright)))
 }

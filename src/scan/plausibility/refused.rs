@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Projections;
 use trgs_core::geometry::Scanner;
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 
 /// Span of the angles of a circle beyond which they are taken for degrees, radians: two turns.
 const LARGEST_SPAN: f64 = 2.0 * TAU;
@@ -47,11 +47,11 @@ pub fn check(dataset: &Dataset, from: AnglesFrom) -> Result<()> {
 }
 
 /// The errors of [`check`] as sentences.
-pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
+pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<Text> {
     let Dataset { scanner, train, test, .. } = scan.dataset;
     let angles = std::iter::once(train).chain(test).map(|views| check_angles(scanner, views, AnglesFrom::File));
     let first = angles.filter_map(Result::err).next();
-    first.into_iter().chain(check_views(train).err()).map(|error| error.to_string()).collect()
+    first.into_iter().chain(check_views(train).err()).map(|error| error.text()).collect()
 }
 
 /// Refuses angles of a circle that span more than two turns.
@@ -80,15 +80,15 @@ pub fn check_radians(angles: &[f64], from: AnglesFrom) -> Result<()> {
     let expected = format!("radians: at most two turns of a circle, {LARGEST_SPAN:.3}");
     let factor = PI / 180.0;
     let remedy = match from {
-        AnglesFrom::Stack => format!(
-            "give {} if they are degrees, which converts them, or {} if they are radians of several turns",
-            Setting::Degrees,
-            Setting::Radians
-        ),
+        AnglesFrom::Stack => {
+            let degrees = "give " + Setting::Degrees + " if they are degrees, which converts them, or ";
+            degrees + Setting::Radians + " if they are radians of several turns"
+        }
         AnglesFrom::File => format!(
             "multiply every angle of proj_train and proj_test (train.angles and val.angles in a pickle) by {factor} if they \
              are degrees, or subtract whole turns of {TAU} if they are radians"
-        ),
+        )
+        .into(),
         AnglesFrom::Argument => {
             "give numpy.deg2rad(angles) if they are degrees, or numpy.mod(angles, 2 * numpy.pi) if they are radians of \
              several turns"

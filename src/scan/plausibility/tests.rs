@@ -1,6 +1,6 @@
 //! Sound scans have no remark, and each kind of remark is made where it is due.
 
-use super::remarks;
+use super::sentences as remarks;
 use crate::Noise;
 use crate::dataset::Dataset;
 use crate::phantom::{PHANTOMS, Phantom};

@@ -34,8 +34,8 @@ pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
         parse_angles(&text, path)?
     };
     let (got, remedy) = match (unit, in_degrees) {
-        (Some(AngleUnit::Degrees), false) => ("degrees", format!("add {}", Setting::Degrees)),
-        (Some(AngleUnit::Radians), true) => ("radians", format!("omit {}", Setting::Degrees)),
+        (Some(AngleUnit::Degrees), false) => ("degrees", "add " + Setting::Degrees),
+        (Some(AngleUnit::Radians), true) => ("radians", "omit " + Setting::Degrees),
         _ => return Ok(if in_degrees { angles.into_iter().map(f64::to_radians).collect() } else { angles }),
     };
     let expected = if in_degrees { "degrees" } else { "radians" };

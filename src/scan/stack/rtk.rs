@@ -15,6 +15,7 @@ use std::path::Path;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Pose;
 use trgs_core::numeric::elementary::{cos, sin};
+use trgs_core::setting::Text;
 use trgs_core::words::utf8;
 
 /// Parameters of a view in the order of [`NAMES`].
@@ -135,7 +136,7 @@ fn pose(parameters: &Parameters) -> Result<Pose> {
 fn numbered(number: usize, error: Error) -> Error {
     match error {
         Error::Invalid { what, got, expected, remedy } => {
-            Error::Invalid { what: format!("projection {number}: {what}"), got, expected, remedy }
+            Error::Invalid { what: Text::from(format!("projection {number}: ")) + what, got, expected, remedy }
         }
         other => other,
     }

@@ -4,6 +4,7 @@ use super::super::array_path;
 use ndarray::Array3;
 use std::path::Path;
 use trgs_core::error::Result;
+use trgs_core::setting::Text;
 
 /// Frames, fields and angles of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,7 +20,7 @@ pub struct ScanFile {
     /// Whether the file states no unit of the angles, so that they were read as degrees.
     pub is_unit_assumed: bool,
     /// Remarks for the user, one sentence each.
-    pub remarks: Vec<String>,
+    pub remarks: Vec<Text>,
 }
 
 /// Reads the scan of an HDF5 file in the layout of Data Exchange or NXtomo; none for all other files.

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use tiff::decoder::Decoder;
 use tiff::tags::Tag;
 use trgs_core::error::Result;
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 
 /// Words in the names of fields.
 const FIELDS: [&str; 16] = [
@@ -54,7 +54,7 @@ pub struct Series {
     /// Names of the files of the views, in order; empty if one file holds all.
     pub names: Vec<String>,
     /// Remarks for the user, one sentence each.
-    pub remarks: Vec<String>,
+    pub remarks: Vec<Text>,
 }
 
 /// Reads a stack like [`read`](super::read()), without the frames that are fields.
@@ -64,8 +64,8 @@ pub struct Series {
 /// # Errors
 /// Those of [`read`](super::read()).
 pub fn read_series(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
-    let (values, remarks) = read_with_oddities(path)?;
-    let mut series = Series { values, names: Vec::new(), remarks };
+    let (values, oddities) = read_with_oddities(path)?;
+    let mut series = Series { values, names: Vec::new(), remarks: oddities.iter().map(Text::from).collect() };
     if !path.is_dir() {
         return Ok(series);
     }
@@ -80,10 +80,10 @@ pub fn read_series(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
         }
         series.names = views.iter().map(|&view| file_name(frames[view])).collect();
         // The names say more of a gap.
-        series.remarks.retain(|remark| !remark.starts_with(GAP));
+        series.remarks.retain(|remark| !remark.to_string().starts_with(GAP));
         series.remarks.extend(remarks);
         let kept: Vec<&Path> = views.iter().map(|&view| frames[view]).collect();
-        series.remarks.extend(mixed_types(&kept));
+        series.remarks.extend(mixed_types(&kept).map(Text::from));
     }
     Ok(series)
 }
@@ -91,7 +91,7 @@ pub fn read_series(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
 /// The views among the files of a folder, as indices in order.
 struct Kept {
     views: Vec<usize>,
-    remarks: Vec<String>,
+    remarks: Vec<Text>,
 }
 
 /// A file name, taken apart.
@@ -147,7 +147,7 @@ fn choose(frames: &[&Path], fields: &[(&str, &Path)]) -> Kept {
             high.unwrap_or_default()
         ));
     }
-    remarks.extend(gaps(numbers));
+    let remarks = remarks.into_iter().map(Text::from).chain(gaps(numbers)).collect();
     Kept { views, remarks }
 }
 
@@ -241,11 +241,11 @@ fn name_patterns(frames: &[&Path], remarks: &mut Vec<String>) -> Vec<Name> {
 }
 
 /// A remark on missing and repeated numbers.
-fn gaps(mut numbers: Vec<i128>) -> Vec<String> {
+fn gaps(mut numbers: Vec<i128>) -> Vec<Text> {
     numbers.sort_unstable();
     let mut remarks = Vec::new();
     if let Some(pair) = numbers.windows(2).find(|pair| pair[0] == pair[1]) {
-        remarks.push(format!("the number {} occurs twice among the names: is each of them a view?", pair[0]));
+        remarks.push(format!("the number {} occurs twice among the names: is each of them a view?", pair[0]).into());
     }
     numbers.dedup();
     let differences: Vec<i128> = numbers.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
@@ -266,17 +266,16 @@ fn gaps(mut numbers: Vec<i128>) -> Vec<String> {
     let list: Vec<String> = listed.take(LISTED).map(|number| number.to_string()).collect();
     let more = if lacking > LISTED as i128 { ", …" } else { "" };
     let (noun, verb) = if lacking == 1 { ("number", "is") } else { ("numbers", "are") };
-    remarks.push(format!(
-        "{noun} {}{more} {verb} missing between {} and {} ({} frames for {} numbers): evenly spaced angles would be wrong; \
-         give {} a file with the angles of the {} frames",
+    let found = format!(
+        "{noun} {}{more} {verb} missing between {} and {} ({} frames for {} numbers): evenly spaced angles would be wrong; give ",
         list.join(", "),
         numbers[0],
         numbers[numbers.len() - 1],
         numbers.len(),
-        lacking.saturating_add(numbers.len() as i128),
-        Setting::Angles,
-        numbers.len(),
-    ));
+        lacking.saturating_add(numbers.len() as i128)
+    );
+    let file = format!(" a file with the angles of the {} frames", numbers.len());
+    remarks.push(Text::from(found) + Setting::Angles + file);
     remarks
 }
 
@@ -340,7 +339,10 @@ mod tests {
         paths.sort_by(|a, b| alphanumeric_sort::compare_path(a, b));
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
         let Kept { views, remarks } = choose(&paths, &[]);
-        (views.into_iter().map(|i| file_name(paths[i])).collect(), remarks.join("; "))
+        (
+            views.into_iter().map(|i| file_name(paths[i])).collect(),
+            remarks.iter().map(Text::to_string).collect::<Vec<_>>().join("; "),
+        )
     }
 
     #[test]
@@ -401,9 +403,13 @@ mod tests {
         let series = kept(&at("field.npy"));
         assert_eq!(series.names, ["0.npy", "1.npy", "2.npy"]);
         assert_eq!(series.values.dim(), (3, 2, 3));
-        assert!(series.remarks[0].contains("2.npy has the content of the flat field"), "{:?}", series.remarks);
         assert!(
-            series.remarks[1].contains("beam.npy is left out of the frames: it is the flat"),
+            series.remarks[0].to_string().contains("2.npy has the content of the flat field"),
+            "{:?}",
+            series.remarks
+        );
+        assert!(
+            series.remarks[1].to_string().contains("beam.npy is left out of the frames: it is the flat"),
             "{:?}",
             series.remarks
         );
@@ -415,7 +421,7 @@ mod tests {
         npy::write(&at("frames/1.npy"), ndarray::Array2::<f64>::zeros((2, 3)).view()).unwrap();
         let series = read_series(&at("frames"), &[]).unwrap();
         let types = "frames have different types of numbers: 3 of <f4 like 0.npy, 1 of <f8 like 1.npy";
-        assert!(series.remarks.iter().any(|remark| remark.starts_with(types)), "{:?}", series.remarks);
+        assert!(series.remarks.iter().any(|remark| remark.to_string().starts_with(types)), "{:?}", series.remarks);
     }
 
     #[test]

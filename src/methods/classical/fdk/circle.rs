@@ -3,6 +3,7 @@
 use glam::DVec3;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Projections, Scanner, View};
+use trgs_core::setting::Text;
 
 /// Largest deviation of a view from the circle, relative to the distance from source to axis.
 const SAME: f64 = 1e-6;
@@ -87,7 +88,7 @@ fn words(view: &View) -> [(&'static str, f64); 6] {
 }
 
 fn refused(got: &str, expected: &str) -> Error {
-    let remedy = "use the method tr-gs, sart, os-sart, asd-pocs, cgls or tv, which take any poses; \
-                  for the first primitives, `initialisation.from=sart`";
+    let remedy = "use the method tr-gs, sart, os-sart, asd-pocs, cgls or tv, which take any poses; for the first primitives, "
+        + Text::set("initialisation.from", "sart");
     Error::invalid("poses for filtered backprojection", got, expected, remedy)
 }

@@ -68,7 +68,7 @@ impl Plan {
         if let Some(hole) = arc.holes() {
             let got = format!("gaps of up to {:.1}° between groups of views", hole.to_degrees());
             let expected = "views all around, or one arc: filtered back projection needs every ray";
-            return Err(Error::invalid("arc of the views", got, expected, format!("{OTHERS}, or {FULL}")));
+            return Err(Error::invalid("arc of the views", got, expected, others_or_full()));
         }
         if near_is_cut && !turn.is_whole() {
             let got = format!(
@@ -94,8 +94,10 @@ impl Plan {
     }
 }
 
-/// The way to a first guess from any scan.
-const FULL: &str = "`fdk.turn=full`, which ignores the gap";
+/// The other methods, or a first guess from any scan.
+fn others_or_full() -> Text {
+    Text::from(OTHERS) + ", or " + Text::set("fdk.turn", "full") + ", which ignores the gap"
+}
 
 /// The views as an arc: sorted, starting after the widest gap.
 #[derive(Debug)]
@@ -165,7 +167,7 @@ impl Arc {
         let expected = format!(
             "at least {needed:.1}°, half a turn and the fan of the volume: filtered back projection needs every ray"
         );
-        Err(Error::invalid("arc of the views", format!("{got:.1}°"), expected, format!("{OTHERS}, or {FULL}")))
+        Err(Error::invalid("arc of the views", format!("{got:.1}°"), expected, others_or_full()))
     }
 }
 

@@ -83,6 +83,7 @@ use std::f64::consts::PI;
 use std::ops::ControlFlow;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Projections};
+use trgs_core::setting::Text;
 use trgs_scan::Dataset;
 use trgs_scan::pixels::WrongPixels;
 
@@ -135,7 +136,7 @@ pub struct GeometryCheck {
     /// Whether the scan is as stated, as far as data and reference can tell.
     pub agrees: bool,
     /// Findings and remedies, one sentence each.
-    pub verdict: Vec<String>,
+    pub verdict: Vec<Text>,
     /// The convention that the data seem to have.
     pub looks_like: Convention,
     /// Detector offset along u.

@@ -4,7 +4,7 @@ use super::offsets::SIGNIFICANT_ROLL;
 use super::{AxisShift, Candidate, Convention, GeometryCheck, OffsetScan, RESEMBLES, RollScan, Source, TOLD_APART};
 use std::f64::consts::FRAC_PI_2;
 use trgs_core::geometry::{Beam, Scanner};
-use trgs_core::setting::Setting;
+use trgs_core::setting::{Setting, Text};
 use trgs_core::words::verb;
 use trgs_scan::pixels::WrongPixels;
 use trgs_scan::{Dataset, Unit};
@@ -42,25 +42,26 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
     check.agrees = as_stated && explained && !displaced_u && !displaced_v && !is_rolled(&check.roll);
     if !explained {
         check.off_detector = [scanner.detector.offset_u / scale, (0.0 - scanner.detector.offset_v) / scale];
-        check.verdict = vec![format!(
+        let unexplained = format!(
             "No convention explains the data: even the best leaves {}. Nothing is said about the place of the detector. \
              Check DSO, DSD, sizes, angles and the order of views.",
             percent(least)
-        )];
+        );
+        check.verdict = vec![unexplained.into()];
         check.verdict.extend(removed(check));
         return;
     }
-    let mut verdict = vec![conventions(check, as_stated, turns)];
+    let mut verdict = vec![Text::from(conventions(check, as_stated, turns))];
     verdict.extend(removed(check));
-    verdict.extend(alternatives(check, chosen.class));
-    verdict.push(equals(check, chosen.class, &scanner.beam));
-    verdict.push(place("u", &check.offset_u, displaced_u));
+    verdict.extend(alternatives(check, chosen.class).into_iter().map(Text::from));
+    verdict.push(equals(check, chosen.class, &scanner.beam).into());
+    verdict.push(place("u", &check.offset_u, displaced_u).into());
     match &check.offset_v {
         Some(scan) if is_displaced(scan) && !displaced_v => {
             let shallow = "The minimum is too shallow to count.";
-            verdict.push(format!("{} {shallow}", place("v, down the rows,", scan, false)));
+            verdict.push(format!("{} {shallow}", place("v, down the rows,", scan, false)).into());
         }
-        Some(scan) => verdict.push(place("v, down the rows,", scan, displaced_v)),
+        Some(scan) => verdict.push(place("v, down the rows,", scan, displaced_v).into()),
         None => verdict.push("The detector's offset along v cannot be determined: the rays are parallel.".into()),
     }
     if displaced_u || displaced_v {
@@ -74,38 +75,38 @@ pub(super) fn judge(check: &mut GeometryCheck, dataset: &Dataset, scanner: &Scan
             let unit = frame.unit.map_or("the unit of the files that the scan was made from", Unit::symbol);
             format!(", which are [{u:.6}, {up:.6}] in {unit}")
         };
-        verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards{in_files}."));
+        verdict.push(format!("Set offDetector to [{u:.6}, {up:.6}], along u and upwards{in_files}.").into());
     }
     if displaced_u {
-        verdict.push(shifted_axis(&check.axis_shift, scale));
+        verdict.push(shifted_axis(&check.axis_shift, scale).into());
     }
     let rolled = is_rolled(&check.roll);
-    verdict.push(roll(&check.roll, rolled));
+    verdict.push(roll(&check.roll, rolled).into());
     check.verdict = verdict;
 }
 
 /// Sentences about errors of the data that were removed before the check.
-fn removed(check: &GeometryCheck) -> Vec<String> {
+fn removed(check: &GeometryCheck) -> Vec<Text> {
     let mut found = Vec::new();
     let WrongPixels { single, columns, .. } = &check.wrong_pixels;
     let count = single.len() + columns.len();
     if count > 0 {
-        found.push(format!(
+        let removed = format!(
             "In all views {} {} from the neighbours: the check replaced {}. If {} no detail of the object, correct the \
-             flat field, or give {} auto.",
+             flat field, or give ",
             check.wrong_pixels.describe(),
             verb(count, "differs", "differ"),
             verb(count, "it", "them"),
             verb(count, "it is", "they are"),
-            Setting::MaskPixels,
-        ));
+        );
+        found.push(Text::from(removed) + Setting::MaskPixels + " auto.");
     }
     if let Some([low, high]) = check.air {
-        found.push(format!(
+        let removed = format!(
             "Air reads {low:.4} to {high:.4} instead of 0: the check subtracted it. Correct the flat field, I0, or the \
-             drift of the source, or give {} auto.",
-            Setting::Air,
-        ));
+             drift of the source, or give "
+        );
+        found.push(Text::from(removed) + Setting::Air + " auto.");
     }
     found
 }
