@@ -68,7 +68,8 @@ impl Demo {
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
             let claim = RunFolder::claim(folder, &source, overwrite)?;
-            let mut config = Config { seed: self.seed, report_every: 50, ..Config::of(method) };
+            let mut config = Config::of(method);
+            (config.seed, config.report_every) = (self.seed, 50);
             if method.fits_primitives() {
                 config.iterations = ITERATIONS;
             }

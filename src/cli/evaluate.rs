@@ -44,7 +44,7 @@ impl Evaluate {
             tracing::info!("{}: {note}", self.against.display());
         }
         let evaluation = if self.result.is_dir() {
-            let config = Config::read(&self.result.join("config.toml"), Method::TrGs)?;
+            let config = Config::read(self.result.join("config.toml"), Method::TrGs)?;
             let volume = read_volume(&self.result.join("volume.npy"), &dataset)?;
             let model = self.result.join("model.npz");
             let primitives = if model.exists() { Some(model::read(&model)?) } else { None };

@@ -161,7 +161,7 @@ fn pickle(path: &Path) -> Result<Value> {
 }
 
 fn run_folder(path: &Path) -> Result<Value> {
-    let config = Config::read(&path.join("config.toml"), Method::TrGs)?;
+    let config = Config::read(path.join("config.toml"), Method::TrGs)?;
     let provenance: Provenance = read_json(&path.join("provenance.json"))?;
     let metrics: Value = read_json(&path.join("metrics.json"))?;
     let changed = provenance.changed(path);

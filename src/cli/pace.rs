@@ -261,7 +261,8 @@ mod tests {
     use super::*;
 
     fn resolved(method: Method, iterations: usize) -> Config {
-        let mut config = Config { iterations, ..Config::of(method) };
+        let mut config = Config::of(method);
+        config.iterations = iterations;
         (config.model.points, config.density_control.cap) = (1000, 1000);
         (config.density_control.every, config.confidence.every) = (100, 100);
         config
@@ -330,7 +331,9 @@ mod tests {
 
     #[test]
     fn passes_of_a_checkpoint_are_not_measured() {
-        let mut plan = Plan::new(&Config { iterations: 20, ..Config::of(Method::Sart) }, 3, false, [10, 5]);
+        let mut config = Config::of(Method::Sart);
+        config.iterations = 20;
+        let mut plan = Plan::new(&config, 3, false, [10, 5]);
         let mut see = |iteration, now| {
             plan.reach(Part::Passes, iteration, Some(20), now);
             plan.stages[0].measured
@@ -343,8 +346,8 @@ mod tests {
     #[test]
     fn a_long_run_on_voxels_says_what_it_costs() {
         let plan = |step: f64, weight: Auto<f64>| {
-            let mut config = Config { iterations: 100, ..Config::of(Method::Tv) };
-            config.tv.weight = weight;
+            let mut config = Config::of(Method::Tv);
+            (config.iterations, config.tv.weight) = (100, weight);
             let mut plan = Plan::new(&config, 0, false, [10, 0]);
             let is_open = weight == Auto::Auto;
             for k in 1..=6 {

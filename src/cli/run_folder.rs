@@ -96,19 +96,7 @@ pub(super) struct RunFolder {
 impl Outcome {
     /// Name of the method for display.
     pub(super) fn name(&self) -> &'static str {
-        match self.method {
-            Method::TrGs => "TR-GS",
-            Method::R2Gaussian => "R²-Gaussian",
-            Method::Fdk => "FDK",
-            Method::Sart => "SART",
-            Method::OsSart => "OS-SART",
-            Method::AsdPocs => "ASD-POCS",
-            Method::Cgls => "CGLS",
-            Method::Tv => "TV",
-            Method::Naf => "NAF",
-            Method::SaxNerf => "SAX-NeRF",
-            Method::Intratomo => "IntraTomo",
-        }
+        self.method.title()
     }
 
     /// The volume, and the volume before the finish.
@@ -177,7 +165,7 @@ impl RunFolder {
         };
         write_text(&at("metrics.json"), &json(&results))?;
         if let Some(primitives) = &outcome.primitives {
-            model::write(&at("model.npz"), &primitives.parameters)?;
+            model::write(at("model.npz"), &primitives.parameters)?;
         }
         let lines: String = outcome.log.iter().map(to_line).chain(outcome.passes.iter().map(to_line)).collect();
         if !lines.is_empty() {
@@ -193,7 +181,7 @@ impl RunFolder {
                 Ok(mut checkpoint) => {
                     checkpoint.set_results(self.provenance.outputs.clone());
                     create_folder(&at(CHECKPOINTS))?;
-                    checkpoint.write(&checkpoint_file(&staged.path()))?;
+                    checkpoint.write(checkpoint_file(&staged.path()))?;
                 }
                 // Another program may have changed the file; the results are not lost for that.
                 Err(error) => tracing::warn!("the run cannot be continued: {}", with_flags(&error.text())),

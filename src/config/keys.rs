@@ -50,6 +50,7 @@ macro_rules! keys {
         $(#[doc = $docs])+
         #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
         #[serde(deny_unknown_fields, default)]
+        #[non_exhaustive]
         pub struct $table { $($(#[doc = $key_docs])+ pub $key: $type,)+ }
 
         impl Default for $table {

@@ -33,6 +33,7 @@ described! {
     /// How the volume is found.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
+    #[non_exhaustive]
     pub enum Method {
         /// Student's t-kernels; the settings of the paper are those of the preset paper.
         TrGs,
@@ -63,6 +64,7 @@ described! {
     /// Published settings to start from.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "kebab-case")]
+    #[non_exhaustive]
     pub enum Preset {
         /// Those of R²-Gaussian's comparison, the defaults.
         R2Gaussian,
@@ -185,6 +187,23 @@ impl Method {
         Self::SaxNerf,
         Self::Intratomo,
     ];
+
+    /// The name in the literature.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::TrGs => "TR-GS",
+            Self::R2Gaussian => "R²-Gaussian",
+            Self::Fdk => "FDK",
+            Self::Sart => "SART",
+            Self::OsSart => "OS-SART",
+            Self::AsdPocs => "ASD-POCS",
+            Self::Cgls => "CGLS",
+            Self::Tv => "TV",
+            Self::Naf => "NAF",
+            Self::SaxNerf => "SAX-NeRF",
+            Self::Intratomo => "IntraTomo",
+        }
+    }
 
     /// The network that it trains, if it does.
     pub fn network(self) -> Option<Kind> {

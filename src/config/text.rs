@@ -43,7 +43,8 @@ impl Config {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for the first line that is no TOML, unknown key or value of a wrong type.
-    pub fn read(path: &Path, otherwise: Method) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>, otherwise: Method) -> Result<Self> {
+        let path = path.as_ref();
         let text = std::fs::read(path).map_err(|source| Error::read(path, source))?;
         let text = String::from_utf8_lossy(&utf8(&text)).into_owned();
         let table: Table = text.parse().map_err(|error: toml::de::Error| {

@@ -101,7 +101,8 @@ impl Case {
     ///
     /// # Errors
     /// When the folder cannot be read, or holds nothing usable.
-    pub fn middles_in_folder(folder: &Path, size: usize) -> Result<Vec<Self>> {
+    pub fn middles_in_folder(folder: impl AsRef<Path>, size: usize) -> Result<Vec<Self>> {
+        let folder = folder.as_ref();
         let Contents { volumes, .. } = Contents::of(folder)?;
         let larger = volumes.iter().filter(|volume| volume.side > size);
         let cases: Vec<Self> = larger
@@ -131,7 +132,8 @@ impl Case {
     ///
     /// # Errors
     /// When the folder cannot be read, or holds nothing usable.
-    pub fn in_folder(folder: &Path, size: usize) -> Result<Vec<Self>> {
+    pub fn in_folder(folder: impl AsRef<Path>, size: usize) -> Result<Vec<Self>> {
+        let folder = folder.as_ref();
         let Contents { scans, volumes } = Contents::of(folder)?;
         let mut cases = Vec::new();
         for (name, path) in scans {

@@ -28,8 +28,8 @@ impl Store {
     ///
     /// # Errors
     /// When the folder cannot be created.
-    pub fn open(folder: &Path) -> Result<Self> {
-        let cells = folder.join("cells");
+    pub fn open(folder: impl AsRef<Path>) -> Result<Self> {
+        let cells = folder.as_ref().join("cells");
         create_folder(&cells)?;
         Ok(Self { cells })
     }

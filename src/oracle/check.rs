@@ -160,7 +160,13 @@ pub fn select<'a>(vectors: &'a Vectors, level: Level, stages: &[String]) -> Resu
 /// # Errors
 /// When the selection is empty, the folder does not exist, or the vectors are damaged. A wrong answer is a result, not
 /// an error.
-pub fn check(vectors: &Vectors, tolerances: &Tolerances, folder: &Path, options: &Options<'_>) -> Result<Report> {
+pub fn check(
+    vectors: &Vectors,
+    tolerances: &Tolerances,
+    folder: impl AsRef<Path>,
+    options: &Options<'_>,
+) -> Result<Report> {
+    let folder = folder.as_ref();
     let cases = select(vectors, options.level, options.stages)?;
     std::fs::read_dir(folder).map_err(|source| Error::read(folder, source))?;
     let results = cases.into_iter().map(|case| check_case(vectors, tolerances, folder, options, case));

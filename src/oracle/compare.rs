@@ -39,8 +39,13 @@ impl Comparison {
 ///
 /// # Errors
 /// [`Error::Read`] or [`Error::Format`] for a file that cannot be read.
-pub fn compare(expected: &Path, got: &Path, axes: &[&str], format: Format) -> Result<Vec<Comparison>> {
-    let (truth, answer) = (read(expected)?, read(got)?);
+pub fn compare(
+    expected: impl AsRef<Path>,
+    got: impl AsRef<Path>,
+    axes: &[&str],
+    format: Format,
+) -> Result<Vec<Comparison>> {
+    let (truth, answer) = (read(expected.as_ref())?, read(got.as_ref())?);
     let one = |(name, e): (&String, &ndarray::ArrayD<f64>)| {
         let mut result = Comparison {
             array: name.clone(),

@@ -125,8 +125,8 @@ impl Vectors {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a manifest of another version or with paths outside the folder.
-    pub fn open(folder: &Path) -> Result<Self> {
-        Self::new(Some(folder.into()))
+    pub fn open(folder: impl AsRef<Path>) -> Result<Self> {
+        Self::new(Some(folder.as_ref().into()))
     }
 
     fn new(root: Option<PathBuf>) -> Result<Self> {

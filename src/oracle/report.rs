@@ -13,7 +13,8 @@ use trgs_scan::output::write_atomically;
 ///
 /// # Errors
 /// For a path that does not end in `.json`; [`Error::Write`] with the error of the operating system.
-pub fn write(report: &Report, path: &Path) -> Result<[PathBuf; 3]> {
+pub fn write(report: &Report, path: impl AsRef<Path>) -> Result<[PathBuf; 3]> {
+    let path = path.as_ref();
     if path.extension().is_none_or(|extension| extension != "json") {
         return Err(Error::invalid(
             Setting::Report,

@@ -44,7 +44,8 @@ struct WaiverEntry {
 ///
 /// # Errors
 /// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
-pub fn read(path: &Path, cases: &[Case]) -> Result<Vec<Waiver>> {
+pub fn read(path: impl AsRef<Path>, cases: &[Case]) -> Result<Vec<Waiver>> {
+    let path = path.as_ref();
     let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
     let wrong = |got: String, expected: &str| {
         Error::format(path, "waivers", got, expected, "`trgs help oracle check` has an example")

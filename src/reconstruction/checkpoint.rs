@@ -68,7 +68,8 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a file that is none, is damaged or does not fit itself.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         let file = sealed::open(path)?;
         match file.kind {
             Kind::Primitives => train::Checkpoint::decode(&file, path).map(|found| Self::Primitives(Box::new(found))),
@@ -84,7 +85,8 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn write(&self, path: &Path) -> Result<()> {
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
         match self {
             Self::Primitives(checkpoint) => checkpoint.write(path),
             Self::Voxels(checkpoint) => sealed::write(path, Kind::Voxels, checkpoint),

@@ -73,7 +73,8 @@ impl Numbers {
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for anything but a complete array of numbers.
-pub fn read(path: &Path) -> Result<Npy> {
+pub fn read(path: impl AsRef<Path>) -> Result<Npy> {
+    let path = path.as_ref();
     let file = input::open(path).map_err(|source| Error::read(path, source))?;
     let length = file.metadata().map_err(|source| Error::read(path, source))?.len();
     decode(file, length, path, "file")
@@ -91,7 +92,8 @@ pub fn parse(content: &[u8], path: &Path) -> Result<Npy> {
 ///
 /// # Errors
 /// Those of [`read`], and [`Error::Format`] for another number of axes.
-pub fn read_f32<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f32, D>> {
+pub fn read_f32<D: Dimension>(path: impl AsRef<Path>, axes: &str) -> Result<Array<f32, D>> {
+    let path = path.as_ref();
     with_axes(read(path)?.numbers.into_f32(), path, "array", axes)
 }
 
@@ -99,7 +101,8 @@ pub fn read_f32<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f32, D>> 
 ///
 /// # Errors
 /// Those of [`read`], and [`Error::Format`] for another number of axes.
-pub fn read_f64<D: Dimension>(path: &Path, axes: &str) -> Result<Array<f64, D>> {
+pub fn read_f64<D: Dimension>(path: impl AsRef<Path>, axes: &str) -> Result<Array<f64, D>> {
+    let path = path.as_ref();
     with_axes(read(path)?.numbers.into_f64(), path, "array", axes)
 }
 
@@ -116,7 +119,8 @@ pub(super) fn type_of(path: &Path) -> Option<String> {
 ///
 /// # Errors
 /// [`Error::Write`] with the error of the operating system.
-pub fn write<T: Element, D: Dimension>(path: &Path, array: ArrayView<'_, T, D>) -> Result<()> {
+pub fn write<T: Element, D: Dimension>(path: impl AsRef<Path>, array: ArrayView<'_, T, D>) -> Result<()> {
+    let path = path.as_ref();
     write_atomically(path, |file| encode(file, array))
 }
 

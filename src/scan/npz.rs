@@ -29,7 +29,8 @@ impl Npz {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for anything but a complete archive of arrays of numbers.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         let file = crate::input::open(path).map_err(|source| Error::read(path, source))?;
         Self::decode(BufReader::new(file), path)
     }
@@ -136,7 +137,8 @@ pub enum Entry<'a> {
 ///
 /// # Errors
 /// [`Error::Write`] with the error of the operating system.
-pub fn write(path: &Path, arrays: &[(&str, Entry<'_>)]) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, arrays: &[(&str, Entry<'_>)]) -> Result<()> {
+    let path = path.as_ref();
     write_atomically(path, |file| {
         let mut archive = ZipWriter::new(file);
         for (key, array) in arrays {
@@ -186,7 +188,7 @@ mod tests {
             std::fs::read(path).unwrap()
         });
         assert_eq!(bytes[0], bytes[1]);
-        let npz = Npz::read(&folder.path().join("a.npz")).unwrap();
+        let npz = Npz::read(folder.path().join("a.npz")).unwrap();
         assert_eq!(npz.keys().collect::<Vec<_>>(), ["density", "mean"]);
         assert_eq!(npz.get::<Ix2>("mean", "[M, 3]").unwrap(), mean.mapv(f64::from));
         assert_eq!(npz.get::<Ix1>("density", "[M]").unwrap(), density);

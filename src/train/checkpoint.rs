@@ -94,7 +94,8 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a file that is none of primitives, is damaged or does not fit itself.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         let file = sealed::open(path)?;
         let is_own = file.kind == Kind::Primitives;
         require(is_own, "checkpoint", "one of voxels", "one of primitives").map_err(|error| error.in_file(path))?;
@@ -128,7 +129,8 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn write(&self, path: &Path) -> Result<()> {
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
         let folders = path.ancestors().skip(1).take_while(|folder| !folder.as_os_str().is_empty());
         let missing: Vec<&Path> = folders.take_while(|folder| !folder.exists()).collect();
         let written = path.parent().map_or(Ok(()), create_folder);

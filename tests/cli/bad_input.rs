@@ -136,7 +136,7 @@ fn model() -> Vec<(&'static str, ndarray::ArrayD<f64>)> {
 
 fn write_model(sandbox: &Sandbox, arrays: &[(&str, ndarray::ArrayD<f64>)]) {
     let entries: Vec<_> = arrays.iter().map(|(key, values)| (*key, Entry::F64(values.view()))).collect();
-    npz::write(&sandbox.path("m.npz"), &entries).unwrap();
+    npz::write(sandbox.path("m.npz"), &entries).unwrap();
 }
 
 #[test]

@@ -107,8 +107,7 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
     );
     assert_eq!(gradient["grad_out"], "gradient.npz");
     assert_eq!(sandbox.read("images.npy"), sandbox.read("again.npy"));
-    let (model, gradient) =
-        ["run/model.npz", "gradient.npz"].map(|name| Npz::read(&sandbox.path(name)).unwrap()).into();
+    let (model, gradient) = ["run/model.npz", "gradient.npz"].map(|name| Npz::read(sandbox.path(name)).unwrap()).into();
     for key in model.keys() {
         let [ours, theirs] = [&gradient, &model].map(|npz| npz.entry(key).unwrap().numbers.shape().to_vec());
         assert_eq!(ours, theirs, "{key}");
@@ -149,12 +148,12 @@ fn precision_and_cutoff_of_a_projection_are_those_asked_for() {
     assert!(exact.get("truncation_bound").is_none());
     let [double, single] = ["f64", "f32"].map(|precision| {
         sandbox.done(&format!("{render} --precision {precision}"));
-        npy::read(&sandbox.path("a.npy")).unwrap().numbers
+        npy::read(sandbox.path("a.npy")).unwrap().numbers
     });
     assert!(double.is_double() && !single.is_double());
     let cut = sandbox.done(&format!("{render} --cutoff 0.01"));
     let bound = cut["truncation_bound"].as_f64().unwrap();
-    let cut = npy::read(&sandbox.path("a.npy")).unwrap().numbers.into_f64();
+    let cut = npy::read(sandbox.path("a.npy")).unwrap().numbers.into_f64();
     let dropped = (double.into_f64() - cut).iter().fold(0.0, |largest: f64, d| largest.max(d.abs()));
     assert!(dropped > 0.0 && dropped <= bound, "dropped {dropped}, bound {bound}");
 }
@@ -181,8 +180,7 @@ fn contributions(found: &Value) -> Vec<f64> {
 fn a_pixel_and_a_voxel_are_explained_by_the_primitives_that_make_them() {
     let sandbox = Sandbox::with_scan();
     sandbox.done(&format!("reconstruct scan --out run {SHORT}"));
-    let element =
-        |file: &str, index: [usize; 3]| npy::read(&sandbox.path(file)).unwrap().numbers.into_f64()[&index[..]];
+    let element = |file: &str, index: [usize; 3]| npy::read(sandbox.path(file)).unwrap().numbers.into_f64()[&index[..]];
     for flags in ["", "--projection affine", "--precision f32", "--cutoff 0.3 --precision f32"] {
         // What the parts add up to against the element of the file.
         let assert_equal = |sum: f64, value: f64| match flags.contains("f32") {
@@ -360,7 +358,7 @@ fn write_readings(sandbox: &Sandbox) {
     let write = |name: &str, count: usize, reading: &dyn Fn(usize, usize, usize) -> f32| {
         let values = Array3::from_shape_fn((columns, rows, count), |(u, v, frame)| reading(frame, v, u));
         let volume = VolumeFile { values, ..VolumeFile::default() };
-        volume_file::write(&sandbox.path(name), &volume).unwrap();
+        volume_file::write(sandbox.path(name), &volume).unwrap();
     };
     write("darks.tif", 1, &|_, v, u| dark(v, u));
     write("flats.tif", 3, &|frame, v, u| flat(v, u) + 40.0 * (frame as f32 - 1.0));

@@ -18,11 +18,11 @@ fn write_model(sandbox: &Sandbox, nu: [f64; 3]) {
         ("nu", array![nu[0], nu[1], nu[2]].into_dyn()),
     ];
     let entries: Vec<_> = arrays.iter().map(|(key, values)| (*key, Entry::F64(values.view()))).collect();
-    npz::write(&sandbox.path("m.npz"), &entries).unwrap();
+    npz::write(sandbox.path("m.npz"), &entries).unwrap();
 }
 
 fn numbers(sandbox: &Sandbox, key: &str) -> Vec<f64> {
-    Npz::read(&sandbox.path("c.npz")).unwrap().get::<Ix1>(key, "[N]").unwrap().to_vec()
+    Npz::read(sandbox.path("c.npz")).unwrap().get::<Ix1>(key, "[N]").unwrap().to_vec()
 }
 
 #[test]
@@ -34,7 +34,7 @@ fn the_file_has_what_the_library_computes_and_the_settings_it_was_computed_with(
 
     let settings = Settings { sphere_points: 200, alpha: Alpha::Own, r_max: 0.6, kappa: 0.8, temperature: 0.5 };
     let dataset = Dataset::read(sandbox.path("scan")).unwrap();
-    let primitives = model::read(&sandbox.path("m.npz")).unwrap();
+    let primitives = model::read(sandbox.path("m.npz")).unwrap();
     let c = Coverage::new(settings).confidence(&primitives, &dataset.scanner, &dataset.train.angles);
     assert!(c[0] > 0.0 && c[0] < c[1] && c[2] == 0.0, "{c:?}");
     assert_eq!(numbers(&sandbox, "c"), c);
@@ -42,7 +42,7 @@ fn the_file_has_what_the_library_computes_and_the_settings_it_was_computed_with(
     assert_eq!(numbers(&sandbox, "nu_target"), c.iter().map(target).collect::<Vec<_>>());
     assert_eq!(numbers(&sandbox, "angles"), dataset.train.angles);
     assert_eq!(numbers(&sandbox, "nu_range"), [3.0, 50.0]);
-    let npz = Npz::read(&sandbox.path("c.npz")).unwrap();
+    let npz = Npz::read(sandbox.path("c.npz")).unwrap();
     for (key, value) in [("sphere_points", 200.0), ("r_max", 0.6), ("kappa", 0.8), ("temperature", 0.5)] {
         assert_eq!(npz.get::<Ix0>(key, "[]").unwrap().into_scalar(), value, "{key}");
     }
@@ -62,14 +62,14 @@ fn alpha_is_own_the_median_or_a_length() {
     let sandbox = Sandbox::with_scan();
     write_model(&sandbox, [7.0, 5.0, 3.0]);
     let dataset = Dataset::read(sandbox.path("scan")).unwrap();
-    let primitives = model::read(&sandbox.path("m.npz")).unwrap();
+    let primitives = model::read(sandbox.path("m.npz")).unwrap();
     for (word, alpha) in [("own", Alpha::Own), ("median", Alpha::Median), ("0.05", Alpha::Length(0.05))] {
         sandbox.done(&format!("confidence m.npz --scanner scan --out c.npz --alpha {word}"));
         let settings = Settings { alpha, ..Settings::default() };
         let c = Coverage::new(settings).confidence(&primitives, &dataset.scanner, &dataset.train.angles);
         assert_eq!(numbers(&sandbox, "c"), c, "{word}");
         // A length that all primitives share is in the file.
-        let npz = Npz::read(&sandbox.path("c.npz")).unwrap();
+        let npz = Npz::read(sandbox.path("c.npz")).unwrap();
         let written =
             npz.keys().any(|key| key == "alpha").then(|| npz.get::<Ix0>("alpha", "[]").unwrap().into_scalar());
         assert_eq!(written, alpha.constant(&primitives), "{word}");

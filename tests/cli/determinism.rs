@@ -130,8 +130,8 @@ fn several_processes_write_the_same_files_on_any_number_of_threads() {
 fn fifty_training_steps_have_the_same_bits_on_any_number_of_threads() {
     let dataset = scan();
     for precision in [Precision::F32, Precision::F64] {
-        let mut config = Config { iterations: 50, precision, ..Config::default() };
-        config.model.points = 400;
+        let mut config = Config::default();
+        (config.iterations, config.precision, config.model.points) = (50, precision, 400);
         config.loss.tv_block = 16;
         let plan = config.plan(&dataset.scanner, dataset.train.len()).unwrap();
         assert_independent_of_threads(&format!("training {precision:?}"), || {
@@ -145,8 +145,8 @@ fn fifty_training_steps_have_the_same_bits_on_any_number_of_threads() {
 fn a_different_seed_gives_a_different_result() {
     let dataset = scan();
     let run = |seed| {
-        let mut config = Config { iterations: 3, seed, ..Config::default() };
-        config.model.points = 200;
+        let mut config = Config::default();
+        (config.iterations, config.seed, config.model.points) = (3, seed, 200);
         digest_of(
             &train::train(&dataset, &config.plan(&dataset.scanner, dataset.train.len()).unwrap(), None, &mut |_, _| {
                 ControlFlow::Continue(())

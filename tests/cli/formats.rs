@@ -87,14 +87,14 @@ fn a_world_point_has_one_value_in_every_format_and_for_every_reader() {
     sandbox.write("meta_data.json", lopsided().to_string());
     let values = ndarray::Array3::from_shape_fn((5, 4, 7), |(x, y, z)| (100 * x + 10 * y + z) as f32);
     npy::write(&sandbox.path("v.npy"), values.view()).unwrap();
-    let grid = dataset::read_scanner(&sandbox.path("meta_data.json")).unwrap().grid;
+    let grid = dataset::read_scanner(sandbox.path("meta_data.json")).unwrap().grid;
     let (spacing, origin) = (Some(grid.spacing), Some(grid.centre([0, 0, 0])));
     let expected = VolumeFile { values, spacing, origin, ..VolumeFile::default() };
     within!(largest((grid.min - DVec3::new(-0.65, -1.15, -0.7)).to_array()));
     let names = ["v.nii", "v.nii.gz", "v.mha", "v.nrrd"];
     for name in names {
         sandbox.done(&format!("convert v.npy {name} --scanner meta_data.json"));
-        let found = volume_file::read(&sandbox.path(name)).unwrap();
+        let found = volume_file::read(sandbox.path(name)).unwrap();
         assert_eq!((&found.values, found.directions, &found.oddities), (&expected.values, DMat3::IDENTITY, &vec![]));
         for (found, expected) in [(found.spacing, expected.spacing), (found.origin, expected.origin)] {
             assert_close(&found.unwrap().to_array(), &expected.unwrap().to_array(), name);
@@ -129,7 +129,7 @@ fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
     let expected = expected.as_object().unwrap();
     assert!(expected.len() > 50, "{} files", expected.len());
     for (name, expected) in expected {
-        let found = volume_file::read(&sandbox.path(name)).unwrap();
+        let found = volume_file::read(sandbox.path(name)).unwrap();
         assert_seen(expected, &found, name);
         let straight = found.directions == DMat3::IDENTITY;
         assert_eq!(found.oddities.is_empty(), straight, "{name}: {:?}", found.oddities);
@@ -150,7 +150,7 @@ fn volumes_of_itk_and_nibabel_are_read_with_all_that_they_say() {
     let paths: Vec<&Path> = written.iter().map(|(_, path)| path.as_path()).collect();
     let seen = others(&paths, "see").unwrap();
     for (source, path) in &written {
-        let original = volume_file::read(&sandbox.path(source)).unwrap();
+        let original = volume_file::read(sandbox.path(source)).unwrap();
         for (who, found) in seen[path.to_str().unwrap()].as_object().unwrap() {
             assert_seen(found, &original, &format!("{who}, {}", path.display()));
         }
@@ -167,7 +167,7 @@ fn odd_volumes_are_read_as_other_programs_read_them() {
     let expected = expected.as_object().unwrap();
     assert!(expected.len() > 40, "{} files", expected.len());
     for (name, expected) in expected {
-        let found = volume_file::read(&sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let found = volume_file::read(sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
         let shape: [usize; 3] = found.values.dim().into();
         assert_eq!(expected["shape"], json!(shape), "{name}");
         let values: Vec<f64> = found.values.iter().map(|&value| value.into()).collect();
@@ -197,7 +197,7 @@ fn odd_volumes_are_read_as_other_programs_read_them() {
 #[test]
 fn a_ply_holds_the_model_its_confidence_and_colours() {
     let sandbox = Sandbox::with_scan();
-    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    model::write(sandbox.path("model.npz"), &primitives().parameters).unwrap();
     let found = sandbox.done("convert model.npz model.ply --scanner scan");
     assert_eq!(
         (&found["kind"], &found["kernel"], &found["primitives"]),
@@ -244,7 +244,7 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
         for protocol in 2..=5 {
             let pickle = format!("{name}_{protocol}.pickle");
             sandbox.done(&format!("convert {pickle} {pickle}.npz"));
-            let found = model::read(&sandbox.path(&format!("{pickle}.npz"))).unwrap();
+            let found = model::read(sandbox.path(&format!("{pickle}.npz"))).unwrap();
             assert_eq!((found.kernel, found.len()), (KernelKind::Gaussian, 6));
             for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
                 let unbounded = group == Group::Scale && name == "unbounded";
@@ -256,8 +256,8 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
     }
     sandbox.done("convert point_cloud_4.pickle.npz cloud.npz --r2");
     sandbox.done("convert cloud.npz again.ply");
-    let before = model::read(&sandbox.path("point_cloud_4.pickle.npz")).unwrap();
-    let after = model::read(&sandbox.path("again.ply")).unwrap();
+    let before = model::read(sandbox.path("point_cloud_4.pickle.npz")).unwrap();
+    let after = model::read(sandbox.path("again.ply")).unwrap();
     for group in [Group::Mean, Group::Scale, Group::Quaternion, Group::Density] {
         assert_same_parameters(after.parameters.group(group), before.parameters.group(group), group.key());
     }
@@ -270,10 +270,10 @@ fn point_clouds_of_r2_gaussian_come_and_go() {
 #[test]
 fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
     let sandbox = Sandbox::new();
-    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    model::write(sandbox.path("model.npz"), &primitives().parameters).unwrap();
     let output = sandbox.run("convert model.npz cloud.npz --r2");
     assert!(crate::program::stderr(&output).contains("ignores nu"), "{}", crate::program::stderr(&output));
-    let back = model::read(&sandbox.path("cloud.npz")).unwrap();
+    let back = model::read(sandbox.path("cloud.npz")).unwrap();
     assert_eq!((back.kernel, back.parameters.nu), (KernelKind::StudentT, primitives().parameters.nu));
     sandbox.done("voxelize cloud.npz --grid 4,5,6 --out v.npy");
     assert!(sandbox.refused("convert model.npz cloud.ply --r2").contains("--r2"));
@@ -282,7 +282,7 @@ fn students_go_to_r2_gaussian_with_a_warning_and_their_nu() {
 #[test]
 fn impossible_pairs_are_told_which_command_does_it() {
     let sandbox = Sandbox::with_scan();
-    model::write(&sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    model::write(sandbox.path("model.npz"), &primitives().parameters).unwrap();
     for (arguments, remedy) in [
         ("model.npz v.nii.gz", "trgs voxelize"),
         ("model.npz folder", "trgs render"),

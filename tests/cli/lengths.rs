@@ -37,7 +37,7 @@ fn write_frames(sandbox: &Sandbox) {
 }
 
 fn read(sandbox: &Sandbox, name: &str) -> VolumeFile {
-    volume_file::read(&sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    volume_file::read(sandbox.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
 fn assert_at(found: Option<DVec3>, expected: DVec3, what: &str) {
@@ -146,7 +146,7 @@ fn the_volume_of_a_scanned_ct_lies_over_the_ct() {
     let mut files: Vec<(PathBuf, PathBuf)> = Vec::new();
     for (name, directions) in cts() {
         let ct = ct(directions);
-        volume_file::write(&sandbox.path(&format!("{name}.nii.gz")), &ct).unwrap();
+        volume_file::write(sandbox.path(&format!("{name}.nii.gz")), &ct).unwrap();
         let small = "--detector 14 --views 8 --test-views 2";
         let scan = sandbox.done(&format!("simulate --volume {name}.nii.gz --out {name} {small}"));
         assert_eq!(scan["unit"], "mm");
@@ -175,7 +175,7 @@ fn the_volume_of_a_scanned_ct_lies_over_the_ct() {
         other.values = other.values.permuted_axes([2, 0, 1]).as_standard_layout().into_owned();
         other.origin = other.origin.map(|origin| origin + y * s.y * (n.1 - 1) as f64);
         (other.spacing, other.directions) = (Some(DVec3::new(s.z, s.x, s.y)), DMat3::from_cols(z, x, -y));
-        volume_file::write(&sandbox.path("turned.nrrd"), &other).unwrap();
+        volume_file::write(sandbox.path("turned.nrrd"), &other).unwrap();
         assert_eq!(psnr(&sandbox.done(&format!("evaluate turned.nrrd --against {name}"))), psnr(&own), "{name}");
         // The CT itself instead of the scan that was made of it; the test views alone are missing.
         for result in [format!("{name}-run"), format!("{name}-run.mha"), "turned.nrrd".into()] {
@@ -185,7 +185,7 @@ fn the_volume_of_a_scanned_ct_lies_over_the_ct() {
         }
         // In another place it is another volume.
         other.origin = other.origin.map(|origin| origin + 20.0);
-        volume_file::write(&sandbox.path("elsewhere.nrrd"), &other).unwrap();
+        volume_file::write(sandbox.path("elsewhere.nrrd"), &other).unwrap();
         let message = sandbox.refused(&format!("evaluate elsewhere.nrrd --against {name}"));
         assert!(message.contains("its middle is at") && message.contains("convert it to .npy"), "{message}");
     }

@@ -177,7 +177,7 @@ fn every_command_keeps_to_the_limit_and_names_it() {
         density: vec![1.0],
         nu: vec![5.0],
     };
-    trgs::scan::model::write(&sandbox.path("model.npz"), &model).unwrap();
+    trgs::scan::model::write(sandbox.path("model.npz"), &model).unwrap();
     let listed = std::fs::read_to_string(sandbox.path("scan/meta_data.json")).unwrap();
     let mut often: Value = serde_json::from_str(&listed).unwrap();
     let views = often["proj_train"].as_array_mut().unwrap();

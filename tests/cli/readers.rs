@@ -40,7 +40,7 @@ fn with_frames() -> (Sandbox, [&'static str; 5]) {
         sandbox.write(&format!("inner_5x4_uint8/{}.raw", view + 9), content);
     }
     npy::write(&sandbox.path("stack.npy"), frames().view()).unwrap();
-    npz::write(&sandbox.path("stack.npz"), &[("data", Entry::F32(frames().view().into_dyn()))]).unwrap();
+    npz::write(sandbox.path("stack.npz"), &[("data", Entry::F32(frames().view().into_dyn()))]).unwrap();
     (sandbox, ["stack.npy", "stack.npz", "png", "raw", "inner_5x4_uint8"])
 }
 
@@ -74,7 +74,7 @@ fn everything_that_convert_reads_can_be_inspected() {
     let volume = VolumeFile { spacing: Some([0.5, 0.75, 1.25].into()), ..VolumeFile::default() };
     let volume = VolumeFile { values: frames(), ..volume };
     for name in ["v.mha", "v.nrrd", "v.nii", "v.nii.gz", "v.tif", "v_3x4x5_float32.raw"] {
-        volume_file::write(&sandbox.path(name), &volume).unwrap();
+        volume_file::write(sandbox.path(name), &volume).unwrap();
         let found = sandbox.done(&format!("inspect {name}"));
         let has_spacing = !name.contains("tif") && !name.contains("raw");
         assert_eq!(found["shape"], json!([3, 4, 5]), "{name}");
@@ -149,7 +149,7 @@ fn scans_may_name_images_and_volumes_in_other_formats() {
         let values = plain.train.images.select(Axis(0), &[i]).reversed_axes();
         let ending = ["tif", "mha"][i];
         volume_file::write(
-            &sandbox.path(&format!("scan/{view}.{ending}")),
+            sandbox.path(&format!("scan/{view}.{ending}")),
             &VolumeFile { values, ..VolumeFile::default() },
         )
         .unwrap();
@@ -157,7 +157,7 @@ fn scans_may_name_images_and_volumes_in_other_formats() {
     }
     std::fs::remove_file(sandbox.path("scan/vol_gt.npy")).unwrap();
     trgs::write_volume(sandbox.path("scan/truth.nii.gz"), &truth, &plain.frame).unwrap();
-    npz::write(&sandbox.path("scan/truth.npz"), &[("vol", Entry::F32(truth.values.view().into_dyn()))]).unwrap();
+    npz::write(sandbox.path("scan/truth.npz"), &[("vol", Entry::F32(truth.values.view().into_dyn()))]).unwrap();
     for truth in ["truth.nii.gz", "truth.npz"] {
         sandbox.edit("scan/meta_data.json", |meta| {
             meta["proj_train"][0]["file_path"] = json!("proj_train/proj_train_0000.tif");
@@ -171,21 +171,21 @@ fn scans_may_name_images_and_volumes_in_other_formats() {
     // A volume of other proportions is remarked on.
     let spacing = Some(scanner.grid.spacing * glam::DVec3::new(1.0, 1.0, 2.0));
     let other = VolumeFile { values: truth.values, spacing, ..VolumeFile::default() };
-    volume_file::write(&sandbox.path("scan/truth.mha"), &other).unwrap();
+    volume_file::write(sandbox.path("scan/truth.mha"), &other).unwrap();
     sandbox.edit("scan/meta_data.json", |meta| meta["vol"] = json!("truth.mha"));
     let found = sandbox.done("inspect scan");
     assert!(found["oddities"].to_string().contains("is not that of the scan"), "{found}");
     // A file with several pages is no view.
-    volume_file::write(&sandbox.path("scan/proj_train/proj_train_0000.tif"), &other).unwrap();
+    volume_file::write(sandbox.path("scan/proj_train/proj_train_0000.tif"), &other).unwrap();
     assert!(sandbox.refused("inspect scan").contains("one page, [v, u]"));
 }
 
 #[test]
 fn a_volume_in_an_archive_is_converted_and_odd_files_are_warned_of() {
     let sandbox = Sandbox::new();
-    npz::write(&sandbox.path("v.npz"), &[("vol", Entry::F32(frames().view().into_dyn()))]).unwrap();
+    npz::write(sandbox.path("v.npz"), &[("vol", Entry::F32(frames().view().into_dyn()))]).unwrap();
     sandbox.done("convert v.npz v.mha");
-    assert_eq!(volume_file::read(&sandbox.path("v.mha")).unwrap().values, frames());
+    assert_eq!(volume_file::read(sandbox.path("v.mha")).unwrap().values, frames());
     assert!(sandbox.refused("convert v.mha w.npz").contains("a model of a volume"));
     let mut content = sandbox.read("v.mha");
     content.extend([0; 5]);

@@ -294,7 +294,7 @@ fn more_iterations_of_a_run_whose_settings_do_not_depend_on_its_length_are_those
          --set confidence.every=15{constant}"
     );
     sandbox.done(&format!("{run} --out short --iterations 55"));
-    let model = |run: &str| trgs::scan::model::read(&sandbox.path(&format!("{run}/model.npz"))).unwrap().parameters;
+    let model = |run: &str| trgs::scan::model::read(sandbox.path(&format!("{run}/model.npz"))).unwrap().parameters;
     let before = model("short");
     sandbox.done("reconstruct scan --out short --resume --iterations 120 --threads 3");
     sandbox.done(&format!("{run} --out long --iterations 120"));
@@ -318,7 +318,7 @@ fn a_run_starts_from_the_model_of_another_one() {
     let run = format!("reconstruct other --out second {from} --set initialisation.model=first/model.npz");
     let output = sandbox.run(&run);
     assert!(output.status.success(), "{}", stderr(&output));
-    let model = |run: &str| trgs::scan::model::read(&sandbox.path(&format!("{run}/model.npz"))).unwrap();
+    let model = |run: &str| trgs::scan::model::read(sandbox.path(&format!("{run}/model.npz"))).unwrap();
     let config = sandbox.text("second/config.toml");
     assert!(config.contains(&format!("points = {}\n", model("first").len())), "{config}");
     let provenance: serde_json::Value = serde_json::from_str(&sandbox.text("second/provenance.json")).unwrap();

@@ -183,7 +183,7 @@ fn the_program_takes_scans_in_any_unit_and_judges_them_by_the_range_of_the_truth
     assert!(near.get("psnr_3d_range").is_none(), "{near}");
     let far = sandbox.done(&format!("reconstruct half --out of_half {run}"));
     let of = |found: &serde_json::Value, name: &str| found[name]["value"].as_f64().unwrap();
-    let model = |run: &str| trgs::scan::model::read(&sandbox.path(&format!("{run}/model.npz"))).unwrap().parameters;
+    let model = |run: &str| trgs::scan::model::read(sandbox.path(&format!("{run}/model.npz"))).unwrap().parameters;
     let (one, other) = (model("of_scan"), model("of_half"));
     assert!(one.mean == other.mean && one.density.iter().zip(&other.density).all(|(a, b)| a / 64.0 == *b));
     within!((of(&far, "psnr_2d") - of(&near, "psnr_2d")).abs());

@@ -9,7 +9,7 @@ use trgs::oracle::{Case, Format, Level, Options, Question, Report, Tolerances, V
 
 /// The vectors of the source tree.
 pub(crate) fn vectors() -> Vectors {
-    Vectors::open(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/vectors")).unwrap()
+    Vectors::open(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/vectors")).unwrap()
 }
 
 /// Writes this program's answers to the wanted cases.

@@ -45,7 +45,8 @@ fn default_runs_are_as_good_as_they_were() {
             let volume = scan.truth.take().unwrap();
             scan = simulate(phantom, Object::Volume(&volume), &scanner, &plan).unwrap();
         }
-        let config = Config { iterations: ITERATIONS, ..Config::of(Method::TrGs) };
+        let mut config = Config::of(Method::TrGs);
+        config.iterations = ITERATIONS;
         let found = reconstruct(&scan, &config).unwrap();
         let truth = scan.truth.as_ref().unwrap().values.view();
         let volumes = [&found.volume, found.unfinished.as_ref().expect("a default run is finished on voxels")];

@@ -365,7 +365,7 @@ fn the_report_is_written_for_readers_programs_and_build_servers() {
     answers::write(folder.path(), case, &outputs).unwrap();
     fs::write(folder.path().join("backend.json"), r#"{"name": "mine", "version": "3"}"#).unwrap();
     let result = judge(&vectors, folder.path(), Format::F64, &stages);
-    let paths = report::write(&result, &folder.path().join("report.json")).unwrap();
+    let paths = report::write(&result, folder.path().join("report.json")).unwrap();
     let [json, markdown, junit] = paths.map(|path| fs::read_to_string(path).unwrap());
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["backend"]["name"], "mine");
@@ -373,7 +373,7 @@ fn the_report_is_written_for_readers_programs_and_build_servers() {
     assert!(json["results"][0]["parts"][0]["difference"]["worst"]["ulp"].as_f64().unwrap() > 1e15);
     assert!(markdown.contains("mine 3: FAILED") && markdown.contains("the opposite sign"), "{markdown}");
     assert!(junit.contains("<failure") && junit.contains(&case.id), "{junit}");
-    assert!(report::write(&result, &folder.path().join("report.txt")).is_err());
+    assert!(report::write(&result, folder.path().join("report.txt")).is_err());
 }
 
 /// All failures are listed, and before them no missing answer.

@@ -298,9 +298,8 @@ fn posed_scans_reconstruct_as_well_as_plain_ones() {
         psnr(scan, &tv::<f32>(&projector, &scan.train, &settings, None, &mut |_| ControlFlow::Continue(())).unwrap())
     };
     let of_primitives = |scan: &Dataset| {
-        let mut config = Config { iterations: 150, ..Config::of(Method::TrGs) };
-        config.model.points = 1000;
-        config.density_control.cap = 1000;
+        let mut config = Config::of(Method::TrGs);
+        (config.iterations, config.model.points, config.density_control.cap) = (150, 1000, 1000);
         // The decision between samplings is not what is compared.
         (config.finish, config.sampling) = (Finish::None, Sampling::Point);
         psnr(scan, &trgs::reconstruct(scan, &config).unwrap().volume)
@@ -424,7 +423,8 @@ fn a_checkpoint_of_other_poses_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("checkpoint");
     let posed = scan(16, 6, &Orbit { axis_shift: 0.05, ..Orbit::CIRCLE });
-    let mut config = Config { iterations: 6, checkpoint_every: 3, ..Config::of(Method::TrGs) };
+    let mut config = Config::of(Method::TrGs);
+    (config.iterations, config.checkpoint_every) = (6, 3);
     (config.model.points, config.density_control.cap, config.finish) = (50, 50, Finish::None);
     let run = |dataset: &Dataset| {
         let from = file.exists().then(|| trgs::reconstruction::Checkpoint::read(&file)).transpose()?;

@@ -73,8 +73,8 @@ fn filtered_backprojection_is_as_good_as_that_of_another_program() {
 fn a_real_engine_is_reconstructed_within_1_5_db_of_the_published_code() {
     let Some(path) = scan("engine_18v") else { return };
     let scan = Dataset::read(&path).unwrap();
-    let mut config = Config { iterations: 500, ..Config::default() };
-    (config.model.points, config.loss.tv_block) = (16_000, 16);
+    let mut config = Config::default();
+    (config.iterations, config.model.points, config.loss.tv_block) = (500, 16_000, 16);
     config.density_control.method = DensityControl::None;
     config.optimiser.position = PositionOptimiser::Adam;
     (config.confidence.enabled, config.wavelet.enabled) = (false, false);

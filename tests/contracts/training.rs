@@ -212,7 +212,8 @@ fn a_population_that_dies_out_is_an_error_and_no_crash() {
 
 /// Number of heap allocations in a run of so many iterations, on one thread.
 fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u64 {
-    let config = Config { iterations, ..config.clone() };
+    let mut config = config.clone();
+    config.iterations = iterations;
     let mut blocks = 0;
     let measured = || blocks = allocation_counter::measure(|| drop(run(dataset, &config))).count_total;
     threads::install(1, measured).unwrap();
@@ -224,7 +225,9 @@ fn blocks_of_memory(dataset: &Dataset, config: &Config, iterations: usize) -> u6
 fn what_fills_an_array_that_is_there_has_the_bits_of_a_new_one_and_asks_for_no_memory() {
     let dataset = scan();
     let Scanner { grid, detector, .. } = dataset.scanner;
-    let model = run(&dataset, &Config { iterations: 1, ..busy(Method::TrGs) }).primitives;
+    let mut config = busy(Method::TrGs);
+    config.iterations = 1;
+    let model = run(&dataset, &config).primitives;
     let field = Field::<f32>::new(&model, 1e-3);
     let (view, there) = (field.view(&dataset.scanner, 0.4, Projection::Exact), field.on(&grid));
     let ssim = Ssim::<f32>::default();
@@ -275,7 +278,9 @@ fn an_iteration_with_wavelets_asks_for_no_memory() {
 #[test]
 fn an_iteration_in_which_nothing_else_is_due_asks_for_no_memory() {
     let dataset = scan();
-    for mut config in pairs().chain([Config { projection: Projection::Affine, ..busy(Method::TrGs) }]) {
+    let mut affine = busy(Method::TrGs);
+    affine.projection = Projection::Affine;
+    for mut config in pairs().chain([affine]) {
         // Only the losses of every iteration and the optimisers.
         (config.density_control.every, config.confidence.every, config.wavelet.every) = (1000, 1000, 1000);
         (config.report_every, config.model.points) = (1000, 700);

@@ -9,7 +9,7 @@ use serde_json::json;
 use trgs::Projections;
 use trgs::classical::algebraic::{self, Observe, Order, Pass};
 use trgs::classical::{self, RayModel, Turn, VoxelProjector, Window};
-use trgs::config::{AlgebraicConfig, AsdPocsConfig, Auto, Precision, TvConfig};
+use trgs::config::{Auto, Precision};
 use trgs::scan::plausibility;
 use trgs::{Config, Method};
 
@@ -386,10 +386,11 @@ pub(crate) fn os_sart<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     check_run(iterations, scanner)?;
     let order = word("order", order, &ORDERS)?;
-    let mut config = Config { iterations, seed, ..Config::of(Method::OsSart) };
-    let algebraic =
-        AlgebraicConfig { relaxation, reduction, subset, order, non_negative, tolerance, ..config.algebraic };
-    config.algebraic = algebraic;
+    let mut config = Config::of(Method::OsSart);
+    (config.iterations, config.seed) = (iterations, seed);
+    let part = &mut config.algebraic;
+    (part.relaxation, part.reduction, part.subset, part.order) = (relaxation, reduction, subset, order);
+    (part.non_negative, part.tolerance) = (non_negative, tolerance);
     config.validate().map_err(raise)?;
     let sart = config.sart();
     let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
@@ -456,9 +457,12 @@ pub(crate) fn asd_pocs<'py>(
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     check_run(iterations, scanner)?;
-    let mut config = Config { iterations, density_unit: Auto::Fixed(unit), ..Config::of(Method::AsdPocs) };
+    let mut config = Config::of(Method::AsdPocs);
+    (config.iterations, config.density_unit) = (iterations, Auto::Fixed(unit));
     (config.algebraic.relaxation, config.algebraic.reduction) = (relaxation, reduction);
-    config.asd_pocs = AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon };
+    let part = &mut config.asd_pocs;
+    (part.tv_steps, part.alpha, part.alpha_reduction) = (tv_steps, alpha, alpha_reduction);
+    (part.r_max, part.epsilon) = (r_max, epsilon);
     config.validate().map_err(raise)?;
     let settings = config.asd_pocs();
     let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
@@ -545,8 +549,9 @@ pub(crate) fn tv<'py>(
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     check_run(iterations, scanner)?;
-    let mut config = Config { iterations, ..Config::of(Method::Tv) };
-    config.tv = TvConfig { weight: Auto::Fixed(weight), tolerance, steps, ..config.tv };
+    let mut config = Config::of(Method::Tv);
+    config.iterations = iterations;
+    (config.tv.weight, config.tv.tolerance, config.tv.steps) = (Auto::Fixed(weight), tolerance, steps);
     config.validate().map_err(raise)?;
     let settings = config.tv();
     let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);

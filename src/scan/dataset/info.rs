@@ -52,7 +52,8 @@ impl DatasetInfo {
     ///
     /// # Errors
     /// Those of [`Dataset::read`] for the description.
-    pub fn read(path: &Path) -> Result<Option<Self>> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Option<Self>> {
+        let path = path.as_ref();
         if naf::is_pickle(path) {
             return Ok(None);
         }

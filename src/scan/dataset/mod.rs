@@ -108,7 +108,8 @@ impl Description {
     ///
     /// # Errors
     /// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         if naf::is_pickle(path) {
             let Dataset { scanner, scale, frame, train, oddities, .. } = naf::read(path)?;
             let motion = train.poses.map_or(Motion::Circle, Motion::Poses);
@@ -204,7 +205,7 @@ impl Description {
 ///
 /// # Errors
 /// [`Error::Read`] for a file that cannot be read, [`Error::Format`] for content that is wrong.
-pub fn read_scanner(path: &Path) -> Result<Scanner> {
+pub fn read_scanner(path: impl AsRef<Path>) -> Result<Scanner> {
     Ok(Description::read(path)?.scanner)
 }
 
@@ -214,7 +215,8 @@ pub fn read_scanner(path: &Path) -> Result<Scanner> {
 ///
 /// # Errors
 /// Those of [`read_scanner`], and for a scan whose views have poses of their own.
-pub fn read_at_angles(path: &Path, angles: &[f64]) -> Result<(Scanner, Option<Vec<Pose>>)> {
+pub fn read_at_angles(path: impl AsRef<Path>, angles: &[f64]) -> Result<(Scanner, Option<Vec<Pose>>)> {
+    let path = path.as_ref();
     let description = Description::read(path)?;
     if description.motion.is_of_single_views() {
         let expected = "the views of the scan: each has a pose of its own";

@@ -70,7 +70,7 @@ fn what_is_written_is_read_again_bit_for_bit() {
     assert_eq!((read.scanner.beam, read.scanner.detector), (expected.scanner.beam, expected.scanner.detector));
     assert_eq!(read.scanner.grid.spacing, expected.scanner.grid.spacing);
     within!((read.scanner.grid.min - expected.scanner.grid.min).abs().max_element());
-    assert_eq!(read_scanner(&path.join("meta_data.json")).unwrap(), read.scanner);
+    assert_eq!(read_scanner(path.join("meta_data.json")).unwrap(), read.scanner);
     assert_eq!(read_scanner(&path).unwrap(), read.scanner);
 }
 

@@ -89,7 +89,8 @@ impl Hdf5 {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a file that is not HDF5.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         let failed = |source| Error::read(path, source);
         let mut file = crate::input::open(path).map_err(failed)?;
         let mut head = Vec::new();

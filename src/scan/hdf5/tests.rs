@@ -3,6 +3,7 @@ use crate::damage::{MANY, assert_reader_survives};
 use crate::stack::{self, ScanFile};
 use crate::volume_file;
 use ndarray::Array3;
+use trgs_core::setting::Text;
 
 fn path(name: &str) -> PathBuf {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data")).join(name)
@@ -14,7 +15,7 @@ fn values() -> Array3<f32> {
 }
 
 fn scan(name: &str) -> ScanFile {
-    stack::read_scan_file(&path(name)).unwrap().unwrap()
+    stack::read_scan_file(path(name)).unwrap().unwrap()
 }
 
 #[test]
@@ -34,8 +35,8 @@ fn a_scan_of_data_exchange_has_its_fields_and_angles() {
         .map(Text::from)
     );
     // A name asks for the array alone.
-    assert_eq!(stack::read_scan_file(&path("exchange.h5:/exchange/data")).unwrap(), None);
-    assert_eq!(stack::read(&path("exchange.h5:/exchange/data")).unwrap(), values());
+    assert_eq!(stack::read_scan_file(path("exchange.h5:/exchange/data")).unwrap(), None);
+    assert_eq!(stack::read(path("exchange.h5:/exchange/data")).unwrap(), values());
 }
 
 #[test]
@@ -57,68 +58,68 @@ fn a_scan_of_nx_tomo_is_divided_by_its_image_key() {
 
 #[test]
 fn a_volume_of_matlab_has_its_axes() {
-    let found = volume_file::read(&path("matlab.mat")).unwrap();
+    let found = volume_file::read(path("matlab.mat")).unwrap();
     assert_eq!(found.values, values().reversed_axes());
     assert_eq!(found.oddities, ["/A is read, and not /pixel [1, 1]"]);
-    assert_eq!(stack::read(&path("matlab.mat")).unwrap(), values());
+    assert_eq!(stack::read(path("matlab.mat")).unwrap(), values());
 }
 
 #[test]
 fn all_types_of_numbers_are_read_in_both_byte_orders() {
-    let file = Hdf5::read(&path("arrays.h5")).unwrap();
+    let file = Hdf5::read(path("arrays.h5")).unwrap();
     let expected = values().mapv(|value| (value / 7.0).floor());
     let types: Vec<&Entry> = file.entries().iter().filter(|entry| entry.name.starts_with("/types/")).collect();
     assert_eq!(types.len(), 12);
     for entry in types {
-        let found = volume_file::read(&path(&format!("arrays.h5:{}", entry.name))).unwrap();
+        let found = volume_file::read(path(&format!("arrays.h5:{}", entry.name))).unwrap();
         assert_eq!(found.values, expected.clone().reversed_axes(), "{} {}", entry.name, entry.numbers);
     }
-    let slice = volume_file::read(&path("arrays.h5:/slice")).unwrap().values;
+    let slice = volume_file::read(path("arrays.h5:/slice")).unwrap().values;
     assert_eq!(slice.dim(), (5, 3, 1));
-    let constant = volume_file::read(&path("arrays.h5:/constant")).unwrap().values;
+    let constant = volume_file::read(path("arrays.h5:/constant")).unwrap().values;
     assert!(constant.dim() == (70, 60, 50) && constant.iter().all(|&value| value == 2.5));
 }
 
 #[test]
 fn what_cannot_be_read_is_named_with_what_can() {
-    let refused = |name: &str| volume_file::read(&path(name)).unwrap_err().to_string();
+    let refused = |name: &str| volume_file::read(path(name)).unwrap_err().to_string();
     let message = refused("arrays.h5");
     assert!(message.contains("/constant [50, 60, 70]") && message.contains("arrays.h5:/"), "{message}");
     let message = refused("arrays.h5:/typos");
     assert!(message.contains("/typos") && message.contains("name one of its arrays: /constant"), "{message}");
-    assert_eq!(volume_file::read(&path("arrays.h5:/half")).unwrap().values, values().reversed_axes());
+    assert_eq!(volume_file::read(path("arrays.h5:/half")).unwrap().values, values().reversed_axes());
     assert!(refused("missing.h5").contains("missing.h5"));
     let parse = |content: &[u8]| volume_file::parse(content, Path::new("a.mat")).unwrap_err().to_string();
     assert!(parse(b"MATLAB 5.0 MAT-file").contains("-v7.3"));
     assert!(parse(b"no HDF5").contains("a.mat"));
     assert_eq!(stack::read_scan_file(Path::new("frames.npy")).unwrap(), None);
-    assert_eq!(stack::read_scan_file(&path("arrays.h5")).unwrap(), None);
+    assert_eq!(stack::read_scan_file(path("arrays.h5")).unwrap(), None);
 }
 
 #[test]
 fn the_end_of_a_search_is_told_and_names_reach_beyond_it() {
     let deep: String = (0..18).map(|i| format!("/g{i}")).collect();
-    let found = Hdf5::read(&path("deep.h5")).unwrap();
+    let found = Hdf5::read(path("deep.h5")).unwrap();
     let limit = found.limit().unwrap();
     assert!(limit.contains("ended 16 levels deep, before /g0/g1/"), "{limit}");
     assert!(limit.contains("deep.h5:/path/of/array"), "{limit}");
     let names: Vec<&str> = found.entries().iter().map(|entry| entry.name.as_str()).collect();
     assert_eq!(names, ["/top"]);
     // The array that was found is read with a remark; others by their name.
-    let only = volume_file::read(&path("deep.h5")).unwrap();
+    let only = volume_file::read(path("deep.h5")).unwrap();
     assert_eq!((only.values.dim().2, &only.oddities), (2, &vec![limit]));
-    let named = volume_file::read(&path(&format!("deep.h5:{deep}/deep"))).unwrap();
+    let named = volume_file::read(path(&format!("deep.h5:{deep}/deep"))).unwrap();
     assert_eq!((named.values, named.oddities), (values().reversed_axes(), vec![]));
     for missing in [format!("{deep}/none"), format!("{deep}/g18/none"), "/none".into()] {
-        let message = volume_file::read(&path(&format!("deep.h5:{missing}"))).unwrap_err().to_string();
+        let message = volume_file::read(path(&format!("deep.h5:{missing}"))).unwrap_err().to_string();
         assert!(message.contains("/top [2, 3, 5] (the search ended 16 levels deep"), "{message}");
     }
     // Ten groups, each linked twice.
-    let found = Hdf5::read(&path("many_paths.h5")).unwrap();
+    let found = Hdf5::read(path("many_paths.h5")).unwrap();
     assert!(found.limit().unwrap().contains("after 1000 groups, before /"), "{:?}", found.limit());
     assert_eq!(found.entry("z/data").unwrap().shape, [2, 3, 5]);
     for whole in ["exchange.h5", "nxtomo.nxs", "matlab.mat", "arrays.h5"] {
-        assert_eq!(Hdf5::read(&path(whole)).unwrap().limit(), None, "{whole}");
+        assert_eq!(Hdf5::read(path(whole)).unwrap().limit(), None, "{whole}");
     }
 }
 

@@ -20,7 +20,8 @@ use trgs_core::primitives::{Group, Parameters, Primitives};
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file or the first value that cannot be used.
-pub fn read(path: &Path) -> Result<Primitives> {
+pub fn read(path: impl AsRef<Path>) -> Result<Primitives> {
+    let path = path.as_ref();
     let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
 }
@@ -71,7 +72,7 @@ fn rows<const N: usize>(path: &Path, npz: &Npz, group: Group) -> Result<Vec<[f64
 ///
 /// # Errors
 /// [`Error::Write`] with the error of the operating system.
-pub fn write(path: &Path, parameters: &Parameters) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, parameters: &Parameters) -> Result<()> {
     let m = parameters.len();
     let entry = |group: Group| {
         let shape = if group.width() == 1 { IxDyn(&[m]) } else { IxDyn(&[m, group.width()]) };

@@ -70,7 +70,8 @@ struct Ply {
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a damaged file, a missing property or the first value that cannot be used.
-pub fn read(path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
+pub fn read(path: impl AsRef<Path>) -> Result<(Primitives, Option<Vec<f64>>)> {
+    let path = path.as_ref();
     let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
     parse(&content, path)
 }
@@ -126,7 +127,11 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Primitives, Option<V
 ///
 /// # Panics
 /// When the number of confidences is not the number of primitives.
-pub fn write(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>, frame: &Frame) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, primitives: &Primitives, confidence: Option<&[f64]>, frame: &Frame) -> Result<()> {
+    write_path(path.as_ref(), primitives, confidence, frame)
+}
+
+fn write_path(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>, frame: &Frame) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     assert!(confidence.is_none_or(|c| c.len() == density.len()), "one confidence for each primitive");
     let (of, place) = match (confidence, primitives.kernel) {

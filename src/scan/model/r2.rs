@@ -94,7 +94,11 @@ fn interpret(path: &Path, array: impl Fn(&str) -> Found, bound: Option<Vec<f64>>
 ///
 /// # Errors
 /// [`Error::Write`], or [`Error::Invalid`] for a density that is not positive, which the format cannot store.
-pub fn write(path: &Path, primitives: &Primitives) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, primitives: &Primitives) -> Result<()> {
+    write_path(path.as_ref(), primitives)
+}
+
+fn write_path(path: &Path, primitives: &Primitives) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     if let Some(i) = density.iter().position(|density| *density <= 0.0) {
         let expected = "a positive number, as R²-Gaussian has no other";

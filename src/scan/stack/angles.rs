@@ -26,7 +26,8 @@ const LONGEST: usize = 40;
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for the first word that is not a finite number, and for a header that states
 /// another unit.
-pub fn read_angles(path: &Path, in_degrees: bool) -> Result<Vec<f64>> {
+pub fn read_angles(path: impl AsRef<Path>, in_degrees: bool) -> Result<Vec<f64>> {
+    let path = path.as_ref();
     let (angles, unit) = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy")) {
         (npy::read_f64::<Ix1>(path, "[view]")?.to_vec(), None)
     } else {

@@ -53,7 +53,7 @@ pub struct Orientation {
 /// # Errors
 /// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
 /// not fit.
-pub fn read(path: &Path) -> Result<Array3<f32>> {
+pub fn read(path: impl AsRef<Path>) -> Result<Array3<f32>> {
     read_with_oddities(path).map(|(stack, _)| stack)
 }
 
@@ -61,7 +61,8 @@ pub fn read(path: &Path) -> Result<Array3<f32>> {
 ///
 /// # Errors
 /// Those of [`read`].
-pub fn read_with_oddities(path: &Path) -> Result<(Array3<f32>, Vec<String>)> {
+pub fn read_with_oddities(path: impl AsRef<Path>) -> Result<(Array3<f32>, Vec<String>)> {
+    let path = path.as_ref();
     if path.is_dir() {
         let files = files(path)?;
         let frames = with_extension(&files, &["npy"]);

@@ -50,7 +50,8 @@ impl RtkGeometry {
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for content that is no such geometry or has no meaning here.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
         let text = crate::input::read(path).map_err(|source| Error::read(path, source))?;
         Self::parse(&String::from_utf8_lossy(&utf8(&text))).map_err(|error| error.in_file(path))
     }

@@ -29,7 +29,8 @@ pub struct ScanFile {
 ///
 /// # Errors
 /// Those of reading the file, and [`trgs_core::Error::Invalid`] in a build without the feature `hdf5`.
-pub fn read_scan_file(path: &Path) -> Result<Option<ScanFile>> {
+pub fn read_scan_file(path: impl AsRef<Path>) -> Result<Option<ScanFile>> {
+    let path = path.as_ref();
     match array_path::is_hdf5(path) && array_path::parts(path).1.is_none() {
         true => scan_of(path),
         false => Ok(None),

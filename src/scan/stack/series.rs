@@ -63,7 +63,11 @@ pub struct Series {
 ///
 /// # Errors
 /// Those of [`read`](super::read()).
-pub fn read_series(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
+pub fn read_series(path: impl AsRef<Path>, fields: &[(&str, &Path)]) -> Result<Series> {
+    series_of(path.as_ref(), fields)
+}
+
+fn series_of(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
     let (values, oddities) = read_with_oddities(path)?;
     let mut series = Series { values, names: Vec::new(), remarks: oddities.iter().map(Text::from).collect() };
     if !path.is_dir() {
@@ -399,7 +403,7 @@ mod tests {
             write(&format!("frames/{name}.npy"), value);
         }
         write("field.npy", 9.0);
-        let kept = |field: &Path| read_series(&at("frames"), &[("flat field", field)]).unwrap();
+        let kept = |field: &Path| read_series(at("frames"), &[("flat field", field)]).unwrap();
         let series = kept(&at("field.npy"));
         assert_eq!(series.names, ["0.npy", "1.npy", "2.npy"]);
         assert_eq!(series.values.dim(), (3, 2, 3));
@@ -416,10 +420,10 @@ mod tests {
         let series = kept(&at("frames/1.npy"));
         assert_eq!(series.names[..2], ["0.npy", "2.npy"]);
         assert_eq!(series.values[[1, 0, 0]], 9.0);
-        let one = read_series(&at("field.npy"), &[]).unwrap();
+        let one = read_series(at("field.npy"), &[]).unwrap();
         assert!(one.names.is_empty() && one.remarks.is_empty());
         npy::write(&at("frames/1.npy"), ndarray::Array2::<f64>::zeros((2, 3)).view()).unwrap();
-        let series = read_series(&at("frames"), &[]).unwrap();
+        let series = read_series(at("frames"), &[]).unwrap();
         let types = "frames have different types of numbers: 3 of <f4 like 0.npy, 1 of <f8 like 1.npy";
         assert!(series.remarks.iter().any(|remark| remark.to_string().starts_with(types)), "{:?}", series.remarks);
     }

@@ -22,7 +22,7 @@ fn a_stack_is_the_same_in_every_format() {
     let values = frames().reversed_axes().as_standard_layout().into_owned();
     let volume = VolumeFile { values, ..VolumeFile::default() };
     for name in ["a.tif", "a.mha", "a.nii.gz", "a_5x4x3_float32.raw"] {
-        volume_file::write(&at(name), &volume).unwrap();
+        volume_file::write(at(name), &volume).unwrap();
     }
     for sub in ["npy", "tif"] {
         std::fs::create_dir(at(sub)).unwrap();
@@ -32,16 +32,16 @@ fn a_stack_is_the_same_in_every_format() {
         npy::write(&at("npy").join(&name).with_extension("npy"), frame).unwrap();
         let values = frame.to_owned().reversed_axes().insert_axis(Axis(2));
         let page = VolumeFile { values, ..volume.clone() };
-        volume_file::write(&at("tif").join(&name).with_extension("tif"), &page).unwrap();
+        volume_file::write(at("tif").join(&name).with_extension("tif"), &page).unwrap();
     }
     for name in ["a.npy", "a.tif", "a.mha", "a.nii.gz", "a_5x4x3_float32.raw", "npy", "tif"] {
-        let found = read(&at(name)).unwrap();
+        let found = read(at(name)).unwrap();
         assert_eq!(found, frames(), "{name}");
         assert!(found.is_standard_layout(), "{name}");
     }
-    assert_eq!(read(&at("npy/f10.npy")).unwrap(), frames().select(Axis(0), &[1]));
+    assert_eq!(read(at("npy/f10.npy")).unwrap(), frames().select(Axis(0), &[1]));
     npy::write(&at("npy/f3.npy"), Array3::<f32>::zeros((1, 4, 4)).index_axis(Axis(0), 0)).unwrap();
-    assert!(read(&at("npy")).unwrap_err().to_string().contains("f3.npy: frame: got shape [4, 4]"));
+    assert!(read(at("npy")).unwrap_err().to_string().contains("f3.npy: frame: got shape [4, 4]"));
 }
 
 #[test]

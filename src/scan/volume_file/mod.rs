@@ -207,7 +207,11 @@ pub fn has_known_ending(path: &Path) -> bool {
 /// # Errors
 /// [`Error::Read`], [`Error::Invalid`] for an unknown extension, or [`Error::Format`] for the first content that does
 /// not fit.
-pub fn read(path: &Path) -> Result<VolumeFile> {
+pub fn read(path: impl AsRef<Path>) -> Result<VolumeFile> {
+    read_path(path.as_ref())
+}
+
+fn read_path(path: &Path) -> Result<VolumeFile> {
     read_in_any_order(path).map(VolumeFile::in_order)
 }
 
@@ -268,7 +272,11 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
 ///
 /// # Errors
 /// [`Error::Write`], or [`Error::Invalid`] for an unknown extension or a `.raw` whose name states another size or type.
-pub fn write(path: &Path, volume: &VolumeFile) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, volume: &VolumeFile) -> Result<()> {
+    write_path(path.as_ref(), volume)
+}
+
+fn write_path(path: &Path, volume: &VolumeFile) -> Result<()> {
     let format = Format::of(path).map_err(|_| not_written(path))?;
     let shape: [usize; 3] = volume.values.dim().into();
     let place = Place::of(volume);

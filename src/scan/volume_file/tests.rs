@@ -22,12 +22,12 @@ fn folder() -> (TempDir, impl Fn(&str) -> PathBuf) {
 fn what_is_written_is_read_again() {
     let (_folder, at) = folder();
     for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a.npy", "a.tif", "a.TIFF", "a_3x4x5_float32.raw"] {
-        write(&at(name), &sample()).unwrap();
+        write(at(name), &sample()).unwrap();
         let mut expected = sample();
         if ["npy", "raw", "tif", "TIFF"].iter().any(|ending| name.ends_with(ending)) {
             (expected.spacing, expected.origin) = (None, None);
         }
-        assert_eq!(read(&at(name)).unwrap(), expected, "{name}");
+        assert_eq!(read(at(name)).unwrap(), expected, "{name}");
     }
 }
 
@@ -40,8 +40,8 @@ fn directions_go_through_every_format_that_has_them() {
     {
         let turned = VolumeFile { directions, ..sample() };
         for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz"] {
-            write(&at(name), &turned).unwrap();
-            let found = read(&at(name)).unwrap();
+            write(at(name), &turned).unwrap();
+            let found = read(at(name)).unwrap();
             within!(largest((found.directions - directions).to_cols_array()), "{name}: {}", found.directions);
             within!(largest((found.spacing.unwrap() - turned.spacing.unwrap()).to_array()), "{name}");
             assert_eq!((found.values, found.origin), (turned.values.clone(), turned.origin), "{name}");
@@ -53,7 +53,7 @@ fn directions_go_through_every_format_that_has_them() {
 #[test]
 fn nifti_counts_to_the_right_and_the_front_and_the_others_to_the_left_and_the_back() {
     let (_folder, at) = folder();
-    write(&at("a.nii"), &sample()).unwrap();
+    write(at("a.nii"), &sample()).unwrap();
     let header = std::fs::read(at("a.nii")).unwrap();
     let number = |at: usize| f32::from_le_bytes(header[at..at + 4].try_into().unwrap());
     // The rows of the matrix, and the quaternion of half a turn about z with the same origin.
@@ -61,17 +61,17 @@ fn nifti_counts_to_the_right_and_the_front_and_the_others_to_the_left_and_the_ba
     assert_eq!(rows, [-0.5, 0.0, 0.0, 1.0, 0.0, -0.25, 0.0, -3.0, 0.0, 0.0, 2.0, 0.125]);
     let quaternion: Vec<f32> = (0..6).map(|i| number(256 + 4 * i)).collect();
     assert_eq!(quaternion, [0.0, 0.0, 1.0, 1.0, -3.0, 0.125]);
-    write(&at("a.mha"), &sample()).unwrap();
+    write(at("a.mha"), &sample()).unwrap();
     let header = std::fs::read(at("a.mha")).unwrap();
     let header = String::from_utf8_lossy(&header);
     assert!(header.contains("TransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = -1 3 0.125\n"), "{header}");
-    write(&at("a.nrrd"), &sample()).unwrap();
+    write(at("a.nrrd"), &sample()).unwrap();
     let mut content = std::fs::read(at("a.nrrd")).unwrap();
     let said = b"left-posterior-superior";
     let place = content.windows(said.len()).position(|window| window == said).unwrap();
     content.splice(place..place + said.len(), *b"right-anterior-superior");
     std::fs::write(at("ras.nrrd"), content).unwrap();
-    let found = read(&at("ras.nrrd")).unwrap();
+    let found = read(at("ras.nrrd")).unwrap();
     assert_eq!(found.origin, Some(DVec3::new(1.0, -3.0, 0.125)));
     assert_eq!(found.directions, DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0)));
 }
@@ -81,7 +81,7 @@ fn the_same_volume_gives_the_same_bytes() {
     let (_folder, at) = folder();
     for name in ["a.mha", "a.nrrd", "a.nii", "a.nii.gz", "a.tif"] {
         let bytes = || {
-            write(&at(name), &sample()).unwrap();
+            write(at(name), &sample()).unwrap();
             std::fs::read(at(name)).unwrap()
         };
         assert!(bytes() == bytes(), "{name}");
@@ -95,17 +95,17 @@ fn types_orders_and_files_beside_are_understood() {
     // x is the fastest: (0,0,0), (1,0,0), (0,0,1), (1,0,1).
     let numbers: [u16; 4] = [1, 2, 3, 256];
     std::fs::write(at("v_2x1x2_uint16be.raw"), numbers.map(u16::to_be_bytes).concat()).unwrap();
-    assert_eq!(read(&at("v_2x1x2_uint16be.raw")).unwrap().values, expected);
+    assert_eq!(read(at("v_2x1x2_uint16be.raw")).unwrap().values, expected);
     let header = "ObjectType = Image\nNDims = 3\nDimSize = 2 1 2\nElementType = MET_USHORT\nElementByteOrderMSB = True\n\
                   TransformMatrix = 0 1 0 1 0 0 0 0 1\nElementSpacing = 1 2 3\nElementDataFile = v_2x1x2_uint16be.raw\n";
     std::fs::write(at("v.mhd"), header).unwrap();
-    let found = read(&at("v.mhd")).unwrap();
+    let found = read(at("v.mhd")).unwrap();
     assert_eq!((found.values, found.spacing), (expected.clone(), Some(DVec3::new(1.0, 2.0, 3.0))));
     assert!(found.oddities[0].contains("directions [0, 1, 0], [1, 0, 0]"));
     let header = "NRRD0001\n# a remark\ntype: unsigned short\ndimension: 3\nsizes: 2 1 2\nspacings: 1 2 3\nendian: big\n\
                   encoding: raw\ndata file: v_2x1x2_uint16be.raw";
     std::fs::write(at("v.nhdr"), header).unwrap();
-    let found = read(&at("v.nhdr")).unwrap();
+    let found = read(at("v.nhdr")).unwrap();
     assert_eq!((found.values, found.spacing), (expected, Some(DVec3::new(1.0, 2.0, 3.0))));
 }
 
@@ -209,27 +209,27 @@ fn a_folder_of_pages_is_read_in_natural_order() {
     std::fs::create_dir(at("pages")).unwrap();
     let page = |name: &str, value: f32, depth: usize| {
         let values = Array3::from_elem((3, 2, depth), value);
-        write(&at("pages").join(name), &VolumeFile { values, ..sample() }).unwrap();
+        write(at("pages").join(name), &VolumeFile { values, ..sample() }).unwrap();
     };
     for (name, value) in [("s10.tif", 3.0), ("s9.tif", 2.0), ("s1.tif", 1.0), ("s011.tif", 4.0)] {
         page(name, value, 1);
     }
     std::fs::write(at("pages/notes.txt"), "no page").unwrap();
     std::fs::write(at("pages/.hidden.tif"), "no page").unwrap();
-    let found = read(&at("pages")).unwrap().values;
+    let found = read(at("pages")).unwrap().values;
     assert_eq!(found.dim(), (3, 2, 4));
     assert_eq!(found.index_axis(Axis(0), 2).row(1).to_vec(), [1.0, 2.0, 3.0, 4.0]);
     page("s12.tif", 5.0, 2);
-    assert!(read(&at("pages")).unwrap_err().to_string().contains("s12.tif: file in a folder: got 2 pages"));
-    write(&at("pages/s12.tif"), &sample()).unwrap();
+    assert!(read(at("pages")).unwrap_err().to_string().contains("s12.tif: file in a folder: got 2 pages"));
+    write(at("pages/s12.tif"), &sample()).unwrap();
     assert!(
-        read(&at("pages"))
+        read(at("pages"))
             .unwrap_err()
             .to_string()
             .contains("a page of 4 rows and 3 columns after 4 of 2 rows and 3 columns")
     );
     std::fs::create_dir(at("empty")).unwrap();
-    assert!(read(&at("empty")).unwrap_err().to_string().contains("got 0 files, expected slices .tif"));
+    assert!(read(at("empty")).unwrap_err().to_string().contains("got 0 files, expected slices .tif"));
 }
 
 #[test]
@@ -239,7 +239,7 @@ fn a_file_beside_raw_numbers_describes_them() {
     std::fs::write(at("v.raw"), [&b"head"[..], &numbers].concat()).unwrap();
     let described = |text: &str| {
         std::fs::write(at("v.raw.json"), text).unwrap();
-        read(&at("v.raw"))
+        read(at("v.raw"))
     };
     let whole = r#"{"shape": [4, 1, 2], "type": "uint16", "byte_order": "big", "spacing": [0.5, 1, 2],
         "origin": [1, 2, -3.5], "skip_bytes": 4}"#;
@@ -262,7 +262,7 @@ fn a_file_beside_raw_numbers_describes_them() {
     }
     // A stale side file must not remain when its numbers are replaced.
     std::fs::write(at("a_3x4x5_float32.raw.json"), whole).unwrap();
-    assert!(write(&at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("delete the side file"));
+    assert!(write(at("a_3x4x5_float32.raw"), &sample()).unwrap_err().to_string().contains("delete the side file"));
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn headers_of_numbers_elsewhere_stay_in_their_folder() {
         let nhdr = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nencoding: raw\ndata file: {name}\n");
         for (header, text) in [("inner/a.mhd", mhd), ("inner/a.nhdr", nhdr)] {
             std::fs::write(at(header), text).unwrap();
-            match read(&at(header)) {
+            match read(at(header)) {
                 Ok(found) => assert!(is_inside && found.values[[0, 0, 0]] == 5.0, "{header} {name}"),
                 Err(error) => {
                     assert!(!is_inside && error.to_string().contains("file in this folder or below"), "{error}")
@@ -293,7 +293,7 @@ fn what_does_not_fit_is_an_error_that_names_it() {
     let (_folder, at) = folder();
     let refused = |name: &str, content: &[u8]| {
         std::fs::write(at(name), content).unwrap();
-        read(&at(name)).unwrap_err().to_string()
+        read(at(name)).unwrap_err().to_string()
     };
     assert!(
         refused("a.mha", b"DimSize = 9 9 9\nElementType = MET_FLOAT\nElementDataFile = LOCAL\n1234")
@@ -313,6 +313,6 @@ fn what_does_not_fit_is_an_error_that_names_it() {
     assert!(refused("a.raw", b"1").contains("name_256x256x256_uint8.raw"));
     assert!(refused("a_2x2x2_uint8.raw", b"1234567").contains("7 bytes"));
     assert!(refused("a.nii", &[0; 400]).contains("volume"));
-    assert!(read(&at("a.stl")).unwrap_err().to_string().contains(".nii.gz"));
-    assert!(write(&at("a_3x4x6_float32.raw"), &sample()).unwrap_err().to_string().contains("_3x4x5_float32.raw"));
+    assert!(read(at("a.stl")).unwrap_err().to_string().contains(".nii.gz"));
+    assert!(write(at("a_3x4x6_float32.raw"), &sample()).unwrap_err().to_string().contains("_3x4x5_float32.raw"));
 }

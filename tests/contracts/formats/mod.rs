@@ -92,7 +92,7 @@ impl Case {
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, content).unwrap();
         }
-        let result = volume_file::read(&inner.join(self.path)).map_err(|error| shown(&error.to_string(), &inner));
+        let result = volume_file::read(inner.join(self.path)).map_err(|error| shown(&error.to_string(), &inner));
         let what = self.input;
         let (outcome, remark) = match (&self.outcome, result) {
             (Outcome::Plain | Outcome::Odd(_), Ok(found)) => {

@@ -6,6 +6,7 @@ use super::redundancy::{half_fan, shadow};
 use std::f64::consts::{PI, TAU};
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Scanner};
+use trgs_core::setting::Text;
 use trgs_scan::borders::Borders;
 use trgs_scan::truncation::Displacement;
 
