@@ -88,8 +88,8 @@ settings! {
 ///
 /// let text = "give " + Setting::MaxMemory + " 2GB, or lower " + Text::set("model.points", 500);
 /// assert_eq!(text.to_string(), "give `max_memory` 2GB, or lower `model.points=500`");
-/// let flags = text.shown(|setting| format!("--{}", setting.name()), |assignment| format!("--set {assignment}"));
-/// assert_eq!(flags, "give --max_memory 2GB, or lower --set model.points=500");
+/// let shouted = text.shown(|setting| setting.name().to_uppercase(), |assignment| format!("set({assignment})"));
+/// assert_eq!(shouted, "give MAX_MEMORY 2GB, or lower set(model.points=500)");
 /// ```
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct Text(Vec<Part>);
