@@ -54,7 +54,7 @@
 //!
 //! # Features
 //!
-//! All are on by default except `dicom`; `default-features = false` leaves the library alone.
+//! All are on by default except `dicom` and `hdf5`; `default-features = false` leaves the library alone.
 //!
 //! | feature | adds |
 //! |---|---|
@@ -63,11 +63,13 @@
 //! | `vectors` | these vectors are built in |
 //! | `plots` | plots on the pages of the paper's tables |
 //! | `dicom` | the reader of DICOM series |
+//! | `hdf5` | the reader of HDF5, NeXus and MATLAB 7.3 |
 //!
 //! # Limits
 //!
-//! - A scan is a circular orbit of a cone beam or a parallel beam with a flat detector.
-//! - Everything runs on the CPU, in f32 or f64. A run at the paper's size takes about half an hour on two cores.
+//! - A scan has a cone beam or a parallel beam and a flat detector, on a circle or with a pose for each view; FDK takes
+//!   circles alone.
+//! - Everything runs on the CPU, in f32 or f64. A run at the paper's size takes about an hour on two cores.
 //! - The library uses the global thread pool of rayon; [`numeric::threads`] sets the number of threads.
 //!
 //! # Modules, in reading order
@@ -86,6 +88,7 @@
 //! | [`density`] | density control: ADC, adding and recycling | Sec. 4.5 |
 //! | [`train`](mod@train) | the training loop | Fig. 2 |
 //! | [`classical`] | the projector of voxels and its adjoint; FDK, SART, ASD-POCS, CGLS, total variation | Sec. 4.1 |
+//! | [`neural`] | NAF, SAX-NeRF, IntraTomo | Sec. 4.1 |
 //! | [`reconstruction`] | any method on any dataset | Sec. 4.1 |
 //! | [`evaluation`] | metrics, each with the id of its definition | Sec. 4.1 |
 //! | `oracle` | conformance vectors for other implementations, and the judge of their answers | |
@@ -120,8 +123,7 @@ pub mod train;
 
 pub use config::{Config, Method};
 pub use reconstruction::{Run, evaluate, reconstruct};
-pub use scan::Dataset;
-pub use scan::volume_file::write_volume;
+pub use scan::{Dataset, write_volume};
 pub use trgs_core::geometry::{Grid, Projections, Scanner, Volume};
 pub use trgs_core::primitives::Primitives;
 pub use trgs_core::projector::{Field, Projection};

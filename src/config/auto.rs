@@ -15,6 +15,13 @@ pub enum Auto<T> {
     Auto,
 }
 
+/// Sets a key that is 0.
+pub(super) fn fill(key: &mut usize, value: usize) {
+    if *key == 0 {
+        *key = value;
+    }
+}
+
 impl<T: Copy> Auto<T> {
     /// The value, if one was set.
     pub fn fixed(self) -> Option<T> {

@@ -22,8 +22,13 @@ impl<T: Debug> Range<T> {
     /// # Errors
     /// [`Error::Invalid`] for a value out of the range.
     pub(super) fn check(&self, table: &str, key: &str, value: &T) -> Result<()> {
-        require(&super::text::dotted(table, key), value, (self.holds)(value), self.expected)
+        require(&dotted(table, key), value, (self.holds)(value), self.expected)
     }
+}
+
+/// The name of a key with that of its table.
+pub(super) fn dotted(table: &str, key: &str) -> String {
+    if table.is_empty() { key.into() } else { format!("{table}.{key}") }
 }
 
 /// An error about a key without a remedy, which [`Config::validate`](super::Config::validate) adds.

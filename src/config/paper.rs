@@ -3,7 +3,7 @@
 //! Every choice has a row with its source in reference/paper/method.md. N is the side of a cube with as many voxels as the
 //! volume.
 
-use super::plan::{GRADIENT, fill};
+use super::auto::fill;
 use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start};
 use crate::density::Relocation;
 use crate::numeric::elementary::pow;
@@ -11,6 +11,8 @@ use crate::projector::Projection;
 
 /// Voxels along a side of the paper's volumes.
 pub(super) const SIDE: f64 = 256.0;
+/// R²-Gaussian's gradient from which a primitive is cloned or split.
+pub(super) const GRADIENT: f64 = 5e-5;
 /// Training iterations at that size.
 const ITERATIONS: f64 = 30_000.0;
 /// Primitives at the start and at most, there; primitives beyond which R²-Gaussian's density control adds none.

@@ -20,7 +20,8 @@
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
-use super::paper::SIDE;
+use super::auto::fill;
+use super::paper::{GRADIENT, SIDE};
 use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start, TvConfig};
 use crate::error::Result;
 use crate::geometry::Scanner;
@@ -42,8 +43,6 @@ const CELLS_PER_VOXEL: f64 = 4.0;
 const LEVELS: u32 = 19;
 /// R²-Gaussian's weight of the total variation, for the side of the paper's volumes.
 const TOTAL_VARIATION: f64 = 0.05;
-/// R²-Gaussian's gradient from which a primitive is cloned or split.
-pub(super) const GRADIENT: f64 = 5e-5;
 /// Side of the blocks, and iterations between two wavelet blocks.
 const BLOCK: usize = 32;
 const WAVELET_EVERY: usize = 10;
@@ -161,13 +160,6 @@ impl Config {
                 sum / self.iterations as f64
             }
         }
-    }
-}
-
-/// Sets a key that is 0.
-pub(super) fn fill(key: &mut usize, value: usize) {
-    if *key == 0 {
-        *key = value;
     }
 }
 

@@ -1,6 +1,6 @@
 //! Reading and writing configurations.
 
-use super::keys::{Key, Keys};
+use super::keys::{Key, Keys, dotted};
 use super::{
     AlgebraicConfig, AsdPocsConfig, ConfidenceConfig, Config, DensityControlConfig, FdkConfig, InitialisationConfig,
     LossConfig, Method, ModelConfig, NeuralConfig, OptimiserConfig, SghmcConfig, TvConfig, WaveletConfig,
@@ -161,10 +161,6 @@ fn flatten(table: &Table) -> Vec<(String, Value)> {
         value => vec![(key.clone(), value.clone())],
     });
     entries.collect()
-}
-
-pub(super) fn dotted(table: &str, key: &str) -> String {
-    if table.is_empty() { key.into() } else { format!("{table}.{key}") }
 }
 
 /// The candidate that was probably meant. Whoever forgets the table means the key.

@@ -13,7 +13,6 @@
 //! a slope of the object leaves as they are. The mean step from the inner to the outer strips of a view must be 0 in the
 //! median over the views: a slope that noise hides in one view is none of air.
 
-use crate::borders::Side;
 use ndarray::{ArrayView2, ArrayView3};
 use std::ops::Range;
 use trgs_core::numeric::Real;
@@ -33,6 +32,34 @@ const LEAST: usize = 8;
 const PLACES: usize = 8;
 /// Share of the places that see air in a view.
 const SHARE: f64 = 0.2;
+
+/// A side of the detector, as an index of [`Borders::sides`](super::borders::Borders::sides).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// Column 0.
+    Left,
+    /// The last column.
+    Right,
+    /// Row 0.
+    Top,
+    /// The last row.
+    Bottom,
+}
+
+impl Side {
+    /// All sides, in the order of [`Borders::sides`](super::borders::Borders::sides).
+    pub const ALL: [Self; 4] = [Self::Left, Self::Right, Self::Top, Self::Bottom];
+
+    /// Its name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+            Self::Top => "top",
+            Self::Bottom => "bottom",
+        }
+    }
+}
 
 /// The air of projections, in their unit.
 #[derive(Clone, Debug, Default, PartialEq)]

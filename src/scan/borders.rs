@@ -6,6 +6,7 @@
 //! subtracted before, and the mean of noise that was clipped at 0.
 
 use super::air::Air;
+pub use super::air::Side;
 use ndarray::{ArrayView1, ArrayView3, Axis};
 use std::ops::Range;
 use trgs_core::numeric::Real;
@@ -19,34 +20,6 @@ pub const CLEARLY: f64 = 0.05;
 const NOISE: f64 = 5.0;
 /// Share of the views from which on a border counts as cut off: single damaged views do not.
 const VIEWS: f64 = 0.02;
-
-/// A side of the detector, as an index of [`Borders::sides`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// Column 0.
-    Left,
-    /// The last column.
-    Right,
-    /// Row 0.
-    Top,
-    /// The last row.
-    Bottom,
-}
-
-impl Side {
-    /// All sides, in the order of [`Borders::sides`].
-    pub const ALL: [Self; 4] = [Self::Left, Self::Right, Self::Top, Self::Bottom];
-
-    /// Its name in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Left => "left",
-            Self::Right => "right",
-            Self::Top => "top",
-            Self::Bottom => "bottom",
-        }
-    }
-}
 
 /// A border of the projections.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

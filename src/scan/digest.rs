@@ -1,10 +1,20 @@
 //! SHA-256 digests of files and bytes.
 
-use crate::input;
 use sha2::{Digest, Sha256};
+use std::fs::{self, File};
 use std::io;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
+
+/// Opens a regular file.
+pub fn open_unrecorded(path: &Path) -> io::Result<File> {
+    // Opening a pipe would wait for its writer.
+    let found = fs::metadata(path)?;
+    if found.is_file() || found.is_dir() {
+        return File::open(path);
+    }
+    Err(io::Error::new(io::ErrorKind::Unsupported, "it is a pipe, a socket or a device"))
+}
 
 /// SHA-256 of a regular file, 64 hexadecimal digits.
 ///
@@ -12,7 +22,7 @@ use trgs_core::error::{Error, Result};
 /// [`Error::Read`] with the error of the operating system, and for a pipe or a device.
 pub fn digest_file(path: &Path) -> Result<String> {
     let mut hasher = Sha256::new();
-    let copied = input::open_unrecorded(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
+    let copied = open_unrecorded(path).and_then(|mut file| io::copy(&mut file, &mut hasher));
     copied.map_err(|source| Error::read(path, source))?;
     Ok(hex(hasher))
 }

@@ -22,94 +22,18 @@
 
 mod arrange;
 
-use super::volume_file::{STRAIGHT, VolumeFile};
+use super::unit::Unit;
+use super::volume_file::{self, STRAIGHT, VolumeFile};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use std::fmt;
-use std::str::FromStr;
+use std::path::Path;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Grid;
-use trgs_core::geometry::Volume;
+use trgs_core::geometry::{Grid, Volume};
 
 /// Digits that a length keeps: fewer than those that rounding by the scale changes.
 const DIGITS: i32 = 12;
 /// Deviation of directions from perpendicular unit vectors that counts as rounding to a few digits.
 const PERPENDICULAR: f64 = 1e-4;
-
-/// A unit of length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
-    /// Nanometre.
-    Nanometre,
-    /// Micrometre.
-    Micrometre,
-    /// Millimetre.
-    Millimetre,
-    /// Centimetre.
-    Centimetre,
-    /// Metre.
-    Metre,
-    /// Inch.
-    Inch,
-}
-
-/// A unit, its symbol, its millimetres, and other names in lower case.
-type Row = (Unit, &'static str, f64, &'static [&'static str]);
-
-impl Unit {
-    /// All units, with their symbols, millimetres, and other names in lower case.
-    const ALL: [Row; 6] = [
-        (Self::Nanometre, "nm", 1e-6, &["nanometer", "nanometre", "nanometers", "nanometres"]),
-        (
-            Self::Micrometre,
-            "um",
-            1e-3,
-            &["µm", "μm", "\\u00b5m", "micron", "microns", "micrometer", "micrometre", "micrometers", "micrometres"],
-        ),
-        (Self::Millimetre, "mm", 1.0, &["millimeter", "millimetre", "millimeters", "millimetres"]),
-        (Self::Centimetre, "cm", 10.0, &["centimeter", "centimetre", "centimeters", "centimetres"]),
-        (Self::Metre, "m", 1000.0, &["meter", "metre", "meters", "metres"]),
-        (Self::Inch, "in", 25.4, &["inch", "inches"]),
-    ];
-
-    fn row(self) -> &'static Row {
-        Self::ALL.iter().find(|(unit, ..)| *unit == self).expect("every unit has a row")
-    }
-
-    /// Its symbol in ASCII, such as `mm` or `um`.
-    pub fn symbol(self) -> &'static str {
-        self.row().1
-    }
-
-    /// Its length in millimetres.
-    pub fn millimetres(self) -> f64 {
-        self.row().2
-    }
-
-    /// The unit of a symbol or name, in any case.
-    pub fn named(name: &str) -> Option<Self> {
-        let name = name.trim().trim_matches('"').to_lowercase();
-        let is_named = |symbol: &str, others: &[&str]| name == symbol || others.contains(&name.as_str());
-        Self::ALL.iter().find(|(_, symbol, _, others)| is_named(symbol, others)).map(|(unit, ..)| *unit)
-    }
-}
-
-impl fmt::Display for Unit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.symbol())
-    }
-}
-
-impl FromStr for Unit {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        Self::named(name).ok_or_else(|| {
-            let expected = "nm, um, mm, cm, m or in";
-            Error::invalid("unit of length", format!("{name:?}"), expected, "write \"mm\" for millimetres, for example")
-        })
-    }
-}
 
 /// How scene units relate to the lengths and positions of files.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -196,6 +120,16 @@ impl Frame {
     pub fn unit_words(&self) -> &'static str {
         self.unit.map_or("not stated", Unit::symbol)
     }
+}
+
+/// Writes a volume of a scan in the scan's unit of length, and at its place; the format follows from the name.
+///
+/// `frame` is that of the [`Dataset`](super::Dataset); `Frame::default()` writes scene units.
+///
+/// # Errors
+/// Those of [`volume_file::write()`].
+pub fn write_volume(path: impl AsRef<Path>, volume: &Volume, frame: &Frame) -> Result<()> {
+    volume_file::write(path.as_ref(), &frame.file(volume))
 }
 
 /// A length with the digits that matter beside `extent`, without a negative zero.

@@ -2,7 +2,7 @@
 //!
 //! A pipe without a writer would block, and a device such as `/dev/zero` has no end.
 
-use crate::digest::digest_file;
+use crate::digest::{digest_file, open_unrecorded};
 use crate::limit;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -65,16 +65,6 @@ pub fn open(path: &Path) -> io::Result<File> {
     }
     OF_THREAD.with_borrow_mut(|record| record.as_mut().map(add));
     Ok(file)
-}
-
-/// Opens a regular file.
-pub fn open_unrecorded(path: &Path) -> io::Result<File> {
-    // Opening a pipe would wait for its writer.
-    let found = fs::metadata(path)?;
-    if found.is_file() || found.is_dir() {
-        return File::open(path);
-    }
-    Err(io::Error::new(io::ErrorKind::Unsupported, "it is a pipe, a socket or a device"))
 }
 
 /// The content of a regular file.

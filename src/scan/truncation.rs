@@ -12,7 +12,6 @@
 //! decide, so that an object taller than each view is whole if the helix is long enough.
 
 use super::borders::{Borders, Side};
-use super::plausibility::Evidence;
 use glam::DVec3;
 use ndarray::Axis;
 use std::f64::consts::TAU;
@@ -82,12 +81,8 @@ impl Displacement {
 }
 
 /// Remarks on an object that is larger than the detector.
-pub(super) fn remarks(scan: &Evidence<'_>) -> Vec<String> {
-    if scan.are_readings {
-        return Vec::new();
-    }
-    let (scanner, train) = (&scan.dataset.scanner, &scan.dataset.train);
-    [wider(scanner, train, &scan.borders), taller(scanner, train, &scan.borders)].into_iter().flatten().collect()
+pub(super) fn remarks(scanner: &Scanner, train: &Projections, borders: &Borders) -> Vec<String> {
+    [wider(scanner, train, borders), taller(scanner, train, borders)].into_iter().flatten().collect()
 }
 
 /// A remark on an object that is wider than the detector, where no opposite view sees the rest.

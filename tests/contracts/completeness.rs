@@ -1,6 +1,7 @@
 //! The register `reference/equations.md` is complete: equations, functions, tests and vectors.
 
 use crate::common::vectors::vectors;
+use crate::root;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,10 +21,6 @@ const NUMERICAL: [&str; 10] = [
     "src/methods/neural",
     "src/methods/evaluation.rs",
 ];
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn text(path: impl AsRef<Path>) -> String {
     fs::read_to_string(root().join(&path)).unwrap_or_else(|error| panic!("{}: {error}", path.as_ref().display()))

@@ -11,6 +11,8 @@ mod damage;
 mod adjoint;
 // Values against 50-digit truth.
 mod analytic;
+// No circle of imports between files.
+mod circles;
 // Methods on voxels against exact chords and phantoms.
 mod classical;
 // The register of equations has no gap.
@@ -58,3 +60,8 @@ mod tolerance_rows;
 mod training;
 // Wavelet loss through the voxels of a block.
 mod wavelet;
+
+/// The folder of the repository.
+fn root() -> std::path::PathBuf {
+    env!("CARGO_MANIFEST_DIR").into()
+}

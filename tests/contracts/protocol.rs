@@ -1,15 +1,11 @@
 //! `reference/PROTOCOL.md`: every stage of the manifest, its settings, inputs and outputs; functions of the generator.
 
 use crate::common::vectors::vectors;
+use crate::root;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::PathBuf;
 use trgs::oracle::manifest::{PROTOCOL, PROTOCOL_FILE};
 use trgs::oracle::{Case, Level, Vectors};
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// The columns of the row of a stage.
 fn row(stage: &str) -> Vec<&'static str> {

@@ -1,11 +1,8 @@
 //! Rules that no compiler checks: operations in numerical code, use of threads, file lengths.
 
+use crate::root;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();

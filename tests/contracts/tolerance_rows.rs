@@ -1,9 +1,10 @@
 //! The table of tolerances `tests/tolerances.toml` is complete, used and justified.
 
+use crate::root;
 use crate::tolerances::{ROWS, Row, WIDEST, largest, relative};
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Thresholds that select data or repeat a definition: file, text of the comparison, reason.
 const NO_TOLERANCES: [(&str, &str, &str); 19] = [
@@ -31,10 +32,6 @@ const NO_TOLERANCES: [(&str, &str, &str); 19] = [
     ("tests/contracts/parity.rs", "dropped > 1e-9", "pixels at which the cutoff drops anything"),
     ("tests/contracts/tolerance_rows.rs", "max_relative", "approx judges the measures of errors"),
 ];
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// Paths and test code of all Rust files, comments and strings blanked.
 fn tests_of_all_files() -> Vec<(String, String)> {

@@ -131,6 +131,12 @@ impl Projections {
     }
 }
 
+impl<'a> From<&'a Projections> for Trajectory<'a> {
+    fn from(projections: &'a Projections) -> Self {
+        Self { angles: &projections.angles, poses: projections.poses.as_deref() }
+    }
+}
+
 /// The array in C order. An array in C order is returned as it is: a scan must not be in memory twice.
 fn in_standard_layout(array: Array3<f32>) -> Array3<f32> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }

@@ -2,7 +2,6 @@
 
 use super::{Beam, Detector, Scanner, View};
 use crate::error::{Error, Result};
-use crate::geometry::Projections;
 use crate::numeric::elementary::{atan2, cos, sin};
 use crate::setting::Text;
 use glam::{DMat3, DVec3};
@@ -195,12 +194,6 @@ impl<'a> From<&'a Vec<f64>> for Trajectory<'a> {
 impl<'a, const N: usize> From<&'a [f64; N]> for Trajectory<'a> {
     fn from(angles: &'a [f64; N]) -> Self {
         Self { angles, poses: None }
-    }
-}
-
-impl<'a> From<&'a Projections> for Trajectory<'a> {
-    fn from(projections: &'a Projections) -> Self {
-        Self { angles: &projections.angles, poses: projections.poses.as_deref() }
     }
 }
 

@@ -9,8 +9,7 @@
 //! Rows 2g and 2g+1 of an array hold the first and the second points of pairs.
 
 use super::activation::{gelu, sigmoid};
-use super::linear::{add_bias_gradient, add_gradient, apply, stride, transposed};
-use super::network::HIDDEN;
+use super::linear::{HIDDEN, add_bias_gradient, add_gradient, apply, stride, transposed};
 use std::ops::Range;
 use trgs_core::numeric::{Lanes, Real};
 

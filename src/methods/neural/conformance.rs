@@ -4,8 +4,8 @@
 
 use super::block::{BlockTrace, BlockWeights, PARTS, rows};
 use super::encoding::{Encoding, FEATURES, Level};
-use super::linear::stride;
-use super::network::{HIDDEN, split};
+use super::linear::{HIDDEN, stride};
+use super::network::split;
 use super::rays::{self, MeasuredRay};
 use ndarray::{Array1, Array2, Array3, ArrayD, ArrayView2, ArrayView3};
 use trgs_core::error::{Error, Result};

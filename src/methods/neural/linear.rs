@@ -5,6 +5,8 @@
 use std::array::from_fn;
 use trgs_core::numeric::{Lanes, Real};
 
+/// Width of all hidden layers.
+pub(super) const HIDDEN: usize = 32;
 /// Outputs that are computed together.
 const TILE: usize = 4;
 

@@ -46,7 +46,9 @@ mod linear;
 mod network;
 mod rays;
 mod run;
+mod settings;
 #[cfg(test)]
 mod tests;
 
-pub use run::{Batch, Kind, NeuralRun, NeuralSettings, Sizes, sizes};
+pub use run::{Batch, NeuralRun, Sizes, sizes};
+pub use settings::{Kind, NeuralSettings};

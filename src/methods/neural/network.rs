@@ -2,16 +2,13 @@
 
 use super::activation::{leaky, leaky_slope};
 use super::block::{self, Begin, BlockTrace, BlockWeights, PARTS, rows};
-use super::linear::{add_bias_gradient, add_gradient, apply, stride, transposed};
+use super::linear::{HIDDEN, add_bias_gradient, add_gradient, apply, stride, transposed};
 use ndarray::ArrayD;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::Range;
 use trgs_core::numeric::rng::{Purpose, stream};
 use trgs_core::numeric::{Lanes, Real, real};
-
-/// Width of all hidden layers.
-pub(super) const HIDDEN: usize = 32;
 
 /// Layers from the encoding to one number.
 #[derive(Clone, Debug, PartialEq)]

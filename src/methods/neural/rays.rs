@@ -1,6 +1,6 @@
 //! Which rays a step has, and the points along a ray. Not in the paper.
 
-use super::run::NeuralSettings;
+use super::settings::NeuralSettings;
 use glam::DVec3;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;

@@ -2,7 +2,7 @@
 
 use super::block::PARTS;
 use super::encoding::{Encoding, FEATURES, Level};
-use super::network::HIDDEN;
+use super::linear::HIDDEN;
 use super::run::Model;
 use super::{Kind, NeuralRun, NeuralSettings, sizes};
 use crate::classical::algebraic::VoxelRun;

@@ -1,9 +1,28 @@
 //! Fields of a description that are not read: remarks, and errors where one would move something.
 
-use super::meta::SCANNER_FIELDS;
 use trgs_core::error::{Error, Result};
 use trgs_core::words::{counted, verb};
 
+/// The fields of a view that are read.
+pub(super) const VIEW_FIELDS: [&str; 5] = ["file_path", "angle", "radius", "vector", "matrix"];
+/// The fields of the scanner that are read.
+pub(super) const SCANNER_FIELDS: [&str; 15] = [
+    "mode",
+    "DSD",
+    "DSO",
+    "nDetector",
+    "sDetector",
+    "dDetector",
+    "nVoxel",
+    "sVoxel",
+    "dVoxel",
+    "offOrigin",
+    "offDetector",
+    "COR",
+    "rotDetector",
+    "vectors",
+    "matrices",
+];
 /// Unread fields of one place that are named; the others are counted.
 const SHOWN: usize = 12;
 /// Fields of views that move rays; those of the scanner are [`SCANNER_FIELDS`].

@@ -1,7 +1,7 @@
 //! `meta_data.json` and the interpretation of its fields.
 
-use super::fields::{self, Content};
-use super::numbers::{self, EXACT, ROUNDED, counts, pitches, sizes};
+use super::fields::{self, Content, SCANNER_FIELDS, VIEW_FIELDS};
+use super::numbers::{self, EXACT, ROUNDED, counts, opposite, pitches, sizes};
 use super::poses::{self, Axes, Motion, PerView, Words};
 use crate::frame::{Frame, FrameMeta};
 use crate::noise::{Attenuation, Noise};
@@ -163,24 +163,6 @@ pub(super) struct Interpreted {
 
 /// The names of the fields that are read.
 const FILE_FIELDS: [&str; 9] = ["scanner", "vol", "ct", "bbox", "proj_train", "proj_test", "notes", "unit", "frame"];
-pub(super) const VIEW_FIELDS: [&str; 5] = ["file_path", "angle", "radius", "vector", "matrix"];
-pub(super) const SCANNER_FIELDS: [&str; 15] = [
-    "mode",
-    "DSD",
-    "DSO",
-    "nDetector",
-    "sDetector",
-    "dDetector",
-    "nVoxel",
-    "sVoxel",
-    "dVoxel",
-    "offOrigin",
-    "offDetector",
-    "COR",
-    "rotDetector",
-    "vectors",
-    "matrices",
-];
 
 impl Meta {
     pub(super) fn read(path: &Path) -> Result<Self> {
@@ -542,11 +524,6 @@ impl ScannerMeta {
             _ => Noise::None,
         }
     }
-}
-
-/// Converts between the upward and the downward offset, without a negative zero.
-pub(super) fn opposite(offset: f64) -> f64 {
-    0.0 - offset
 }
 
 /// Writes counts as integers: Python accepts 64 as a size of an array, but not 64.0.

@@ -3,14 +3,16 @@
 //! Lengths are in millimetres, but line integrals are density times metres (a property of the format), so lengths are
 //! divided by 1000. Rows are stored from the top, as in this project.
 
+use super::fields::SCANNER_FIELDS;
 use super::fields::{self, Content};
-use super::meta::{Interpreted, SCANNER_FIELDS, ScannerMeta};
+use super::meta::{Interpreted, ScannerMeta};
 use super::pickle::{self, Array, Value};
 use super::poses::Motion;
 use super::{Dataset, check_finite};
-use crate::frame::{Frame, Unit};
+use crate::frame::Frame;
 use crate::limit;
 use crate::noise::Noise;
+use crate::unit::Unit;
 use ndarray::Array3;
 use serde_json::json;
 use std::path::Path;

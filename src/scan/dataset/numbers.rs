@@ -1,6 +1,6 @@
 //! Numbers of a description: those written as text, and lists with one for each axis.
 
-use super::meta::{SCANNER_FIELDS, VIEW_FIELDS};
+use super::fields::{SCANNER_FIELDS, VIEW_FIELDS};
 use serde_json::Value;
 use trgs_core::error::{Error, Result};
 
@@ -11,6 +11,11 @@ pub(super) const EXACT: f64 = 1e-9;
 
 /// Numbers of the scanner that only descriptions of stacks have.
 const OF_STACKS: [&str; 2] = ["totalAngle", "startAngle"];
+
+/// Converts between the upward and the downward offset, without a negative zero.
+pub(super) fn opposite(offset: f64) -> f64 {
+    0.0 - offset
+}
 
 /// Refuses the first field of a file that should hold a number and holds something else.
 ///

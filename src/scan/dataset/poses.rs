@@ -1,6 +1,6 @@
 //! Poses of a description: numbers per view in TIGRE's words, ASTRA's vectors, projection matrices.
 
-use super::meta::opposite;
+use super::numbers::opposite;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

@@ -15,14 +15,14 @@ mod half;
 pub(super) mod layouts;
 
 use super::array_path;
+use super::content::{damaged, unsupported};
 use super::npy::{self, Numbers};
-use super::volume_file::{VolumeFile, damaged, unsupported};
 use crate::limit;
 use half::Half;
 use hdf5_reader::group::Group;
 use hdf5_reader::storage::{BytesStorage, DynStorage, FileStorage};
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions};
-use ndarray::{ArrayD, Axis, Ix3};
+use ndarray::{Array3, ArrayD, Axis, Ix3};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -277,7 +277,7 @@ impl Hdf5 {
     }
 
     /// An array with three axes `[z, y, x]`; two are one slice.
-    fn slices(&self, entry: &Entry) -> Result<ndarray::Array3<f32>> {
+    fn slices(&self, entry: &Entry) -> Result<Array3<f32>> {
         let values = self.numbers(entry)?.into_f32();
         let values = if values.ndim() == 2 { values.insert_axis(Axis(0)) } else { values };
         npy::with_axes::<f32, Ix3>(values, &self.path, &shorter(&entry.name), "[z, y, x] or [view, v, u]")
@@ -289,20 +289,20 @@ impl Hdf5 {
     }
 }
 
-/// Reads a volume; `path` may name an array.
-pub(super) fn read(path: &Path) -> Result<VolumeFile> {
+/// Reads a volume `[x, y, z]`, and remarks; `path` may name an array.
+pub(super) fn read(path: &Path) -> Result<(Array3<f32>, Vec<String>)> {
     let (file, name) = array_path::parts(path);
     volume(&Hdf5::read(&file)?, name.as_deref())
 }
 
 /// [`read`] from the content of the file.
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+pub(super) fn parse(content: &[u8], path: &Path) -> Result<(Array3<f32>, Vec<String>)> {
     let (file, name) = array_path::parts(path);
     volume(&Hdf5::parse(content, &file)?, name.as_deref())
 }
 
 /// The array of a name, or the only volume.
-fn volume(hdf5: &Hdf5, name: Option<&str>) -> Result<VolumeFile> {
+fn volume(hdf5: &Hdf5, name: Option<&str>) -> Result<(Array3<f32>, Vec<String>)> {
     let entry = match name {
         Some(name) => &hdf5.entry(name)?,
         None => hdf5.only_volume()?,
@@ -316,7 +316,7 @@ fn volume(hdf5: &Hdf5, name: Option<&str>) -> Result<VolumeFile> {
         }
         oddities.extend(hdf5.limit());
     }
-    Ok(VolumeFile { values, oddities, ..VolumeFile::default() })
+    Ok((values, oddities))
 }
 
 /// The type of numbers that can be read.

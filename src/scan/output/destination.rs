@@ -1,11 +1,9 @@
 //! The one decision about an existing folder: replace it or refuse.
 
-use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
-use super::mark::{Mark, walk};
-use super::staging::{is_fixed, is_mount_point};
+use super::lock::{Hold, Lock, Scope, is_fixed, is_folder, is_mount_point, lock, make_folders};
+use super::mark::{Kind, Mark, walk};
 use super::sweep::sweep;
-use super::{LOCK, LOG, step};
-use serde::{Deserialize, Serialize};
+use super::{LOCK, step};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -15,44 +13,6 @@ use trgs_core::setting::{Setting, Text};
 
 /// The writer of a folder that no command wrote.
 const LIBRARY: &str = "the library";
-
-/// The kind of content of a folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Projections with their geometry.
-    Scan,
-    /// A reconstruction.
-    Run,
-    /// Questions and truth for other implementations.
-    Vectors,
-    /// Answers to them.
-    Answers,
-    /// The paper's tables and their cells.
-    Tables,
-}
-
-impl Kind {
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Scan => "scan",
-            Self::Run => "run",
-            Self::Vectors => "folder of vectors",
-            Self::Answers => "folder of answers",
-            Self::Tables => "folder of tables",
-        }
-    }
-
-    /// What tells two folders of the kind apart.
-    fn maker(self) -> &'static str {
-        if self == Self::Run { "method" } else { "command" }
-    }
-
-    /// Files that change while a run goes on, so that they have no digest.
-    pub(super) fn working_files(self) -> &'static [&'static str] {
-        if self == Self::Run { &["checkpoints/last.msgpack", LOG] } else { &[] }
-    }
-}
 
 /// A folder to write, and what may be replaced there.
 #[derive(Clone, Debug)]

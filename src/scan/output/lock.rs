@@ -1,7 +1,7 @@
 //! Locks that the system releases when their process ends, and what a process leaves behind if it is stopped.
 
-use super::staging::remove_staging;
 use super::step;
+use super::temporary::remove_staging;
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -57,6 +57,35 @@ pub(super) fn is_folder(a: &Path, b: &Path) -> bool {
         return matches!((fs::metadata(a), fs::metadata(b)), (Ok(a), Ok(b)) if is_same(&a, &b));
     }
     matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Whether a folder cannot be renamed: a mount point, or the current folder, which a shell would lose.
+pub(super) fn is_fixed(folder: &Path) -> bool {
+    is_mount_point(folder) || std::env::current_dir().is_ok_and(|here| is_folder(&here, folder))
+}
+
+/// Whether a file system is mounted at a folder.
+#[cfg(unix)]
+pub(super) fn is_mount_point(folder: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{AtFlags, CWD, StatxAttributes, StatxFlags, statx};
+        // A mount of a folder of the same file system shows only here.
+        if let Ok(found) = statx(CWD, folder, AtFlags::empty(), StatxFlags::empty())
+            && found.stx_attributes_mask.contains(StatxAttributes::MOUNT_ROOT)
+        {
+            return found.stx_attributes.contains(StatxAttributes::MOUNT_ROOT);
+        }
+    }
+    let device = |path: &Path| fs::metadata(path).map(|found| found.dev());
+    matches!((device(folder), device(&folder.join(".."))), (Ok(a), Ok(b)) if a != b)
+}
+
+/// Whether a file system is mounted at a folder: unknown on this system.
+#[cfg(not(unix))]
+pub(super) fn is_mount_point(_: &Path) -> bool {
+    false
 }
 
 /// A locked file, and what is removed when it is released.

@@ -1,8 +1,7 @@
 //! The mark of origin in every folder that this program writes: the writer, and the digests of the files.
 
-use super::staging::is_staging;
-use super::sweep::is_temporary;
-use super::{Kind, LOCK, LOG, MARK, write_atomically};
+use super::temporary::{is_staging, is_temporary};
+use super::{LOCK, LOG, MARK, write_atomically};
 use crate::digest::digest_file;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,6 +12,44 @@ use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 use trgs_core::error::Result;
 use trgs_core::words;
+
+/// The kind of content of a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Projections with their geometry.
+    Scan,
+    /// A reconstruction.
+    Run,
+    /// Questions and truth for other implementations.
+    Vectors,
+    /// Answers to them.
+    Answers,
+    /// The paper's tables and their cells.
+    Tables,
+}
+
+impl Kind {
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Scan => "scan",
+            Self::Run => "run",
+            Self::Vectors => "folder of vectors",
+            Self::Answers => "folder of answers",
+            Self::Tables => "folder of tables",
+        }
+    }
+
+    /// What tells two folders of the kind apart.
+    pub(super) fn maker(self) -> &'static str {
+        if self == Self::Run { "method" } else { "command" }
+    }
+
+    /// Files that change while a run goes on, so that they have no digest.
+    pub(super) fn working_files(self) -> &'static [&'static str] {
+        if self == Self::Run { &["checkpoints/last.msgpack", LOG] } else { &[] }
+    }
+}
 
 /// The content of the mark. It holds no time, so equal folders have equal marks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -10,12 +10,13 @@ mod mark;
 mod shared;
 mod staging;
 mod sweep;
+mod temporary;
 #[cfg(test)]
 mod tests;
 
-pub use destination::{Claim, Destination, Kind};
+pub use destination::{Claim, Destination};
 pub use lock::abandon;
-pub use mark::Mark;
+pub use mark::{Kind, Mark};
 pub use shared::SharedFolder;
 pub use staging::{StagedFolder, stage_folder};
 pub use sweep::recover;
@@ -24,8 +25,9 @@ use lock::is_at;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
-use sweep::{RANDOM, sweep_once};
+use sweep::sweep_once;
 use tempfile::{Builder, NamedTempFile};
+use temporary::RANDOM;
 use trgs_core::error::{Error, Result};
 
 /// Name of the mark of a folder.

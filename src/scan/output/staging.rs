@@ -1,25 +1,17 @@
 //! A folder that is written beside its target and takes its place as a whole.
 
 use super::destination::{Destination, Standing};
-use super::lock::{Hold, Lock, Scope, is_folder, lock, make_folders};
+use super::lock::{Hold, Lock, Scope, is_fixed, lock, make_folders};
 use super::mark::Mark;
-use super::sweep::{RANDOM, sweep};
-use super::{COMMIT, MARK, OWNER, TEMPORARY, folder_of, step};
-use std::collections::BTreeSet;
+use super::sweep::{finish_in_place, sweep};
+use super::temporary::{NEW, OLD, OWNER_TEXT, RANDOM};
+use super::{COMMIT, OWNER, TEMPORARY, folder_of, step};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tempfile::Builder;
 use trgs_core::error::{Error, Result};
-use trgs_core::words;
-
-/// Content of the file that names a staging folder as ours.
-const OWNER_TEXT: &[u8] = b"temporary folder of trgs\n";
-/// Folder of the new content.
-const NEW: &str = "new";
-/// Folder of the old content, in a replacement in place.
-const OLD: &str = "old";
 
 /// A temporary folder for the content of a [`Destination`]. It is deleted when dropped without [`Self::commit`].
 ///
@@ -163,99 +155,6 @@ impl StagedFolder {
             other => other,
         }
     }
-}
-
-/// Removes a staging folder; the file that names it goes last.
-pub(super) fn remove_staging(staging: &Path) {
-    for entry in fs::read_dir(staging).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if path.file_name().is_some_and(|name| name != OWNER) {
-            step();
-            // What cannot be removed stays for the next process.
-            let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-        }
-    }
-    if fs::read_dir(staging).is_ok_and(|entries| entries.flatten().count() <= 1) {
-        step();
-        let _ = fs::remove_file(staging.join(OWNER));
-        step();
-        let _ = fs::remove_dir(staging);
-    }
-}
-
-/// Whether a folder with the name of a temporary one was made by this program.
-pub(super) fn is_staging(staging: &Path) -> bool {
-    let owner = staging.join(OWNER);
-    fs::symlink_metadata(&owner).is_ok_and(|found| found.is_file() && found.len() <= OWNER_TEXT.len() as u64)
-        && fs::read(owner).is_ok_and(|text| OWNER_TEXT.starts_with(&text))
-}
-
-/// Moves the new content of a staging folder to `target`, in which it lies, and the old content to the staging folder.
-///
-/// It goes on where a killed process stopped. Without the record of a decision, nothing is done. The old mark is moved
-/// after all old files, and the new mark after all new ones.
-pub(super) fn finish_in_place(staging: &Path, target: &Path) -> io::Result<()> {
-    let (new, old) = (staging.join(NEW), staging.join(OLD));
-    if !staging.join(COMMIT).exists() || !new.join(MARK).exists() {
-        return Ok(());
-    }
-    if target.join(MARK).exists() && !old.join(MARK).exists() {
-        step();
-        fs::create_dir_all(&old)?;
-        let mark = Mark::read(target).ok_or(io::ErrorKind::InvalidData)?;
-        let firsts: BTreeSet<&str> = mark.files.keys().filter_map(|path| path.split('/').next()).collect();
-        for entry in fs::read_dir(target)? {
-            let name = entry?.file_name();
-            if firsts.contains(&*words::name(&name)) {
-                step();
-                fs::rename(target.join(&name), old.join(&name))?;
-            }
-        }
-        step();
-        fs::rename(target.join(MARK), old.join(MARK))?;
-    }
-    for entry in fs::read_dir(&new)? {
-        let name = entry?.file_name();
-        if name == MARK {
-            continue;
-        }
-        if fs::symlink_metadata(target.join(&name)).is_ok() {
-            return Err(io::ErrorKind::AlreadyExists.into());
-        }
-        step();
-        fs::rename(new.join(&name), target.join(&name))?;
-    }
-    step();
-    fs::rename(new.join(MARK), target.join(MARK))
-}
-
-/// Whether a folder cannot be renamed: a mount point, or the current folder, which a shell would lose.
-pub(super) fn is_fixed(folder: &Path) -> bool {
-    is_mount_point(folder) || std::env::current_dir().is_ok_and(|here| is_folder(&here, folder))
-}
-
-/// Whether a file system is mounted at a folder.
-#[cfg(unix)]
-pub(super) fn is_mount_point(folder: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{AtFlags, CWD, StatxAttributes, StatxFlags, statx};
-        // A mount of a folder of the same file system shows only here.
-        if let Ok(found) = statx(CWD, folder, AtFlags::empty(), StatxFlags::empty())
-            && found.stx_attributes_mask.contains(StatxAttributes::MOUNT_ROOT)
-        {
-            return found.stx_attributes.contains(StatxAttributes::MOUNT_ROOT);
-        }
-    }
-    let device = |path: &Path| fs::metadata(path).map(|found| found.dev());
-    matches!((device(folder), device(&folder.join(".."))), (Ok(a), Ok(b)) if a != b)
-}
-
-/// Whether a file system is mounted at a folder: unknown on this system.
-#[cfg(not(unix))]
-pub(super) fn is_mount_point(_: &Path) -> bool {
-    false
 }
 
 /// Exchanges the names of two folders at once.

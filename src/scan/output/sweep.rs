@@ -1,22 +1,15 @@
 //! Removal of temporary files and folders whose process is dead, and of no others.
 
 use super::lock::{Lock, lock};
-use super::staging::{finish_in_place, is_staging, remove_staging};
-use super::{OWNER, TEMPORARY, step};
+use super::mark::Mark;
+use super::temporary::{NEW, OLD, is_staging, is_temporary, remove_staging};
+use super::{COMMIT, MARK, OWNER, step};
 use std::collections::BTreeSet;
-use std::ffi::OsStr;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-
-/// Random characters at the end of a temporary name.
-pub(super) const RANDOM: usize = 12;
-
-/// Whether a name is one of our temporary files or folders.
-pub(super) fn is_temporary(name: &OsStr) -> bool {
-    let rest = name.to_str().and_then(|name| name.strip_prefix(TEMPORARY));
-    rest.is_some_and(|rest| rest.len() == RANDOM && rest.bytes().all(|byte| byte.is_ascii_alphanumeric()))
-}
+use trgs_core::words;
 
 /// [`sweep`], once for each folder and process.
 pub(super) fn sweep_once(folder: &Path) {
@@ -64,9 +57,48 @@ fn sweep_staging(folder: &Path, staging: &Path) {
 /// For folders that are about to be read; writers do this on their own.
 pub fn recover(folder: &Path) {
     let is_half_done = |entry: fs::DirEntry| {
-        is_temporary(&entry.file_name()) && is_staging(&entry.path()) && entry.path().join(super::COMMIT).exists()
+        is_temporary(&entry.file_name()) && is_staging(&entry.path()) && entry.path().join(COMMIT).exists()
     };
     if fs::read_dir(folder).into_iter().flatten().flatten().any(is_half_done) {
         sweep(folder);
     }
+}
+
+/// Moves the new content of a staging folder to `target`, in which it lies, and the old content to the staging folder.
+///
+/// It goes on where a killed process stopped. Without the record of a decision, nothing is done. The old mark is moved
+/// after all old files, and the new mark after all new ones.
+pub(super) fn finish_in_place(staging: &Path, target: &Path) -> io::Result<()> {
+    let (new, old) = (staging.join(NEW), staging.join(OLD));
+    if !staging.join(COMMIT).exists() || !new.join(MARK).exists() {
+        return Ok(());
+    }
+    if target.join(MARK).exists() && !old.join(MARK).exists() {
+        step();
+        fs::create_dir_all(&old)?;
+        let mark = Mark::read(target).ok_or(io::ErrorKind::InvalidData)?;
+        let firsts: BTreeSet<&str> = mark.files.keys().filter_map(|path| path.split('/').next()).collect();
+        for entry in fs::read_dir(target)? {
+            let name = entry?.file_name();
+            if firsts.contains(&*words::name(&name)) {
+                step();
+                fs::rename(target.join(&name), old.join(&name))?;
+            }
+        }
+        step();
+        fs::rename(target.join(MARK), old.join(MARK))?;
+    }
+    for entry in fs::read_dir(&new)? {
+        let name = entry?.file_name();
+        if name == MARK {
+            continue;
+        }
+        if fs::symlink_metadata(target.join(&name)).is_ok() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        step();
+        fs::rename(new.join(&name), target.join(&name))?;
+    }
+    step();
+    fs::rename(new.join(MARK), target.join(MARK))
 }

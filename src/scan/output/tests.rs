@@ -1,6 +1,6 @@
 //! Tests of outputs.
 
-use super::sweep::is_temporary;
+use super::temporary::is_temporary;
 use super::*;
 use std::cell::Cell;
 use std::collections::BTreeMap;

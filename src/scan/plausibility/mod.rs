@@ -77,7 +77,10 @@ const JUDGES: &[Judge] = &[
     |scan| texts(scales::of_test(scan)),
     |scan| texts(hounsfield_of_truth(scan.dataset)),
     |scan| texts(scales::of_truth(scan)),
-    |scan| texts(truncation::remarks(scan)),
+    |scan| match scan.are_readings {
+        true => Vec::new(),
+        false => texts(truncation::remarks(&scan.dataset.scanner, &scan.dataset.train, &scan.borders)),
+    },
     |scan| texts(outside::remark(scan)),
     refused::remarks,
     |scan| texts(views::remarks(scan)),

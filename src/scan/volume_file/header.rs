@@ -1,6 +1,6 @@
 //! Parts that the headers of several formats share: text, numbers, units, and remarks on fields.
 
-use crate::frame::Unit;
+use crate::unit::Unit;
 use glam::DVec3;
 use std::borrow::Cow;
 

@@ -4,7 +4,7 @@ use super::detached::Source;
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::header::{Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector, without_bom};
 use super::{Place, VolumeFile, damaged, unsupported};
-use crate::frame::Unit;
+use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
 use trgs_core::error::{Error, Result};

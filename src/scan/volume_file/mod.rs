@@ -19,7 +19,7 @@
 //!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or rotated. Spacing and origin
 //! (the centre of the first voxel) are in the file's unit, or in millimetres where it states its unit. Directions of the
-//! axes stated by a file are reported and copied to a written file, but do not rotate the array; [`Frame::arrange`] turns
+//! axes stated by a file are reported and copied to a written file, but do not rotate the array; [`Frame::arrange`](super::Frame::arrange) turns
 //! it to the axes of a scan.
 //!
 //! Where the unit is known, lengths are written in millimetres, and attenuation with them: a volume per micrometre becomes
@@ -56,17 +56,16 @@ pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub use npy_side::NpySide;
 pub use raw::SideFile;
 
-use super::frame::{Frame, Unit};
+use super::content::{damaged, unsupported};
+use super::unit::Unit;
 use super::{array_path, npy};
 use crate::output::write_atomically;
 use glam::{DMat3, DVec3};
 use ndarray::{Array3, Ix3};
 use std::borrow::Cow;
-use std::fmt::Display;
 use std::io::Write;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Volume;
 
 /// Directions of axes that run along x, y and z.
 pub const STRAIGHT: DMat3 = DMat3::IDENTITY;
@@ -96,6 +95,12 @@ impl VolumeFile {
     /// Values without metadata.
     fn bare(values: Array3<f32>) -> Self {
         Self { values, ..Self::default() }
+    }
+
+    /// Values without metadata, and unusual properties of their file.
+    #[cfg(any(feature = "hdf5", test))]
+    fn remarked((values, oddities): (Array3<f32>, Vec<String>)) -> Self {
+        Self { oddities, ..Self::bare(values) }
     }
 
     /// Whether lengths are in millimetres, rather than in a unit that is not stated.
@@ -223,7 +228,7 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
     match Format::of(path)? {
         Format::Npy => return NpySide::beside(path, VolumeFile::bare(npy::read_f32::<Ix3>(path, "[x, y, z]")?)),
         #[cfg(any(feature = "hdf5", test))]
-        Format::Hdf5 => return super::hdf5::read(path),
+        Format::Hdf5 => return super::hdf5::read(path).map(VolumeFile::remarked),
         _ => {}
     }
     let file = array_path::parts(path).0;
@@ -249,7 +254,7 @@ fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
         }
         Format::Npz => archive::parse(content, path),
         #[cfg(any(feature = "hdf5", test))]
-        Format::Hdf5 => super::hdf5::parse(content, path),
+        Format::Hdf5 => super::hdf5::parse(content, path).map(VolumeFile::remarked),
         #[cfg(not(any(feature = "hdf5", test)))]
         Format::Hdf5 => Err(no_hdf5(path)),
         Format::MetaImage => meta_image::parse(content, path),
@@ -313,16 +318,6 @@ fn not_written(path: &Path) -> Error {
     let endings: Vec<_> = ENDINGS.into_iter().filter(written).map(|(ending, _)| ending).collect();
     let expected = format!("a name that ends with {}", endings.join(", "));
     Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha")
-}
-
-/// Writes a volume of a scan in the scan's unit of length, and at its place; the format follows from the name.
-///
-/// `frame` is that of the [`Dataset`](super::Dataset); `Frame::default()` writes scene units.
-///
-/// # Errors
-/// Those of [`write()`].
-pub fn write_volume(path: impl AsRef<Path>, volume: &Volume, frame: &Frame) -> Result<()> {
-    write(path.as_ref(), &frame.file(volume))
 }
 
 /// The place of a volume as headers state it.
@@ -416,21 +411,6 @@ impl VolumeFile {
         let directions = self.remark_on_directions();
         self.oddities.iter().filter(|oddity| Some(*oddity) != directions.as_ref()).cloned().collect()
     }
-}
-
-/// Longest part of an error that a library may fill, characters.
-const LONGEST: usize = 400;
-
-/// An error about damaged content of a file.
-pub(super) fn damaged(path: &Path, found: &str) -> Error {
-    let found: String = found.chars().take(LONGEST).collect();
-    Error::format(path, "volume", found, "a whole file with one number per voxel", "copy or export the file again")
-}
-
-/// An error about content that is sound, but of a kind that is not read.
-pub(super) fn unsupported(path: &Path, what: &str, got: impl Display, expected: &str, remedy: &str) -> Error {
-    let got: String = got.to_string().chars().take(LONGEST).collect();
-    Error::format(path, what, format!("{got}, which is not supported"), expected, remedy)
 }
 
 #[cfg(test)]

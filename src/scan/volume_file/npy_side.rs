@@ -1,8 +1,8 @@
 //! The place of a volume in a `.npy`, which states none itself.
 
 use super::{STRAIGHT, VolumeFile};
-use crate::frame::Unit;
 use crate::output::write_atomically;
+use crate::unit::Unit;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;

@@ -6,7 +6,7 @@ use super::header::{
     Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector, without_bom,
 };
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
-use crate::frame::Unit;
+use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
 use trgs_core::error::{Error, Result};

@@ -2,7 +2,7 @@
 
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::{VolumeFile, damaged};
-use crate::frame::Unit;
+use crate::unit::Unit;
 use glam::DVec3;
 use serde::Deserialize;
 use std::io::ErrorKind;

@@ -2,7 +2,7 @@
 //!
 //! [`Plan::of`] is the decision table of [`super::fdk`], in the order of its rows.
 
-use super::redundancy::{half_fan, shadow};
+use super::fan::{half_fan, shadow};
 use std::f64::consts::{PI, TAU};
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Scanner};

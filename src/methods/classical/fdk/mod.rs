@@ -51,6 +51,7 @@ mod backproject;
 mod circle;
 mod conditions;
 mod continuation;
+mod fan;
 mod filter;
 mod redundancy;
 

@@ -5,6 +5,7 @@
 //!
 //! - a *short scan* ends before the full turn, so that some rays are measured twice and others once. Parker's weights
 //!   `[Parker82]`, for any coverage from half a turn and the fan up to a full turn (Silver, *A method for including
+//!   redundant data in computed tomography*, Med. Phys. 27 (2000) 773), add up to 1 for each ray and fade smoothly;
 //! - a *displaced detector* sees the object on only one side. Rays measured by a single view of a full turn count once,
 //!   and the weights of the others fade from one side to the other `[Wang02]`.
 //!
@@ -13,12 +14,13 @@
 
 use super::conditions::{Arc, Plan, Weights};
 use super::continuation;
+use super::fan::{axis_angle, fan_angle};
 use ndarray::{Array3, ArrayView3, Axis};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Beam, Scanner};
 use trgs_core::numeric::Real;
-use trgs_core::numeric::elementary::{asin, atan, sin, tan};
+use trgs_core::numeric::elementary::sin;
 use trgs_scan::borders::Borders;
 use trgs_scan::truncation::Displacement;
 
@@ -169,55 +171,6 @@ fn displaced(scanner: &Scanner, displacement: &Displacement, shift: f64) -> Vec<
         0.5 + 0.5 * sin(FRAC_PI_2 * part.clamp(-1.0, 1.0))
     };
     (0..detector.columns).map(weight).collect()
-}
-
-/// Angle between the ray to column position u and the middle of the fan, radians.
-fn fan_angle(scanner: &Scanner, u: f64) -> f64 {
-    match scanner.beam {
-        Beam::Cone { dsd, .. } => atan(u / dsd),
-        Beam::Parallel { .. } => 0.0,
-    }
-}
-
-/// Angle of the middle of the fan from the ray through the axis, where source and detector are shifted along u, radians.
-fn axis_angle(scanner: &Scanner, shift: f64) -> f64 {
-    match scanner.beam {
-        Beam::Cone { dso, .. } => atan(shift / dso),
-        Beam::Parallel { .. } => 0.0,
-    }
-}
-
-/// Radius of the cylinder around the axis inside the volume's box.
-fn radius(scanner: &Scanner) -> f64 {
-    let (min, max) = (scanner.grid.min, scanner.grid.max());
-    [-min.x, max.x, -min.y, max.y].into_iter().fold(0.0, f64::max)
-}
-
-/// Half the fan angle of the volume or of the object, if that is wider, or of the detector if both are wider; radians.
-pub(super) fn half_fan(scanner: &Scanner, shift: f64, seen: &Borders) -> f64 {
-    let aside = axis_angle(scanner, shift);
-    // Angle of the ray to the start of a column from the ray through the axis.
-    let from_axis = |column: usize| {
-        let start = scanner.detector.position(0.0, column as f64 - 0.5).0;
-        (fan_angle(scanner, start) + aside).abs()
-    };
-    let widest = |columns: [usize; 2]| columns.map(from_axis).into_iter().fold(0.0, f64::max);
-    let object = if seen.columns.is_empty() { 0.0 } else { widest([seen.columns.start, seen.columns.end]) };
-    match scanner.beam {
-        Beam::Cone { dso, .. } => {
-            let volume = asin((radius(scanner) / dso).min(1.0));
-            volume.max(object).min(widest([0, scanner.detector.columns]))
-        }
-        Beam::Parallel { .. } => 0.0,
-    }
-}
-
-/// Half the width of the volume's projection on the detector.
-pub(super) fn shadow(scanner: &Scanner) -> f64 {
-    match scanner.beam {
-        Beam::Cone { dso, dsd } => dsd * tan(asin((radius(scanner) / dso).min(1.0))),
-        Beam::Parallel { .. } => radius(scanner),
-    }
 }
 
 /// The angle that each view covers, on a circle of circumference `turn`.

@@ -1,8 +1,7 @@
 //! Prediction error of views that were held out of a reconstruction.
 
 use super::Convention;
-use super::offsets::Place;
-use super::reduced::Reduced;
+use super::reduced::{Place, Reduced};
 use crate::classical::algebraic::{Order, SartSettings, sart};
 use crate::classical::{RayModel, VoxelProjector};
 use ndarray::ArrayView2;

@@ -73,9 +73,9 @@ pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
 use held_out::{HeldOut, Hypothesis, held_out};
-use offsets::{Place, ROLL, Search, first_scan, refine};
+use offsets::{Search, first_scan, refine};
 use prepared::Prepared;
-use reduced::Reduced;
+use reduced::{Place, ROLL, Reduced};
 use reference::Reference;
 use serde::Serialize;
 use stated::Stated;
@@ -308,7 +308,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
 #[derive(Clone)]
 struct Trial {
     convention: Convention,
-    /// As in [`offsets::Place`].
+    /// As in [`reduced::Place`].
     offset: Place,
     class: usize,
     residual: f64,

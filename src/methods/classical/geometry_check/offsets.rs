@@ -2,7 +2,7 @@
 
 use super::Convention;
 use super::held_out::{BANDS, HeldOut, held_out};
-use super::reduced::Reduced;
+use super::reduced::{Place, ROLL, Reduced};
 use serde::Serialize;
 use trgs_core::error::Result;
 use trgs_core::numeric::reduce;
@@ -25,13 +25,6 @@ const RUNS: usize = 6;
 
 /// Standard errors from which a roll differs.
 pub(super) const SIGNIFICANT_ROLL: f64 = 3.0;
-
-/// Where detector and axis are: offsets along u and v (scene units), roll (radians), axis shift (scene units).
-pub(super) type Place = [f64; 4];
-/// Index of the roll in a [`Place`].
-pub(super) const ROLL: usize = 2;
-/// Index of the axis shift in a [`Place`].
-pub(super) const SHIFT: usize = 3;
 
 /// Parameters of the search for a minimum.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,6 @@
 //! A scan reduced so far that it can be reconstructed many times per second.
 
 use super::Convention;
-use super::offsets::{Place, ROLL, SHIFT};
 use super::stated::Stated;
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
@@ -10,6 +9,13 @@ use trgs_core::numeric::threads;
 
 /// Largest extent of the grid, as a fraction of the distance to the source.
 const REACH: f64 = 0.95;
+
+/// Where detector and axis are: offsets along u and v (scene units), roll (radians), axis shift (scene units).
+pub(super) type Place = [f64; 4];
+/// Index of the roll in a [`Place`].
+pub(super) const ROLL: usize = 2;
+/// Index of the axis shift in a [`Place`].
+pub(super) const SHIFT: usize = 3;
 
 /// A subset of the training views on a coarse detector, as read.
 pub(super) struct Reduced {

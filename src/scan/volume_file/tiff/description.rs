@@ -1,7 +1,7 @@
 //! What the programs that wrote a TIFF say in its description: number of pages, spacing, calibration.
 
 use super::super::header::{converted, shown};
-use crate::frame::Unit;
+use crate::unit::Unit;
 use glam::DVec3;
 use serde_json::Value;
 
