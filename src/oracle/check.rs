@@ -7,11 +7,11 @@ use super::limits::{Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
 use super::question::Question;
 use super::waivers::Waiver;
-use jiff::civil::Date;
 use ndarray::ArrayD;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
+use toml::value::Date;
 use trgs_core::error::{Error, Result};
 use trgs_core::setting::Setting;
 

@@ -1,7 +1,6 @@
 //! The report of a check as Markdown for readers, JSON for programs and JUnit for CI servers.
 
 use super::check::{CaseResult, PartResult, Report, Status};
-use quick_junit::{NonSuccessKind, TestCase, TestCaseStatus, TestSuite};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -26,7 +25,7 @@ pub fn write(report: &Report, path: impl AsRef<Path>) -> Result<[PathBuf; 3]> {
     let paths = [path.to_owned(), path.with_extension("md"), path.with_extension("xml")];
     write_atomically(&paths[0], |out| Ok(serde_json::to_writer_pretty(out, report)?))?;
     write_atomically(&paths[1], |out| out.write_all(markdown(report).as_bytes()))?;
-    write_atomically(&paths[2], |out| junit(report).serialize(out).map_err(std::io::Error::other))?;
+    write_atomically(&paths[2], |out| out.write_all(junit(report).as_bytes()))?;
     Ok(paths)
 }
 
@@ -164,33 +163,47 @@ fn one_line(backend: &serde_json::Value) -> String {
     words.unwrap_or_else(|| backend.to_string())
 }
 
-/// One test suite per stage, one test per case.
-fn junit(report: &Report) -> quick_junit::Report {
-    let mut all = quick_junit::Report::new("trgs oracle");
+/// One test suite of JUnit per stage, one test per case.
+fn junit(report: &Report) -> String {
+    let counts = |of: &dyn Fn(&CaseResult) -> bool| {
+        let count = |is: fn(Status) -> bool| report.results.iter().filter(|r| of(r) && is(r.status)).count();
+        let skipped = count(|status| matches!(status, Status::Skipped | Status::Waived));
+        let [all, errors, failures] =
+            [count(|_| true), count(|status| status == Status::Missing), count(|status| status == Status::Failed)];
+        format!("tests=\"{all}\" skipped=\"{skipped}\" errors=\"{errors}\" failures=\"{failures}\"")
+    };
+    let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
+    let _ = writeln!(text, "<testsuites name=\"trgs oracle\" {}>", counts(&|_| true));
     for stage in stages(report) {
-        let mut suite = TestSuite::new(stage);
+        let _ = writeln!(text, "    <testsuite name=\"{}\" {}>", attribute(stage), counts(&|r| r.stage == stage));
         for result in report.results.iter().filter(|r| r.stage == stage) {
             let bad = result.parts.iter().filter(|p| p.status != Status::Passed);
-            let lines: Vec<String> = bad
-                .map(|p| {
-                    let looks_like =
-                        p.looks_like.as_ref().map_or_else(String::new, |name| format!("; looks like {name}"));
-                    format!("{}: {}{looks_like}", p.output, what(p))
-                })
-                .chain(result.waiver.clone())
-                .collect();
-            let mut status = match result.status {
-                Status::Passed => TestCaseStatus::success(),
-                Status::Skipped | Status::Waived => TestCaseStatus::skipped(),
-                Status::Missing => TestCaseStatus::non_success(NonSuccessKind::Error),
-                Status::Failed => TestCaseStatus::non_success(NonSuccessKind::Failure),
+            let looks_like =
+                |p: &PartResult| p.looks_like.as_ref().map_or(String::new(), |x| format!("; looks like {x}"));
+            let lines = bad.map(|p| format!("{}: {}{}", p.output, what(p), looks_like(p)));
+            let lines: Vec<String> = lines.chain(result.waiver.clone()).collect();
+            let (name, message) = (attribute(&result.id), attribute(&lines.join("\n")));
+            let _ = match result.status {
+                Status::Passed => writeln!(text, "        <testcase name=\"{name}\"/>"),
+                status => {
+                    let tag = match status {
+                        Status::Missing => "error",
+                        Status::Failed => "failure",
+                        _ => "skipped",
+                    };
+                    let inner = format!("            <{tag} message=\"{message}\"/>");
+                    writeln!(text, "        <testcase name=\"{name}\">\n{inner}\n        </testcase>")
+                }
             };
-            if result.status != Status::Passed {
-                status.set_message(lines.join("\n"));
-            }
-            suite.add_test_case(TestCase::new(result.id.as_str(), status));
         }
-        all.add_test_suite(suite);
+        text += "    </testsuite>\n";
     }
-    all
+    text + "</testsuites>\n"
+}
+
+/// A text in the quotation marks of XML, which has no control characters.
+fn attribute(text: &str) -> String {
+    let text: String = text.chars().filter(|c| *c == '\n' || !c.is_control()).collect();
+    let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;");
+    text.replace('\n', "&#10;")
 }

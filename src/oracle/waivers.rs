@@ -8,10 +8,10 @@
 //! ```
 
 use super::manifest::Case;
-use jiff::civil::Date;
-use jiff::{Timestamp, tz::TimeZone};
 use serde::Deserialize;
 use std::path::Path;
+use std::time::SystemTime;
+use toml::value::Date;
 use trgs_core::error::{Error, Result};
 
 /// A waiver for one case.
@@ -60,8 +60,6 @@ pub fn read(path: impl AsRef<Path>, cases: &[Case]) -> Result<Vec<Waiver>> {
             return Err(wrong(format!("no reason for {}", row.case), "a reason"));
         }
         let day = row.expires.date.filter(|_| row.expires.time.is_none());
-        let day =
-            day.and_then(|d| Date::new(d.year.try_into().ok()?, d.month.try_into().ok()?, d.day.try_into().ok()?).ok());
         let expires =
             day.ok_or_else(|| wrong(format!("expires = {} for {}", row.expires, row.case), "a day, YYYY-MM-DD"))?;
         Ok(Waiver { case: row.case, reason: row.reason, expires })
@@ -71,5 +69,34 @@ pub fn read(path: impl AsRef<Path>, cases: &[Case]) -> Result<Vec<Waiver>> {
 
 /// The current date, UTC.
 pub fn today() -> Date {
-    Timestamp::now().to_zoned(TimeZone::UTC).date()
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    date(since.as_secs() / 86_400)
+}
+
+/// The date so many days after 1970-01-01.
+fn date(days: u64) -> Date {
+    // Years from 1 March end with the leap day. 719468 days lead from March of the year 0 to 1970; 146097 are 400 years.
+    let (fours, day) = ((days + 719_468) / 146_097, (days + 719_468) % 146_097);
+    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let after = u64::from(month >= 10);
+    Date {
+        year: (400 * fours + year + after) as u16,
+        month: (month + 3 - 12 * after) as u8,
+        day: (day - (153 * month + 2) / 5 + 1) as u8,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn days_are_dates() {
+        let of = |days| date(days).to_string();
+        assert_eq!([0, 31, 364, 365].map(of), ["1970-01-01", "1970-02-01", "1970-12-31", "1971-01-01"]);
+        assert_eq!([789, 11_016, 11_017].map(of), ["1972-02-29", "2000-02-29", "2000-03-01"]);
+        assert_eq!([20_785, 47_540, 47_541].map(of), ["2026-11-28", "2100-02-28", "2100-03-01"]);
+    }
 }

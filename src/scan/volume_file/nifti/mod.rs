@@ -10,14 +10,14 @@ use super::header::{surplus, three_axes};
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
 use crate::limit;
 use crate::output::write_atomically;
+use flate2::Compression;
 use flate2::read::MultiGzDecoder;
+use flate2::write::GzEncoder;
 use glam::{DMat3, DQuat, DVec3};
 use header::{Header, SMALLEST_OFFSET};
-use ndarray::Array3;
-use nifti::NiftiHeader;
-use nifti::writer::WriterOptions;
-use std::fs::File;
-use std::io;
+use ndarray::{Array3, ArrayView2, Axis};
+use std::io::Write;
+use std::iter;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 
@@ -193,6 +193,12 @@ fn place(header: &Header, oddities: &mut Vec<String>) -> (DVec3, Option<DVec3>, 
 
 pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<()> {
     let Place { spacing, origin, directions, in_millimetres } = place;
+    let sides = <[usize; 3]>::from(values.dim());
+    let [x, y, z] = sides.map(|side| i16::try_from(side).ok());
+    let (Some(x), Some(y), Some(z)) = (x, y, z) else {
+        let expected = format!("at most {} voxels along each axis, as NIfTI-1 states", i16::MAX);
+        return Err(Error::invalid("volume", format!("{sides:?}"), expected, "end the name with .mha or .nrrd"));
+    };
     let origin = (origin * RAS).as_vec3();
     let axes = [0, 1, 2].map(|axis| directions.col(axis) * RAS);
     let mirror = if DMat3::from_cols_array_2d(&axes.map(Into::into)).determinant() < 0.0 { -1.0 } else { 1.0 };
@@ -201,27 +207,31 @@ pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<(
     let q = if quaternion.w < 0.0 { -quaternion } else { quaternion }.as_quat();
     let s = spacing.as_vec3();
     let row = |i: usize| [0, 1, 2, 3].map(|j| if j < 3 { (axes[j][i] * spacing[j]) as f32 } else { origin[i] });
-    let header = NiftiHeader {
-        pixdim: [mirror as f32, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0],
-        xyzt_units: if in_millimetres { MILLIMETRES } else { 0 },
-        sform_code: SCANNER,
-        qform_code: SCANNER,
-        srow_x: row(0),
-        srow_y: row(1),
-        srow_z: row(2),
-        quatern_b: q.x,
-        quatern_c: q.y,
-        quatern_d: q.z,
-        quatern_x: origin.x,
-        quatern_y: origin.y,
-        quatern_z: origin.z,
-        ..NiftiHeader::default()
-    };
+    let mut header = [0; SMALLEST_OFFSET[0]];
+    let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
+    let shorts = |numbers: &[i16]| numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<_>>();
+    let singles = |numbers: &[f32]| numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<_>>();
+    put(0, &348_i32.to_le_bytes());
+    put(40, &shorts(&[3, x, y, z, 1, 1, 1, 1]));
+    // Datatype and bits of f32.
+    put(70, &shorts(&[16, 32]));
+    put(76, &singles(&[mirror as f32, s.x, s.y, s.z, 1.0, 1.0, 1.0, 1.0]));
+    // Position of the numbers, slope and intercept.
+    put(108, &singles(&[SMALLEST_OFFSET[0] as f32, 1.0, 0.0]));
+    put(123, &[if in_millimetres { MILLIMETRES } else { 0 }]);
+    put(252, &shorts(&[SCANNER, SCANNER]));
+    put(256, &singles(&[q.x, q.y, q.z, origin.x, origin.y, origin.z]));
+    put(280, &singles(&[row(0), row(1), row(2)].concat()));
+    put(344, b"n+1\0");
     let is_packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
-    let fail = |source: io::Error| Error::write(path, source);
-    let folder = tempfile::tempdir().map_err(fail)?;
-    let file = folder.path().join(if is_packed { "volume.nii.gz" } else { "volume.nii" });
-    let written = WriterOptions::new(&file).reference_header(&header).write_nifti(values);
-    written.map_err(|error| fail(io::Error::other(error.to_string())))?;
-    write_atomically(path, |out| io::copy(&mut File::open(&file)?, out).map(|_| ()))
+    write_atomically(path, |out| {
+        let slice = |slice: ArrayView2<'_, f32>| singles(&slice.t().iter().copied().collect::<Vec<_>>());
+        let mut parts = iter::once(header.to_vec()).chain(values.axis_iter(Axis(2)).map(slice));
+        if !is_packed {
+            return parts.try_for_each(|part| out.write_all(&part));
+        }
+        let mut packer = GzEncoder::new(out, Compression::fast());
+        parts.try_for_each(|part| packer.write_all(&part))?;
+        packer.finish().map(|_| ())
+    })
 }
