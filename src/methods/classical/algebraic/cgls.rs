@@ -1,8 +1,6 @@
 //! Conjugate gradients on the normal equations (CGLS). Not in the paper.
 
-use super::{
-    Observe, Pass, See, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers,
-};
+use super::{Observe, Pass, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
@@ -24,24 +22,6 @@ pub fn cgls<R: Real>(
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
     run_to_the_end(CglsRun::<R>::new(projector, projections, iterations, None)?, observe)
-}
-
-/// [`cgls()`] that passes the volume to `see` after every iteration.
-pub(super) fn cgls_seen<R: Real>(
-    projector: &VoxelProjector,
-    projections: &Projections,
-    iterations: usize,
-    see: &mut See<'_, R>,
-) -> Result<Volume> {
-    let mut run = CglsRun::<R>::new(projector, projections, iterations, None)?;
-    while !run.is_finished() {
-        let Some(residual) = run.improve() else { break };
-        if see(run.iteration, residual, &run.x)?.is_break() {
-            break;
-        }
-        run.turn();
-    }
-    run.system.volume(run.x)
 }
 
 /// CGLS, run one iteration at a time.
@@ -82,6 +62,11 @@ impl<'a, R: Real> CglsRun<'a, R> {
             run.gamma = dot(&run.direction, &run.direction);
         }
         Ok(run)
+    }
+
+    /// The current volume, in array order.
+    pub(super) fn values(&self) -> &[R] {
+        &self.x
     }
 
     /// `Aᵀ(p - A x)`.

@@ -7,7 +7,7 @@
 //! Views are sorted by angle, and every k-th view belongs to one fold. Parallel views from opposite sides stay
 //! together, because each determines the other. The procedure is deterministic.
 
-use super::{SartSettings, System, TvRun, TvSettings, cgls_seen, dot, sart_seen};
+use super::{CglsRun, SartRun, SartSettings, System, TvRun, TvSettings, VoxelRun, dot};
 use crate::classical::VoxelProjector;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -127,39 +127,27 @@ pub fn choose_weight<R: Real>(
         let mut run = TvRun::<R>::new(projector, &train, &settings, None)?;
         let mut error_of = |power: i32| {
             run.restart(weight(power));
-            while !run.is_finished() {
-                run.step()?;
-                go_on(observe(KEY, None))?;
-                work += train.len();
-            }
-            let error = held.error(run.values());
+            let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
+            let judged = judged(&mut run, TvRun::values, &held, &|_| false, &|_| usize::MAX, &mut see)?;
+            work += judged.iterations * train.len();
+            let error = judged.errors[judged.errors.len() - 1].1;
             if number == 0 {
-                go_on(observe(KEY, Some(&Trial { value: weight(power), error: (error[0] / error[1]).sqrt() })))?;
+                go_on(observe(KEY, Some(&Trial { value: weight(power), error: relative(error) })))?;
             }
-            Ok::<_, Error>(error)
+            Ok(error)
         };
-        if number > 0 {
-            for (&power, sums) in &mut sums {
-                let error = error_of(power)?;
-                (0..2).for_each(|k| sums[k] += error[k]);
-            }
+        // The first fold decides which weights are tried.
+        if number == 0 {
+            sums = until_it_rises(&[1, -1], &mut error_of, |before, after| after[0] > before[0])?;
             continue;
         }
-        // The first fold decides which weights are tried: from the first weight to either side until the error rises.
-        sums.insert(0, error_of(0)?);
-        for side in [1, -1] {
-            for power in (1..=MOST_NEIGHBOURS).map(|k| side * k) {
-                let (error, before) = (error_of(power)?, sums[&(power - side)]);
-                sums.insert(power, error);
-                if error[0] > before[0] {
-                    break;
-                }
-            }
+        for (&power, sums) in &mut sums {
+            let error = error_of(power)?;
+            (0..2).for_each(|k| sums[k] += error[k]);
         }
     }
-    let curve: Vec<Trial> = (sums.iter())
-        .map(|(&power, [error, size])| Trial { value: weight(power), error: (error / size).sqrt() })
-        .collect();
+    let curve: Vec<Trial> =
+        (sums.iter()).map(|(&power, error)| Trial { value: weight(power), error: relative(*error) }).collect();
     let value = least(&curve);
     Ok(Choice {
         key: KEY.into(),
@@ -198,25 +186,24 @@ pub fn choose_passes<R: Real>(
     let (train, held) = (projections.select(train), projections.select(held));
     let share = train.len() as f64 / projections.len() as f64;
     let held = Held::<R>::new(projector, &held)?;
-    let mut curve: Vec<Trial> = Vec::new();
-    let mut best = Trial { value: 0.0, error: f64::INFINITY };
-    let mut see = |iteration: usize, _: f64, x: &[R]| {
-        let [error, size] = held.error(x);
-        let trial = Trial { value: iteration as f64, error: (error / size).sqrt() };
-        curve.push(trial);
-        if trial.error < best.error {
-            best = trial;
+    let mut see = |judged: Option<Trial>| judged.map_or(Ok(()), |trial| go_on(observe(KEY, Some(&trial))));
+    let last = |best: usize| (best as f64 * PATIENCE).max(best as f64 + 1.0).ceil() as usize;
+    let when = |iteration: usize| iteration > 0;
+    let errors = match passes {
+        Passes::Sart(settings) => {
+            let mut run = SartRun::<R>::new(projector, &train, &settings, None)?;
+            judged(&mut run, SartRun::values, &held, &when, &last, &mut see)?.errors
         }
-        go_on(observe(KEY, Some(&trial)))?;
-        let ends = trial.value >= (best.value * PATIENCE).max(best.value + 1.0);
-        Ok(if ends { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        Passes::Cgls(most) => {
+            let mut run = CglsRun::<R>::new(projector, &train, most, None)?;
+            judged(&mut run, CglsRun::values, &held, &when, &last, &mut see)?.errors
+        }
     };
-    match passes {
-        Passes::Sart(settings) => sart_seen::<R>(projector, &train, &settings, &mut see)?,
-        Passes::Cgls(most) => cgls_seen::<R>(projector, &train, most, &mut see)?,
-    };
+    let trial = |&(iteration, error): &(usize, [f64; 2])| Trial { value: iteration as f64, error: relative(error) };
+    let curve: Vec<Trial> = errors.iter().map(trial).collect();
+    let best = curve.iter().min_by(|a, b| a.error.total_cmp(&b.error)).map_or(1.0, |best| best.value);
     let cost = curve.len() as f64 * share;
-    Ok(Choice { key: KEY.into(), value: best.value.max(1.0), curve, folds: 1, cost, iterations: None })
+    Ok(Choice { key: KEY.into(), value: best, curve, folds: 1, cost, iterations: None })
 }
 
 /// What is searched for a finish from a given volume.
@@ -252,56 +239,95 @@ pub fn choose_finish<R: Real>(
     const KEY: &str = "tv.weight";
     let [train, held] = views;
     let held = Held::<R>::new(projector, held)?;
-    let error = |x: &[R]| {
-        let [error, size] = held.error(x);
-        (error / size).sqrt()
-    };
     let mut steps = 0;
     // The least error with a weight, and the fewest iterations that come near it.
     let mut least = |weight: f64| {
         let [fewest, most] = search.iterations.map_or(search.range, |iterations| [iterations; 2]);
         let settings = TvSettings { weight, iterations: most, ..*settings };
         let mut run = TvRun::<R>::new(projector, train, &settings, Some(start))?;
-        let (mut best, mut judged) = ((0, f64::INFINITY), Vec::new());
-        let mut iteration = 0;
-        loop {
-            let ends = run.is_finished();
-            let is_judged = iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
-            if is_judged || ends {
-                let error = error(run.values());
-                judged.push((iteration, error));
-                if error < best.1 {
-                    best = (iteration, error);
-                }
-            }
-            if ends || iteration >= best.0.max(fewest) + IN_VAIN {
-                break;
-            }
-            run.step()?;
-            go_on(observe(KEY, None))?;
-            iteration += 1;
-            steps += 1;
-        }
+        let when =
+            |iteration: usize| iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
+        let last = |best: usize| best.max(fewest) + IN_VAIN;
+        let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
+        let judged = judged(&mut run, TvRun::values, &held, &when, &last, &mut see)?;
+        steps += judged.iterations;
+        let errors = || judged.errors.iter().map(|&(iteration, error)| (iteration, relative(error)));
+        let best = errors().min_by(|a, b| a.1.total_cmp(&b.1)).expect("the last iteration is judged");
         go_on(observe(KEY, Some(&Trial { value: weight, error: best.1 })))?;
-        let is_near = |(_, error): &&(usize, f64)| *error <= (1.0 + search.near) * best.1;
-        let near = judged.iter().find(is_near).map_or(best.0, |judged| judged.0);
-        Ok::<_, Error>((weight, near, best.1))
+        let near = errors().find(|(_, error)| *error <= (1.0 + search.near) * best.1).unwrap_or(best);
+        Ok((weight, near.0, best.1))
     };
     let first = search.weight.unwrap_or(search.first);
-    let mut tried = vec![least(first)?];
-    for power in (1..=MOST_NEIGHBOURS).filter(|_| search.weight.is_none()) {
-        let trial = least(first * pow(FACTOR, f64::from(power)))?;
-        let before = tried[tried.len() - 1].2;
-        tried.push(trial);
-        if trial.2 >= before {
-            break;
-        }
-    }
+    let sides: &[i32] = if search.weight.is_none() { &[1] } else { &[] };
+    let mut of = |power: i32| least(first * pow(FACTOR, f64::from(power)));
+    let tried = until_it_rises(sides, &mut of, |before, after| after.2 >= before.2)?;
     let (value, iterations, _) =
-        tried.iter().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
-    let curve = tried.iter().map(|&(value, _, error)| Trial { value, error }).collect();
+        tried.values().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
+    let curve = tried.values().map(|&(value, _, error)| Trial { value, error }).collect();
     let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.trajectory.len()) as f64;
     Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
+}
+
+/// What held-out views say about a run.
+struct Judged {
+    /// Iterations, with `‖A x - p‖²` and `‖p‖²` after each.
+    errors: Vec<(usize, [f64; 2])>,
+    /// Iterations of the run.
+    iterations: usize,
+}
+
+/// Judges a run after the iterations `when` and at its end, which is at the latest `last` of the best iteration so far.
+///
+/// `see` gets nothing for an iteration, and then its error if it is judged.
+fn judged<R: Real, T: VoxelRun>(
+    run: &mut T,
+    values: fn(&T) -> &[R],
+    held: &Held<'_, R>,
+    when: &dyn Fn(usize) -> bool,
+    last: &dyn Fn(usize) -> usize,
+    see: &mut dyn FnMut(Option<Trial>) -> Result<()>,
+) -> Result<Judged> {
+    let (mut errors, mut best, mut iterations) = (Vec::new(), (0, f64::INFINITY), 0);
+    loop {
+        let ends = run.is_finished();
+        if when(iterations) || ends {
+            errors.push((iterations, held.error(values(run))));
+            let error = relative(errors[errors.len() - 1].1);
+            if error < best.1 {
+                best = (iterations, error);
+            }
+            see(Some(Trial { value: iterations as f64, error }))?;
+        }
+        if ends || iterations >= last(best.0) || run.step()?.is_none() {
+            return Ok(Judged { errors, iterations });
+        }
+        iterations += 1;
+        see(None)?;
+    }
+}
+
+/// `‖A x - p‖/‖p‖` from the squares.
+fn relative([error, size]: [f64; 2]) -> f64 {
+    (error / size).sqrt()
+}
+
+/// Trials of the powers from 0 to each of `sides` until the error rises.
+fn until_it_rises<T: Copy>(
+    sides: &[i32],
+    trial: &mut dyn FnMut(i32) -> Result<T>,
+    rises: fn(T, T) -> bool,
+) -> Result<BTreeMap<i32, T>> {
+    let mut tried = BTreeMap::from([(0, trial(0)?)]);
+    for side in sides {
+        for power in (1..=MOST_NEIGHBOURS).map(|k| side * k) {
+            let (before, after) = (tried[&(power - side)], trial(power)?);
+            tried.insert(power, after);
+            if rises(before, after) {
+                break;
+            }
+        }
+    }
+    Ok(tried)
 }
 
 /// The views that a pilot run fits and those that it leaves out; none where there are too few views.

@@ -34,9 +34,6 @@ pub use sart::{SartRun, SartSettings, sart};
 pub use tv::{TvRun, TvSettings, tv};
 pub use voxel_run::{VoxelRun, VoxelState};
 
-use cgls::cgls_seen;
-use sart::sart_seen;
-
 use super::columns::Columns;
 use super::voxel_projector::VoxelProjector;
 use ndarray::Array3;
@@ -70,9 +67,6 @@ pub struct Pass {
 
 /// Observer of every iteration; breaking ends the reconstruction with an error.
 pub type Observe<'a> = dyn FnMut(&Pass) -> ControlFlow<()> + 'a;
-
-/// Observer of iteration, residual and volume; breaking ends the reconstruction there.
-type See<'a, R> = dyn FnMut(usize, f64, &[R]) -> Result<ControlFlow<()>> + 'a;
 
 /// The linear system to be solved.
 struct System<'a, R> {

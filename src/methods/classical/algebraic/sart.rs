@@ -1,6 +1,6 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::{CHUNK, Observe, Order, Pass, See, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
+use super::{CHUNK, Observe, Order, Pass, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
@@ -70,23 +70,6 @@ pub fn sart<R: Real>(
     run_to_the_end(SartRun::<R>::new(projector, projections, settings, None)?, observe)
 }
 
-/// [`sart()`] that passes the volume to `see` after every pass.
-pub(super) fn sart_seen<R: Real>(
-    projector: &VoxelProjector,
-    projections: &Projections,
-    settings: &SartSettings,
-    see: &mut See<'_, R>,
-) -> Result<Volume> {
-    let mut run = SartRun::<R>::new(projector, projections, settings, None)?;
-    while !run.is_finished() {
-        let residual = run.pass();
-        if see(run.iteration, residual, &run.x)?.is_break() {
-            break;
-        }
-    }
-    run.system.volume(run.x)
-}
-
 /// SART or OS-SART, run one pass at a time.
 pub struct SartRun<'a, R> {
     system: System<'a, R>,
@@ -120,6 +103,11 @@ impl<'a, R: Real> SartRun<'a, R> {
             (run.x, run.relaxation, run.residuals, run.iteration) = (x, relaxation, [before, last], state.iteration);
         }
         Ok(run)
+    }
+
+    /// The current volume, in array order.
+    pub(super) fn values(&self) -> &[R] {
+        &self.x
     }
 
     /// Runs one pass; returns its residual.
