@@ -1,7 +1,7 @@
-//! Progress of a run over all its parts, on a bar or in lines, and how long the run will take.
+//! Progress of the parts of a run, on a bar or in lines, and how long the run will take.
 
 use super::interrupt::requested;
-use super::pace::{Part, Plan, spoken};
+use super::pace::{Pace, STEP_IN_VIEWS, spoken};
 use super::{Global, LogFormat};
 use indicatif::ProgressStyle;
 use std::io::{self, IsTerminal};
@@ -10,26 +10,24 @@ use std::time::{Duration, Instant};
 use trgs::classical::VoxelProjector;
 use trgs::classical::algebraic::{Pass, Trial};
 use trgs::config::Config;
-use trgs::reconstruction::Progress;
+use trgs::reconstruction::{PILOT_PART, Progress};
 use trgs::scan::Dataset;
 use trgs::train::Record;
 use trgs::words;
 
 /// Time between two lines where standard error is no terminal.
 const BETWEEN_LINES: Duration = Duration::from_secs(5);
-/// Positions of the bar.
-const POSITIONS: f64 = 1000.0;
 
 /// Reports the steps of a run.
 pub(super) struct RunProgress<'a> {
     dataset: &'a Dataset,
     config: &'a Config,
-    plan: Plan,
+    pace: Pace<'a>,
     bar: Option<indicatif::ProgressBar>,
     began: Instant,
     lines: Lines,
-    /// Whether the duration was said.
-    is_told: bool,
+    /// The part, its first step, and the seconds then.
+    part: (&'static str, usize, f64),
     loss: String,
 }
 
@@ -66,15 +64,15 @@ impl<'a> RunProgress<'a> {
     ) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
         let style = ProgressStyle::with_template("{bar:30} {msg}").expect("the template is well formed");
-        let test_views = dataset.test.as_ref().map_or(0, |test| test.len());
+        let views = [dataset.train.len(), dataset.test.as_ref().map_or(0, |test| test.len())];
         Self {
             dataset,
             config,
-            plan: Plan::new(config, done, is_decided, [dataset.train.len(), test_views]),
-            bar: wanted.then(|| indicatif::ProgressBar::new(POSITIONS as u64).with_style(style)),
+            pace: Pace { config, done, is_decided, views, steps: 0, from: 0.0 },
+            bar: wanted.then(|| indicatif::ProgressBar::new(1).with_style(style)),
             began: Instant::now(),
             lines: Lines::default(),
-            is_told: false,
+            part: ("", 0, 0.0),
             loss: String::new(),
         }
     }
@@ -85,47 +83,41 @@ impl<'a> RunProgress<'a> {
         let fits = self.config.method.fits_primitives();
         match *step {
             Progress::Iteration(iteration, record) => {
-                self.plan.reach(Part::Training, iteration, None, now);
-                self.iteration("iteration", iteration, record, now);
+                self.measure(now);
+                self.iteration("iteration", [iteration, self.config.iterations], record, now);
             }
             Progress::Pilot(iteration, record) => {
-                self.plan.reach(Part::Pilot, iteration, None, now);
-                self.iteration("pilot run, iteration", iteration, record, now);
+                let all = (PILOT_PART * self.config.iterations as f64) as usize;
+                self.iteration("pilot run, iteration", [iteration, all.max(1)], record, now);
             }
             Progress::Choosing(key, trial) => {
                 // Passes are chosen among the passes of one run, each of which is a trial.
-                if trial.is_none() || key == "passes" {
-                    self.plan.step(Part::Choice, now);
+                if !fits && (trial.is_none() || key == "passes") {
+                    self.measure(now);
                 }
                 self.trial(key, trial, now);
             }
             Progress::Pass(pass) => {
-                let part = if fits { Part::Finish } else { Part::Passes };
-                self.plan.reach(part, pass.iteration, Some(pass.iterations), now);
+                // Those of a checkpoint come first, and were not run.
+                if !fits && pass.iteration > self.pace.done {
+                    self.measure(now);
+                }
                 self.pass(if fits { "finish on voxels, iteration" } else { "iteration" }, pass, now);
             }
         }
-        self.tell(now);
         if requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
     /// Says that the metrics are computed.
     pub(super) fn evaluating(&mut self) {
-        let now = self.began.elapsed().as_secs_f64();
-        self.plan.enter(Part::Evaluation);
-        self.show("evaluation".into(), now);
+        self.show("evaluation".into(), [0, 1]);
     }
 
     /// Says once how long the run will take, as soon as its first steps allow.
-    fn tell(&mut self, now: f64) {
-        if self.is_told || !self.plan.is_measured() {
-            return;
-        }
-        self.is_told = true;
-        if self.plan.asks_for_a_step() {
-            self.plan.set_step(self.step_on_voxels());
-        }
-        if let Some((seconds, text)) = self.plan.duration(now) {
+    fn measure(&mut self, now: f64) {
+        let Some(step) = self.pace.step(now) else { return };
+        let on_voxels = if self.pace.asks_for_a_step() { self.step_on_voxels() } else { f64::NAN };
+        if let Some((seconds, text)) = self.pace.duration(now, step, on_voxels) {
             match &self.bar {
                 Some(bar) => bar.suspend(|| tracing::info!(seconds, "{text}")),
                 None => tracing::info!(seconds, "{text}"),
@@ -141,39 +133,43 @@ impl<'a> RunProgress<'a> {
         let Ok(projector) = VoxelProjector::new(scanner, self.config.algebraic.rays) else { return f64::NAN };
         let began = Instant::now();
         match projector.forward::<f32>(&view, empty.view()) {
-            Ok(_) => began.elapsed().as_secs_f64() * Plan::STEP_IN_VIEWS * train.len() as f64,
+            Ok(_) => began.elapsed().as_secs_f64() * STEP_IN_VIEWS * train.len() as f64,
             Err(_) => f64::NAN,
         }
     }
 
-    fn left(&self) -> String {
-        match self.plan.left() {
-            Some(seconds) if self.is_told => format!(", about {} left", spoken(seconds)),
-            _ => String::new(),
+    /// The time that a part will take to its last step.
+    fn left(&mut self, part: &'static str, [done, all]: [usize; 2], now: f64) -> String {
+        if self.part.0 != part {
+            self.part = (part, done, now);
         }
+        let (_, first, began) = self.part;
+        if done <= first {
+            return String::new();
+        }
+        let seconds = (now - began) / (done - first) as f64 * all.saturating_sub(done) as f64;
+        format!(", about {} left of this part", spoken(seconds))
     }
 
     /// Moves the bar and shows `text` beside it.
-    fn show(&self, text: String, now: f64) {
+    fn show(&self, text: String, [done, all]: [usize; 2]) {
         if let Some(bar) = &self.bar {
-            if let Some(left) = self.plan.left().filter(|_| self.is_told) {
-                bar.set_position((POSITIONS * now / (now + left).max(f64::MIN_POSITIVE)) as u64);
-            }
-            bar.set_message(text + &self.left());
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+            bar.set_message(text);
         }
     }
 
-    fn iteration(&mut self, what: &str, iteration: usize, record: Option<&Record>, now: f64) {
+    fn iteration(&mut self, what: &'static str, steps: [usize; 2], record: Option<&Record>, now: f64) {
+        let (left, [iteration, all]) = (self.left(what, steps, now), steps);
         if self.bar.is_some() {
             if let Some(Record { loss, primitives, .. }) = record {
                 self.loss = format!(": loss {loss:.5}, {primitives} primitives");
             }
-            let all = self.plan.steps(if what == "iteration" { Part::Training } else { Part::Pilot });
-            return self.show(format!("{what} {iteration} of {all}{}", self.loss), now);
+            return self.show(format!("{what} {iteration} of {all}{}{left}", self.loss), steps);
         }
         let Some(record) = record.filter(|_| self.lines.is_due(Instant::now())) else { return };
         let Record { iterations, loss, l1, d_ssim, tv, primitives, seconds, .. } = *record;
-        let left = self.left();
         tracing::info!(
             part = if what == "iteration" { "training" } else { "pilot" },
             iteration,
@@ -189,15 +185,16 @@ impl<'a> RunProgress<'a> {
         );
     }
 
-    fn pass(&mut self, what: &str, pass: &Pass, now: f64) {
+    fn pass(&mut self, what: &'static str, pass: &Pass, now: f64) {
+        let left = self.left(what, [pass.iteration, pass.iterations], now);
         let Pass { iteration, iterations, residual, objective, change } = *pass;
         let shown = if (0.01..1e6).contains(&residual) { format!("{residual:.4}") } else { format!("{residual:.4e}") };
         if self.bar.is_some() {
-            return self.show(format!("{what} {iteration} of {iterations}: residual {shown}"), now);
+            let text = format!("{what} {iteration} of {iterations}: residual {shown}{left}");
+            return self.show(text, [iteration, iterations]);
         }
         if self.lines.is_due(Instant::now()) {
             let change = change.map_or(String::new(), |change| format!(", step {change:.1e} of the volume"));
-            let left = self.left();
             tracing::info!(
                 part = if self.config.method.fits_primitives() { "finish" } else { "passes" },
                 iteration,
@@ -216,17 +213,16 @@ impl<'a> RunProgress<'a> {
                 let value = words::value(*value);
                 self.loss = format!(": {value} has a held-out error of {error:.5}");
             }
-            return self.show(format!("choice of {key}{}", self.loss), now);
+            return self.show(format!("choice of {key}{}", self.loss), [0, 1]);
         }
         let Some(Trial { value, error }) = trial else { return };
         if self.lines.is_due(Instant::now()) {
-            let left = self.left();
             tracing::info!(
                 part = "choice",
                 key,
                 value,
                 error,
-                "choice of {key}: {} has a held-out error of {error:.5}, {now:.1} s{left}",
+                "choice of {key}: {} has a held-out error of {error:.5}, {now:.1} s",
                 words::value(*value)
             );
         }
