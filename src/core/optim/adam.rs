@@ -1,8 +1,6 @@
 //! Adam (Kingma & Ba, 2015), with bias correction. Not in the paper: it names the method only.
 
-use crate::numeric::Lanes;
 use crate::numeric::threads;
-use crate::numeric::vectors::{LANES, f64x8, splat};
 use serde::{Deserialize, Serialize};
 
 /// Numbers of one task.
@@ -53,7 +51,7 @@ impl Adam {
     /// # Panics
     /// If an array does not have the length the optimiser was made for.
     pub fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64) {
-        self.advance(parameters, gradient, |parameter, m, root| parameter - splat(rate) * m / root);
+        self.advance(parameters, gradient, |parameter, m, root| parameter - rate * m / root);
     }
 
     /// Writes the direction `m̂ / (√v̂ + ε)` that a step of rate 1 goes against.
@@ -64,47 +62,21 @@ impl Adam {
         self.advance(direction, gradient, |_, m, root| m / root);
     }
 
-    /// Updates the moments, and each number to `then(number, m̂, √v̂ + ε)`, eight at a time.
-    fn advance(
-        &mut self,
-        values: &mut [f64],
-        gradient: &[f64],
-        then: impl Fn(f64x8, f64x8, f64x8) -> f64x8 + Sync + Send,
-    ) {
-        assert_eq!(
-            (values.len(), gradient.len()),
-            (self.moments.len(), self.moments.len()),
-            "lengths of parameters and gradient"
-        );
+    /// Updates the moments, and each number to `then(number, m̂, √v̂ + ε)`.
+    fn advance(&mut self, values: &mut [f64], gradient: &[f64], then: impl Fn(f64, f64, f64) -> f64 + Sync + Send) {
+        let n = self.moments.len();
+        assert_eq!((values.len(), gradient.len()), (n, n), "lengths of parameters and gradient");
         self.steps += 1;
-        let [beta1, beta2] = self.beta;
-        let correction = [1.0 - power(beta1, self.steps), 1.0 - power(beta2, self.steps)].map(splat);
-        let (kept, new) = ([beta1, beta2].map(splat), [1.0 - beta1, 1.0 - beta2].map(splat));
-        let epsilon = splat(self.epsilon);
-        let eight = |values: &mut [f64; LANES], moments: &mut [[f64; 2]; LANES], g: &[f64; LANES]| {
-            let g = f64x8::new(*g);
-            let m = kept[0] * f64x8::from_fn(|i| moments[i][0]) + new[0] * g;
-            let v = kept[1] * f64x8::from_fn(|i| moments[i][1]) + new[1] * (g * g);
-            *values = then(f64x8::new(*values), m / correction[0], (v / correction[1]).sqrt() + epsilon).to_array();
-            let (m, v) = (m.to_array(), v.to_array());
-            *moments = std::array::from_fn(|i| [m[i], v[i]]);
-        };
+        let ([beta1, beta2], epsilon) = (self.beta, self.epsilon);
+        let [first, second] = self.beta.map(|beta| 1.0 - power(beta, self.steps));
         let chunks = (threads::chunks(values, CHUNK), threads::chunks(&mut self.moments, CHUNK));
         threads::for_each_zip(chunks, |chunk, (values, moments)| {
-            let gradient = &gradient[chunk * CHUNK..][..values.len()];
-            let ((values, last_values), (moments, last_moments)) = (values.as_chunks_mut(), moments.as_chunks_mut());
-            let (gradient, last_gradient) = gradient.as_chunks();
-            for ((values, moments), gradient) in values.iter_mut().zip(moments).zip(gradient) {
-                eight(values, moments, gradient);
+            for ((value, moments), g) in values.iter_mut().zip(moments).zip(&gradient[chunk * CHUNK..]) {
+                let m = beta1 * moments[0] + (1.0 - beta1) * g;
+                let v = beta2 * moments[1] + (1.0 - beta2) * (g * g);
+                *moments = [m, v];
+                *value = then(*value, m / first, (v / second).sqrt() + epsilon);
             }
-            let n = last_values.len();
-            let (mut values, mut moments, mut gradient) = ([0.0; LANES], [[0.0; 2]; LANES], [0.0; LANES]);
-            values[..n].copy_from_slice(last_values);
-            moments[..n].copy_from_slice(last_moments);
-            gradient[..n].copy_from_slice(last_gradient);
-            eight(&mut values, &mut moments, &gradient);
-            last_values.copy_from_slice(&values[..n]);
-            last_moments.copy_from_slice(&moments[..n]);
         });
     }
 
