@@ -78,7 +78,7 @@ fn bench(c: &mut Criterion, trained: &Trained) {
         &ssim,
         Array2::from_shape_fn((pixels, pixels), |(v, u)| ((v * 7 + u * 3) % 11) as f32 / 11.0).view(),
     );
-    let cotangent = image_loss(&ssim, 0.25, image.view(), &target).cotangent;
+    let cotangent = image_loss(&ssim, 0.25, image.view(), &target).1;
     // As in a run, buffers of the last iteration are reused.
     let (prediction, of_image) = (RefCell::new(image.clone()), RefCell::new(cotangent.clone()));
     let (volume, slopes) = (RefCell::default(), RefCell::default());

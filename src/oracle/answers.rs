@@ -132,8 +132,8 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "loss-image" => {
             let ssim = Ssim::<R>::default();
             let target = SsimTarget::new(&ssim, pixels(q, "target")?.view());
-            let loss = image_loss(&ssim, q.setting("weight")?, pixels(q, "prediction")?.view(), &target);
-            valued(loss.total, loss.cotangent)
+            let (loss, cotangent) = image_loss(&ssim, q.setting("weight")?, pixels(q, "prediction")?.view(), &target);
+            valued(loss.total, cotangent)
         }
         "loss-tv" => {
             let (value, gradient) = tv(q.array::<Ix3>("block")?.mapv(real::<R>).view());

@@ -84,8 +84,8 @@ impl Loss {
             }
             Self::Both(target) => {
                 let target = SsimTarget::new(&ssim, target.index_axis(Axis(0), view));
-                let loss = image_loss(&ssim, D_SSIM, image.view(), &target);
-                (loss.total, loss.cotangent)
+                let (loss, cotangent) = image_loss(&ssim, D_SSIM, image.view(), &target);
+                (loss.total, cotangent)
             }
             Self::Volume(..) | Self::Tv(_) => unreachable!("a loss of volumes"),
         }

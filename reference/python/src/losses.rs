@@ -143,11 +143,11 @@ fn image_loss_in<'py, R: Number>(
     weight: f64,
 ) -> PyResult<Valued<'py>> {
     let (prediction, target) = (prediction.as_array(), target.as_array());
-    let loss = run(py, || {
+    let (loss, cotangent) = run(py, || {
         let ssim = Ssim::<R>::default();
         loss::image_loss(&ssim, weight, prediction.view(), &SsimTarget::new(&ssim, target.view()))
     })?;
-    Ok((loss.total, give(py, loss.cotangent)))
+    Ok((loss.total, give(py, cotangent)))
 }
 
 /// Mean absolute difference of neighbouring voxels, and its gradient.

@@ -85,18 +85,30 @@ impl Fan {
     /// The interval of s in which the rays satisfy `low < coordinate < high` on both axes, x and y.
     pub(super) fn within(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
         // The grid is in front of the source of a cone beam.
-        let mut part = (if self.is_cone { 0.0 } else { f64::NEG_INFINITY }, f64::INFINITY);
-        for axis in 0..2 {
-            let (origin, direction) = (self.origin[axis], self.direction[axis]);
-            if direction == 0.0 {
-                if !(low[axis] < origin && origin < high[axis]) {
-                    return None;
-                }
-            } else {
-                let (a, b) = ((low[axis] - origin) / direction, (high[axis] - origin) / direction);
-                part = (part.0.max(a.min(b)), part.1.min(a.max(b)));
-            }
-        }
-        (part.0 < part.1).then_some(part)
+        let start = if self.is_cone { 0.0 } else { f64::NEG_INFINITY };
+        within(self.origin, self.direction, low, high, start)
     }
+}
+
+/// The interval from `start` on of s in which `low < origin + s·direction < high` on all axes.
+pub(super) fn within<const N: usize>(
+    origin: [f64; N],
+    direction: [f64; N],
+    low: [f64; N],
+    high: [f64; N],
+    start: f64,
+) -> Option<(f64, f64)> {
+    let mut part = (start, f64::INFINITY);
+    for axis in 0..N {
+        let (origin, direction) = (origin[axis], direction[axis]);
+        if direction == 0.0 {
+            if !(low[axis] < origin && origin < high[axis]) {
+                return None;
+            }
+        } else {
+            let (a, b) = ((low[axis] - origin) / direction, (high[axis] - origin) / direction);
+            part = (part.0.max(a.min(b)), part.1.min(a.max(b)));
+        }
+    }
+    (part.0 < part.1).then_some(part)
 }

@@ -2,6 +2,7 @@
 //!
 //! The weights are those of the fans: the planes of Joseph's method, the lengths of Siddon's.
 
+use super::fan::within;
 use super::joseph::Slab;
 use std::ops::Range;
 use trgs_core::geometry::{Grid, View};
@@ -30,7 +31,7 @@ impl SlantedRay {
         let ends = ends(slab);
         let low = ends.each_ref().map(|end| end.start as f64 - 1.0);
         let high = ends.each_ref().map(|end| end.end as f64);
-        let Some((from, to)) = self.within(low, high) else { return };
+        let Some((from, to)) = within(self.origin, self.direction, low, high, f64::NEG_INFINITY) else { return };
         let [from, to] = [from, to].map(|t| self.origin[main] + t * self.direction[main]);
         // A plane more at either end: rounding must not decide which voxels have a weight.
         let planes = (from.min(to).floor() - 1.0).max(ends[main].start as f64) as usize
@@ -62,7 +63,7 @@ impl SlantedRay {
         let ends = ends(slab);
         let low = ends.each_ref().map(|end| end.start as f64 - 0.5);
         let high = ends.each_ref().map(|end| end.end as f64 - 0.5);
-        let Some((mut from, end)) = self.within(low, high) else { return };
+        let Some((mut from, end)) = within(self.origin, self.direction, low, high, f64::NEG_INFINITY) else { return };
         let mut cell = [0, 1, 2].map(|axis| {
             let at = (self.origin[axis] + from * self.direction[axis] + 0.5).floor();
             at.clamp(ends[axis].start as f64, ends[axis].end as f64 - 1.0)
@@ -90,23 +91,6 @@ impl SlantedRay {
                 break;
             }
         }
-    }
-
-    /// The interval of lengths along the ray with `low < coordinate < high` on all axes.
-    fn within(&self, low: [f64; 3], high: [f64; 3]) -> Option<(f64, f64)> {
-        let mut part = (f64::NEG_INFINITY, f64::INFINITY);
-        for axis in 0..3 {
-            let (origin, direction) = (self.origin[axis], self.direction[axis]);
-            if direction == 0.0 {
-                if !(low[axis] < origin && origin < high[axis]) {
-                    return None;
-                }
-            } else {
-                let (a, b) = ((low[axis] - origin) / direction, (high[axis] - origin) / direction);
-                part = (part.0.max(a.min(b)), part.1.min(a.max(b)));
-            }
-        }
-        (part.0 < part.1).then_some(part)
     }
 }
 
