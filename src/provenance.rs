@@ -16,7 +16,7 @@ pub use crate::scan::digest::{digest_bytes, digest_file, digest_parts};
 pub struct Provenance {
     /// Version of trgs.
     pub version: String,
-    /// Git commit, if the environment variable `TRGS_COMMIT` was set during the build.
+    /// Git commit that the program was built from, with a hash of what was changed since; `None` without git.
     pub commit: Option<String>,
     /// Architecture, operating system and C library that the program was built for.
     pub target: String,

@@ -53,7 +53,7 @@ impl Config {
         }
     }
 
-    /// What SART is told.
+    /// The settings of SART.
     pub fn sart(&self) -> SartSettings {
         let AlgebraicConfig {
             relaxation, reduction, constant_relaxation, subset, order, non_negative, tolerance, ..
@@ -72,13 +72,13 @@ impl Config {
         }
     }
 
-    /// What the reconstruction with total variation is told, with the default weight where that is to be found.
+    /// The settings of the reconstruction with total variation, with the default weight where that is to be found.
     pub fn tv(&self) -> TvSettings {
         let TvConfig { weight, tolerance, steps, .. } = self.tv;
         TvSettings { weight: weight.or(TvSettings::default().weight), iterations: self.iterations, tolerance, steps }
     }
 
-    /// What a network is told; keys must be resolved.
+    /// The settings of a network; keys must be resolved.
     ///
     /// # Panics
     /// When the method has none.
@@ -121,7 +121,7 @@ impl Config {
         }
     }
 
-    /// What ASD-POCS is told. Where `density_unit` is auto, whoever knows the scan sets the unit.
+    /// The settings of ASD-POCS. Where `density_unit` is auto, the caller sets the unit, which depends on the scan.
     pub fn asd_pocs(&self) -> AsdPocsSettings {
         let AsdPocsConfig { tv_steps, alpha, alpha_reduction, r_max, epsilon } = self.asd_pocs;
         let unit = self.density_unit.or(1.0);

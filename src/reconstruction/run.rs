@@ -38,7 +38,7 @@ pub struct Run<'a> {
     observe: Box<Observe<'a>>,
 }
 
-/// What a run is told.
+/// Settings of a run.
 #[derive(Debug)]
 enum Settings<'a> {
     /// Still to be checked and completed.

@@ -1,7 +1,7 @@
 //! Training: the paper's loop, in the order of its pipeline. The arithmetic is in other modules.
 //!
 //! ```text
-//! first volume (FDK) → points → raw parameters; rays around them → confidence c → targets of ν
+//! first volume (SART) → points → raw parameters; rays around them → confidence c → targets of ν
 //! repeat:  raw → physical → field ─┬─ one view: image → L1, D-SSIM ────────────────────┐
 //!                            │     ├─ a random block: voxels → TV ─────────────────────┤
 //!                            │     └─ every few steps a block: voxels, routes → wavelets ┼→ gradient → raw gradient
