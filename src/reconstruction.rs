@@ -200,13 +200,7 @@ pub fn evaluate(
         absent.extend(["psnr_3d", "ssim_3d"].map(|name| (name, "the dataset has no true volume")));
     }
     let projections = match &dataset.test {
-        Some(test) => {
-            let seen = match primitives {
-                Some(primitives) => project(primitives, &dataset.scanner, test.trajectory(), config)?,
-                None => trilinear::project(volume, &dataset.scanner, test)?,
-            };
-            Some((test, seen))
-        }
+        Some(test) => Some((test, reproject(dataset, test, volume, primitives, config)?)),
         None => {
             absent.extend(["psnr_2d", "ssim_2d"].map(|name| (name, "the dataset has no test views")));
             None
@@ -214,6 +208,23 @@ pub fn evaluate(
     };
     let projections = projections.as_ref().map(|(test, seen)| (*test, seen));
     Ok(Evaluation { metrics: Metrics::compute(volumes, projections)?, absent })
+}
+
+/// Projections of a result in given views: of its primitives, or where there are none of its volume.
+///
+/// # Errors
+/// When there is no view.
+pub fn reproject(
+    dataset: &Dataset,
+    views: &Projections,
+    volume: &Volume,
+    primitives: Option<&Primitives>,
+    config: &Config,
+) -> Result<Projections> {
+    match primitives {
+        Some(primitives) => project(primitives, &dataset.scanner, views.trajectory(), config),
+        None => trilinear::project(volume, &dataset.scanner, views),
+    }
 }
 
 /// Projections of primitives as they were fitted.

@@ -75,7 +75,7 @@ fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
 }
 
 /// The volume of a file on a grid; one that states other axes is turned to those of the grid.
-fn arrange(frame: &Frame, file: VolumeFile, grid: &Grid, path: &Path) -> Result<Volume> {
+pub(super) fn arrange(frame: &Frame, file: VolumeFile, grid: &Grid, path: &Path) -> Result<Volume> {
     let (volume, remarks) = frame.arrange(file, grid).map_err(|error| error.in_file(path))?;
     warnings(path, remarks);
     Ok(volume)

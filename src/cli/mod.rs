@@ -30,6 +30,7 @@ mod run_folder;
 mod run_log;
 mod simulate;
 mod table;
+mod view;
 mod views;
 mod voxelize;
 
@@ -105,6 +106,7 @@ enum Command {
     Compare(compare::Compare),
     Inspect(inspect::Inspect),
     Convert(convert::Convert),
+    View(view::View),
 }
 
 /// Runs the program.
@@ -153,6 +155,7 @@ impl Command {
             Self::Compare(command) => command.run(),
             Self::Inspect(command) => command.run(global),
             Self::Convert(command) => command.run(),
+            Self::View(command) => command.run(),
         }
     }
 }

@@ -5,6 +5,7 @@ use super::flags::with_flags;
 use super::messages::moved;
 use super::run_log::{RunLog, to_line};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,8 @@ use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_atomically};
 use trgs::primitives::Primitives;
 use trgs::provenance::{Provenance, digest_bytes, digest_file};
-use trgs::reconstruction::{Checkpoint, Evaluation, Sampled};
+use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
+use trgs::report::viewer::Scene;
 use trgs::report::{self, Curve, Report};
 use trgs::scan::model;
 use trgs::scan::volume_file::NpySide;
@@ -33,6 +35,8 @@ const CHECKPOINTS: &str = "checkpoints";
 /// The volume, and its place beside it: spacing, origin, directions and unit.
 const VOLUME: &str = "volume.npy";
 const PLACE: &str = "volume.npy.json";
+/// Views on the page.
+const SHOWN_VIEWS: usize = 6;
 /// Files that contain no time, so that equal runs have equal digests.
 const TIMELESS: [&str; 5] = ["config.toml", "model.npz", VOLUME, PLACE, "metrics.json"];
 
@@ -264,12 +268,24 @@ fn page(
         subtitle: &format!("Reconstructed from {}", counted(dataset.train.len(), "projection")),
         methods: outcome.on_the_page().chain(beside.into_iter().flat_map(Outcome::on_the_page)).collect(),
         truth: dataset.truth.as_ref(),
+        frame: dataset.frame,
+        projections: Some(projections(dataset, config, outcome)?),
         curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
         choice: outcome.choice.as_ref(),
         confidence: confidence(dataset, config, outcome),
         facts,
         provenance: Some(provenance),
     })
+}
+
+/// A few test views, or else training views, measured and rendered.
+fn projections(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Result<Scene<'static>> {
+    let (views, kind) = dataset.test.as_ref().map_or((&dataset.train, "training"), |test| (test, "test"));
+    let views = views.evenly_spaced(views.len().min(SHOWN_VIEWS))?;
+    let rendered = reproject(dataset, &views, &outcome.volume, outcome.primitives.as_ref(), config)?;
+    let stacks = vec![("Measured", Cow::Owned(views)), (outcome.name(), Cow::Owned(rendered))];
+    let title = format!("Projections of {kind} views");
+    Ok(Scene::of_projections(&title, stacks, &dataset.scanner, &dataset.frame)?.reduced())
 }
 
 /// The size of a voxel in the unit of the scan's files.

@@ -6,6 +6,7 @@ mod chart;
 mod gallery;
 mod histogram;
 pub mod slice;
+pub mod viewer;
 
 use chart::Axes;
 pub use chart::Curve;
@@ -16,9 +17,11 @@ use crate::error::Result;
 use crate::evaluation::Metrics;
 use crate::geometry::Volume;
 use crate::provenance::Provenance;
+use crate::scan::Frame;
 use gallery::Gallery;
 use slice::short;
 use std::fmt::Write;
+use viewer::{Depth, Scene};
 
 /// The content of a page. An empty or missing part leaves its section out.
 #[derive(Clone, Debug, Default)]
@@ -31,6 +34,10 @@ pub struct Report<'a> {
     pub methods: Vec<Method<'a>>,
     /// The true volume, on the grid of the reconstructions.
     pub truth: Option<&'a Volume>,
+    /// Unit and place of the volumes.
+    pub frame: Frame,
+    /// Measured and rendered projections.
+    pub projections: Option<Scene<'a>>,
     /// Losses over the iterations; the total comes first.
     pub curves: Vec<Curve<'a>>,
     /// The setting that was chosen by held-out views.
@@ -66,7 +73,7 @@ const METRICS: [(&str, &str, &str); 4] = [
 const LOSSES: Axes<'static> =
     Axes { label: "Loss over the iterations", x: "iteration", is_logarithmic: false, mark: None };
 
-/// Content policy that prevents the page from loading anything.
+/// Content policy that prevents the page from loading anything; the viewer adds the digest of its script.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
 
 /// Renders the page as the text of an HTML file.
@@ -78,7 +85,9 @@ pub fn render(report: &Report) -> Result<String> {
     let gallery = Gallery::new(report.truth, volumes)?;
     let content = [
         headline(&report.methods),
+        volumes_to_scroll(report)?,
         gallery.map_or(String::new(), |gallery| gallery.html()),
+        report.projections.as_ref().map_or(String::new(), projections),
         losses(&report.curves),
         report.choice.map_or(String::new(), choice),
         report.confidence.as_ref().map_or(String::new(), confidence),
@@ -92,12 +101,13 @@ pub fn render(report: &Report) -> Result<String> {
 /// A complete page in the project's style; title and lead are plain text, the content is HTML.
 pub(crate) fn document(title: &str, lead: &str, content: &str) -> String {
     let (title, lead, style) = (escape(title), escape(lead), include_str!("style.css"));
+    let [viewer_style, script, source] = viewer::parts(content);
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
-         <title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n\
-         <header>\n<h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n</header>\n{content}</main>\n</body>\n</html>\n"
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}{source}\">\n\
+         <title>{title}</title>\n<style>\n{style}{viewer_style}</style>\n</head>\n<body>\n<main>\n\
+         <header>\n<h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n</header>\n{content}</main>\n{script}</body>\n</html>\n"
     )
 }
 
@@ -121,6 +131,24 @@ fn headline(methods: &[Method]) -> String {
         html += "</p></div>\n";
     }
     html + "</section>\n"
+}
+
+/// The viewer of the truth and of as many reconstructions as a page of a few megabytes holds.
+fn volumes_to_scroll(report: &Report) -> Result<String> {
+    let named = report.methods.iter().filter_map(|method| Some((method.name, method.volume?)));
+    let shown: Vec<_> = report.truth.map(|truth| ("Truth", truth)).into_iter().chain(named).collect();
+    let Some((_, first)) = shown.first() else { return Ok(String::new()) };
+    let most = (2 * viewer::WHOLE / first.values.len().min(viewer::WHOLE)).min(viewer::MOST);
+    let title = "Volumes";
+    let scene = Scene::of_volumes(title, shown.into_iter().take(most).collect(), &report.frame)?.reduced();
+    let how = "<p>Click into a picture; the wheel then goes through the slices, a drag with the right button sets the window, \
+               and ? lists the keys.</p>\n";
+    Ok(section(title, &format!("{how}{}", scene.html(Depth::Eight))))
+}
+
+fn projections(scene: &Scene) -> String {
+    let meaning = "<p>The volume contradicts the data where the difference is more than noise.</p>\n";
+    section(&escape(scene.title()), &format!("{meaning}{}", scene.html(Depth::Eight)))
 }
 
 fn losses(curves: &[Curve]) -> String {

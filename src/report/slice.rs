@@ -170,13 +170,13 @@ pub(super) fn encode(
 }
 
 /// The `q`-quantile of the values; 0 for no values.
-fn quantile(mut values: Vec<f32>, q: f64) -> f64 {
+pub(super) fn quantile(mut values: Vec<f32>, q: f64) -> f64 {
     let rank = ((values.len() as f64 * q).ceil() as usize).saturating_sub(1);
     if values.is_empty() { 0.0 } else { f64::from(*values.select_nth_unstable_by(rank, f32::total_cmp).1) }
 }
 
 /// A number rounded to `digits` significant digits.
-fn significant(value: f64, digits: usize) -> f64 {
+pub(super) fn significant(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }
 

@@ -50,9 +50,13 @@ fn page() -> String {
 #[test]
 fn a_page_loads_nothing_and_shows_every_metric_with_its_definition() {
     let html = page();
-    for foreign in ["http:", "https:", "<script", "<link", "url(", "@import", "src=\"/"] {
+    for foreign in ["http:", "https:", "<link", "url(", "@import", "src=\"/", "script src"] {
         assert!(!html.contains(foreign), "{foreign}");
     }
+    // The viewer's script, which the policy names by its digest, and its data.
+    assert_eq!([html.matches("<script>").count(), html.matches("<script type=\"application/json\">").count()], [1, 1]);
+    assert_eq!(html.matches("<script").count(), 2);
+    assert!(html.contains("default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-"));
     assert!(html.matches("src=\"").count() == html.matches("src=\"data:image/png;base64,").count());
 }
 
@@ -85,7 +89,7 @@ fn pictures_of_a_page_read_back_with_the_size_of_their_slices() {
 #[test]
 fn sections_without_content_are_left_out() {
     let html = render(&Report { title: "empty", ..Report::default() }).unwrap();
-    assert!(!html.contains("<section"));
+    assert!(!html.contains("<section") && !html.contains("<script"));
     let alone = volume(1.0);
     let methods = vec![Method { name: "TR-GS", volume: Some(&alone), metrics: None }];
     let html = render(&Report { title: "no truth", methods, ..Report::default() }).unwrap();

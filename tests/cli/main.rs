@@ -49,3 +49,5 @@ mod stand_ins;
 mod units;
 // Values that cannot be right.
 mod values;
+// The viewer, and `trgs view`.
+mod viewer;

@@ -129,7 +129,7 @@ impl Convert {
             // Scans of NAF and point clouds of R²-Gaussian share the extension: the output's name decides.
             "pickle" | "pkl" if out == Kind::Model => Kind::Model,
             "pickle" | "pkl" => Kind::Scan,
-            _ if kind(&self.source) == Kind::Model && !holds_arrays(&self.source) => Kind::Model,
+            _ if is_model(&self.source) => Kind::Model,
             _ if out == Kind::Scan => Kind::Stack,
             _ => Kind::Volume,
         };
@@ -202,6 +202,16 @@ fn kind(path: &Path) -> Kind {
         Some("npz" | "ply") => Kind::Model,
         Some(_) => Kind::Volume,
     }
+}
+
+/// Whether a path is that of a scan: its folder, its description or a pickle.
+pub(super) fn is_scan(path: &Path) -> bool {
+    path.join("meta_data.json").exists() || ["json", "pickle", "pkl"].contains(&extension(path))
+}
+
+/// Whether a path is that of a model.
+pub(super) fn is_model(path: &Path) -> bool {
+    kind(path) == Kind::Model && !holds_arrays(path)
 }
 
 /// Whether an archive holds other arrays than those of a model: a volume or a stack.

@@ -109,13 +109,13 @@ test('numbers have four digits and a typographic minus', () => {
 });
 
 test('the sheet of keys lists every key that acts', () => {
-  const listed = viewer.KEYS.split('\n').map((row) => row.split('|')[0]).join(' ');
+  const listed = new Set(viewer.KEYS.split('\n').flatMap((row) => row.split('|')[0].split(/[\s,]+/)));
   const state = { active: 0, cross: [0, 0, 0], centre: [0, 0, 0], pair: [0, 1], wipe: 0.5, zoom: 1, thickness: 0, crosshair: true };
   const scene = { shape, planes: [plain(0, 1, 2)], window: [0, 1] };
   const view = Object.assign(Object.create(viewer.View.prototype), { state, scene, planes: scene.planes, volumes: [volume, volume], root: {} });
   for (const key of '+-0[]{}()<>akhr?123456'.split('').concat(Object.keys(viewer.CYCLES))) {
     assert.ok(view.action({ key }, 1), `${key} does nothing`);
-    assert.ok(listed.includes(key === '-' ? '−' : key) || (key >= '1' && key <= '6' && listed.includes('1 to 6')), `${key} is not listed`);
+    assert.ok(listed.has(key === '-' ? '−' : key) || (key > '1' && key < '6'), `${key} is not listed`);
   }
   assert.deepEqual(view.action({ key: '4' }, 1), { mode: 'difference' });
   assert.ok(!view.action({ key: 'q' }, 1) && !view.action({ key: 'a', ctrlKey: true }, 1));

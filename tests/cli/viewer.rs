@@ -1,0 +1,121 @@
+//! `trgs view`: the page, and what it does in a browser.
+
+use crate::program::{Sandbox, stderr};
+use ndarray::Array3;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
+use trgs::scan::npy;
+
+/// The scenes of a page, as its script reads them.
+fn scenes(sandbox: &Sandbox, page: &str) -> Vec<Value> {
+    let html = sandbox.text(page);
+    let parts = html.split("<script type=\"application/json\">").skip(1);
+    parts.map(|part| serde_json::from_str(part.split("</script>").next().unwrap()).unwrap()).collect()
+}
+
+fn names(scene: &Value) -> Vec<&str> {
+    scene["volumes"].as_array().unwrap().iter().map(|volume| volume["name"].as_str().unwrap()).collect()
+}
+
+/// The volumes that `tests/viewer/drive.js` knows.
+fn write_digits(sandbox: &Sandbox) {
+    let values = Array3::from_shape_fn((16, 16, 16), |(x, y, z)| (x + 16 * y + 256 * z) as f32 / 4096.0);
+    npy::write(&sandbox.path("a.npy"), values.view()).unwrap();
+    npy::write(&sandbox.path("b.npy"), (values + 0.25).view()).unwrap();
+}
+
+#[test]
+fn the_viewer_works_in_chromium() {
+    let is_there =
+        |program: &str| Command::new(program).arg("--version").output().is_ok_and(|run| run.status.success());
+    if let Some(missing) = ["node", "chromium"].into_iter().find(|program| !is_there(program)) {
+        // Bypasses the capture of the test harness: a skipped test must not look like a passed one.
+        let remark = format!("SKIPPED: {missing} is not installed; the viewer is not tried in a browser\n");
+        return std::io::stderr().write_all(remark.as_bytes()).unwrap();
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let unit = Command::new("node").args(["--test", "src/report/viewer/"]).current_dir(root).output().unwrap();
+    assert!(unit.status.success(), "{}", String::from_utf8_lossy(&unit.stdout));
+    let sandbox = Sandbox::new();
+    write_digits(&sandbox);
+    sandbox.done("view a.npy b.npy --out page.html");
+    let drive =
+        Command::new("node").arg(root.join("tests/viewer/drive.js")).arg(sandbox.path("page.html")).output().unwrap();
+    let said = String::from_utf8_lossy(&drive.stdout);
+    assert!(drive.status.success() && said.matches("ok: ").count() >= 9, "{said}{}", stderr(&drive));
+}
+
+#[test]
+fn a_run_beside_its_scan_shows_volumes_and_projections() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("reconstruct scan --out run --method fdk");
+    let found = sandbox.done("view run scan");
+    assert_eq!(found["out"], "view.html");
+    assert_eq!(found["bytes"], sandbox.read("view.html").len());
+    let shown = scenes(&sandbox, "view.html");
+    assert_eq!(shown.iter().map(names).collect::<Vec<_>>(), [vec!["truth", "run"], vec!["measured", "rendered"]]);
+    assert_eq!([&shown[0]["shape"], &shown[1]["shape"]], [&json!([12, 12, 12]), &json!([3, 14, 15])]);
+    assert!(shown.iter().flat_map(|scene| scene["volumes"].as_array().unwrap()).all(|volume| volume["bits"] == 8));
+    // The projections of a volume are those that it is judged by.
+    assert!(sandbox.text("view.html").contains("<h2>Projections of the test views</h2>"));
+    assert_eq!(shown[1]["angles"].as_array().unwrap().len(), 3);
+    // Alone, a scan shows what was measured.
+    sandbox.done("view scan --out scan.html");
+    let alone = scenes(&sandbox, "scan.html");
+    assert_eq!(alone.iter().map(names).collect::<Vec<_>>(), [vec!["truth"], vec!["measured"]]);
+    assert_eq!(alone[1]["shape"], json!([4, 14, 15]));
+}
+
+#[test]
+fn volumes_of_any_format_are_shown_at_their_place() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("convert scan/vol_gt.npy truth.nii.gz --scanner scan");
+    sandbox.done("convert scan/vol_gt.npy truth.mha --scanner scan");
+    sandbox.done("view truth.nii.gz --out one.html --mu-water 0.5");
+    let one = &scenes(&sandbox, "one.html")[0];
+    assert_eq!([&one["volumes"][0]["bits"], &one["water"]], [&json!(16), &json!(0.5)]);
+    let spacing = one["spacing"].as_array().unwrap()[0].as_f64().unwrap();
+    // NIfTI holds f32.
+    assert_eq!(spacing as f32, 2.0 / 12.0);
+    sandbox.done("view truth.nii.gz truth.mha scan/vol_gt.npy --bits 8");
+    let three = &scenes(&sandbox, "view.html")[0];
+    assert_eq!(names(three), ["truth.nii.gz", "truth.mha", "vol_gt.npy"]);
+    let data = |number: usize| &three["volumes"][number]["data"];
+    assert!(data(0) == data(1) && data(1) == data(2));
+    assert_eq!(three["reach"], 1.0);
+    // A stack of frames is shown as one.
+    sandbox.done("view scan/proj_train --out frames.html");
+    assert_eq!(scenes(&sandbox, "frames.html")[0]["axes"], json!(["view", "v", "u"]));
+}
+
+#[test]
+fn large_volumes_are_reduced_unless_all_is_asked_for() {
+    let sandbox = Sandbox::new();
+    npy::write(&sandbox.path("long.npy"), Array3::<f32>::ones((1100, 50, 50)).view()).unwrap();
+    let found = sandbox.done("view long.npy");
+    assert_eq!(found["shows"], json!(["long.npy, 550 × 25 × 25"]));
+    assert!(scenes(&sandbox, "view.html")[0]["note"].as_str().unwrap().starts_with("Means of 2 × 2 × 2"));
+    let found = sandbox.done("view long.npy --full");
+    assert_eq!(found["shows"], json!(["long.npy, 1100 × 50 × 50"]));
+}
+
+#[test]
+fn what_cannot_be_shown_is_refused() {
+    let sandbox = Sandbox::with_scan();
+    write_digits(&sandbox);
+    npy::write(&sandbox.path("flat.npy"), Array3::<f32>::ones((16, 16, 1)).view()).unwrap();
+    sandbox.done("simulate --phantom torso --out other --size 12 --detector 14 --views 2 --test-views 0");
+    for (arguments, part) in [
+        ("view scan other", "scans to show: got scan and other, expected one"),
+        ("view a.npy flat.npy", "flat.npy"),
+        ("view a.npy a.npy a.npy a.npy", "volumes to show: got 4, expected 1 to 3"),
+        ("view a.npy scan", "a.npy"),
+        ("view missing.nii.gz", "missing.nii.gz"),
+        ("view a.npy --out a.npy", "a file that is read"),
+    ] {
+        let error = sandbox.refused(arguments);
+        assert!(error.contains(part), "{arguments}: {error}");
+    }
+}
