@@ -1,4 +1,4 @@
-"""Judges the claims of claims.toml by the rules of reference/results/PROTOCOL-OF-VERDICT.md.
+"""Judges the claims of reference/results/claims.toml by the rules of reference/results/PROTOCOL-OF-VERDICT.md.
 
     python judge.py            write reference/results/verdict/judged.json
     python judge.py --check    exit 1 if it is not that of the tables
@@ -115,7 +115,7 @@ def adjust(results):
 
 
 def judged():
-    table = tomllib.loads((HERE / "claims.toml").read_text())
+    table = tomllib.loads((RESULTS / "claims.toml").read_text())
     claims = []
     for claim in table["claim"]:
         series = [result for name in ("B", "A", "C") if name in claim["series"] and (result := measured(name, claim))]

@@ -170,7 +170,7 @@ impl Pose {
 
 /// The views of a scan: an angle for each, and a pose for each where the scan is no plain circle.
 ///
-/// Functions that take views accept a list of angles (radians), which is a circle, or [`Projections`].
+/// Functions that take views accept a list of angles (radians), which is a circle, or [`Projections`](super::Projections).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory<'a> {
     /// Radians. With poses they are labels: for the order of views, and for people.
