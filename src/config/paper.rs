@@ -20,7 +20,7 @@ const POPULATIONS: [f64; 3] = [50_000.0, 100_000.0, 500_000.0];
 /// Weight of the pull on ν.
 const PULL: f64 = 1e-4;
 /// Voxels along a side of the blocks, and iterations between two wavelet blocks there.
-const BLOCK: usize = 32;
+pub(super) const BLOCK: usize = 32;
 const WAVELET_EVERY: f64 = 10.0;
 /// Smallest scale of a primitive, voxels: a 2,000th of the side.
 const SMALLEST_SCALE: f64 = 0.128;
@@ -56,7 +56,8 @@ impl Config {
         fill(&mut self.confidence.every, (self.iterations / 60).clamp(1, 500));
         let block = ((side / 4.0) as usize).clamp(4, BLOCK) & !1;
         fill(&mut self.loss.tv_block, block);
-        fill(&mut self.wavelet.block, block);
+        let whole = 1 << self.wavelet.levels;
+        fill(&mut self.wavelet.block, (block / whole).max(1) * whole);
         // A voxel is in as many blocks as at 256³, from 64³ on: there is at most one block an iteration.
         let visits = |iterations: f64, block: usize, side: f64| iterations * pow(block as f64 / side, 3.0);
         let there = visits(ITERATIONS, BLOCK, SIDE) / WAVELET_EVERY;
@@ -106,6 +107,15 @@ mod tests {
             within!("visits", (visits(size) / visits(256) - 1.0).abs(), "{size}: {} {}", visits(size), visits(256));
             assert_eq!(small.model.smallest_scale, large.model.smallest_scale);
         }
+    }
+
+    #[test]
+    fn blocks_have_whole_levels_at_any_size() {
+        let mut config = Config::of(Method::TrGs);
+        config.apply(Preset::Paper);
+        config.set("wavelet.levels=3").unwrap();
+        let block = |size| config.plan(&Scanner::synthetic(size, size), 18).unwrap().wavelet.block;
+        assert_eq!([16, 48, 64, 256].map(block), [8, 8, 16, 32]);
     }
 
     #[test]

@@ -21,7 +21,7 @@
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
 use super::auto::fill;
-use super::paper::{GRADIENT, SIDE};
+use super::paper::{BLOCK, GRADIENT, SIDE};
 use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start, TvConfig};
 use crate::error::Result;
 use crate::geometry::Scanner;
@@ -43,8 +43,7 @@ const CELLS_PER_VOXEL: f64 = 4.0;
 const LEVELS: u32 = 19;
 /// R²-Gaussian's weight of the total variation, for the side of the paper's volumes.
 const TOTAL_VARIATION: f64 = 0.05;
-/// Side of the blocks, and iterations between two wavelet blocks.
-const BLOCK: usize = 32;
+/// Iterations between two wavelet blocks.
 const WAVELET_EVERY: usize = 10;
 
 /// A configuration of which every value is in its range, and every key that follows from the scan is filled in.

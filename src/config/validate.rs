@@ -1,6 +1,7 @@
 //! Which values make sense.
 
 use super::keys::{Keys, require};
+use super::paper::BLOCK;
 use super::{AlphaConfig, Config, Method, PositionOptimiser, Start};
 use crate::error::{Error, Result};
 use crate::primitives::KernelKind;
@@ -80,8 +81,8 @@ impl Config {
             require("confidence.alpha", voxels, positive, "own, median or a positive number of voxels")?;
         }
         let levels = wavelet.levels;
-        // 0 is a multiple, too: the rules of the scan set it.
-        let whole = wavelet.block.trailing_zeros() as usize >= levels;
+        let block = if wavelet.block == 0 { BLOCK } else { wavelet.block };
+        let whole = block.trailing_zeros() as usize >= levels;
         require("wavelet.block", wavelet.block, whole, &format!("a multiple of 2^levels = {}", 1 << levels))?;
 
         // From there on momentum grows without bound; the burn-in has none. A factor on the rates of a short run divides
@@ -158,6 +159,17 @@ mod tests {
         assert!(message.starts_with("sghmc.friction: got 142.0") && message.contains("141.4"), "{message}");
         // It has no meaning for Adam.
         config.set("optimiser.position=adam").unwrap();
+        config.validate().unwrap();
+    }
+
+    #[test]
+    fn the_block_of_the_scan_has_whole_levels() {
+        let mut config = Config::default();
+        config.set("wavelet.levels=5").unwrap();
+        config.validate().unwrap();
+        config.set("wavelet.levels=6").unwrap();
+        assert!(config.validate().unwrap_err().to_string().starts_with("wavelet.block: got 0, expected a multiple"));
+        config.set("wavelet.block=64").unwrap();
         config.validate().unwrap();
     }
 
