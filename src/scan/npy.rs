@@ -8,7 +8,7 @@ use crate::input;
 use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
-use npyz::{DType, Deserialize, NpyFile, NpyHeader, Order, WriteOptions, WriterBuilder};
+use npyz::{DType, Deserialize, NpyHeader, Order, TypeRead, WriteOptions, WriterBuilder};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use trgs_core::error::{Error, Result};
@@ -17,6 +17,8 @@ use trgs_core::error::{Error, Result};
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header accepted. Headers of plain arrays have about 100 bytes; NumPy rejects longer ones.
 const LONGEST_HEADER: usize = 10_000;
+/// Numbers read at once, of at most 8 bytes each.
+const BLOCK: usize = 4096;
 
 /// The values of an array.
 ///
@@ -172,9 +174,8 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
         return Err(incomplete(format!("more bytes than any file has for the header {text:?}")));
     }
 
-    let parsed = NpyHeader::from_reader(&header[..]);
-    let parsed = parsed.map_err(|error| wrong(error.to_string().lines().next().unwrap_or_default()))?;
-    let npy = NpyFile::with_header(parsed, source);
+    let npy = NpyHeader::from_reader(&header[..]);
+    let npy = npy.map_err(|error| wrong(error.to_string().lines().next().unwrap_or_default()))?;
     let other = |dtype: DType| wrong(&format!("values of type {}", dtype.descr()));
     let (DType::Plain(kind), Some(item)) = (npy.dtype(), npy.dtype().num_bytes()) else {
         return Err(other(npy.dtype()));
@@ -189,18 +190,18 @@ pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) ->
     let size = npy.len().saturating_mul(copies * if item > 2 && item != 4 { 8 } else { 4 });
     limit::allow(format!("{what} of shape {:?}", npy.shape()), size).map_err(|error| error.in_file(path))?;
     let (numbers, full_scale) = match &kind.to_string()[1..] {
-        "f2" => (values(npy, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
-        "f4" => (values(npy, |v: f32| v).map(Numbers::F32), None),
-        "f8" => (values(npy, |v: f64| v).map(Numbers::F64), None),
-        "b1" => (values(npy, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),
-        "u1" => (values(npy, |v: u8| f32::from(v)).map(Numbers::F32), Some(f64::from(u8::MAX))),
-        "i1" => (values(npy, |v: i8| f32::from(v)).map(Numbers::F32), Some(f64::from(i8::MAX))),
-        "u2" => (values(npy, |v: u16| f32::from(v)).map(Numbers::F32), Some(f64::from(u16::MAX))),
-        "i2" => (values(npy, |v: i16| f32::from(v)).map(Numbers::F32), Some(f64::from(i16::MAX))),
-        "u4" => (values(npy, |v: u32| f64::from(v)).map(Numbers::F64), Some(f64::from(u32::MAX))),
-        "i4" => (values(npy, |v: i32| f64::from(v)).map(Numbers::F64), Some(f64::from(i32::MAX))),
-        "u8" => (values(npy, |v: u64| v as f64).map(Numbers::F64), Some(u64::MAX as f64)),
-        "i8" => (values(npy, |v: i64| v as f64).map(Numbers::F64), Some(i64::MAX as f64)),
+        "f2" => (values(&npy, source, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
+        "f4" => (values(&npy, source, |v: f32| v).map(Numbers::F32), None),
+        "f8" => (values(&npy, source, |v: f64| v).map(Numbers::F64), None),
+        "b1" => (values(&npy, source, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),
+        "u1" => (values(&npy, source, |v: u8| f32::from(v)).map(Numbers::F32), Some(f64::from(u8::MAX))),
+        "i1" => (values(&npy, source, |v: i8| f32::from(v)).map(Numbers::F32), Some(f64::from(i8::MAX))),
+        "u2" => (values(&npy, source, |v: u16| f32::from(v)).map(Numbers::F32), Some(f64::from(u16::MAX))),
+        "i2" => (values(&npy, source, |v: i16| f32::from(v)).map(Numbers::F32), Some(f64::from(i16::MAX))),
+        "u4" => (values(&npy, source, |v: u32| f64::from(v)).map(Numbers::F64), Some(f64::from(u32::MAX))),
+        "i4" => (values(&npy, source, |v: i32| f64::from(v)).map(Numbers::F64), Some(f64::from(i32::MAX))),
+        "u8" => (values(&npy, source, |v: u64| v as f64).map(Numbers::F64), Some(u64::MAX as f64)),
+        "i8" => (values(&npy, source, |v: i64| v as f64).map(Numbers::F64), Some(i64::MAX as f64)),
         _ => return Err(other(npy.dtype())),
     };
     Ok(Npy { numbers: numbers.map_err(|source| unreadable(source, path, what))?, full_scale })
@@ -228,15 +229,28 @@ fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
     Ok(header)
 }
 
-/// All values in C order, each converted by `number`.
-fn values<S: Deserialize, T: Clone>(npy: NpyFile<impl Read>, number: impl Fn(S) -> T) -> io::Result<ArrayD<T>> {
+/// All values in C order, each converted by `number`. Bytes are read in blocks: a call for each number costs more than
+/// the number.
+fn values<S: Deserialize, T: Clone>(
+    header: &NpyHeader,
+    mut source: impl Read,
+    number: impl Fn(S) -> T,
+) -> io::Result<ArrayD<T>> {
     let invalid = |error: String| io::Error::new(io::ErrorKind::InvalidData, error);
-    let shape: Vec<usize> = npy.shape().iter().map(|&n| n as usize).collect();
-    let layout = IxDyn(&shape).set_f(npy.order() == Order::Fortran);
+    let shape: Vec<usize> = header.shape().iter().map(|&n| n as usize).collect();
+    let layout = IxDyn(&shape).set_f(header.order() == Order::Fortran);
+    let reader = S::reader(&header.dtype()).map_err(|error| invalid(error.to_string()))?;
+    let length = header.len() as usize;
     let mut values = Vec::new();
-    values.try_reserve_exact(npy.len() as usize)?;
-    for value in npy.data().map_err(|error| invalid(error.to_string()))? {
-        values.push(number(value?));
+    values.try_reserve_exact(length)?;
+    let mut block = [0; 8 * BLOCK];
+    while values.len() < length {
+        let bytes = &mut block[..size_of::<S>() * BLOCK.min(length - values.len())];
+        source.read_exact(bytes)?;
+        let mut bytes = &bytes[..];
+        while !bytes.is_empty() {
+            values.push(number(reader.read_one(&mut bytes)?));
+        }
     }
     let array = ArrayD::from_shape_vec(layout, values).map_err(|error| invalid(format!("shape {shape:?}: {error}")))?;
     Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
