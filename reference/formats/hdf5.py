@@ -1,4 +1,4 @@
-"""Reads HDF5 files with h5py: the judge of tests/cli/hdf5.rs.
+"""Reads HDF5 files with h5py: the judge of src/scan/hdf5/tests.rs.
 
 hdf5.py FOLDER FILE...   writes each array of numbers as float64 to FOLDER; prints {file: {name: {shape, numbers, array}}}
 

@@ -22,7 +22,6 @@ mod formats;
 // The check of a geometry.
 mod geometry_check;
 // Scans and volumes in HDF5.
-#[cfg(feature = "hdf5")]
 mod hdf5;
 // Unit and place, from the first read to the last write.
 mod lengths;

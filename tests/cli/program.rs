@@ -2,19 +2,23 @@
 #![allow(dead_code)]
 
 use assert_cmd::Command;
-use assert_cmd::cargo::cargo_bin_cmd;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-/// A working directory that is deleted with its content.
-pub(crate) struct Sandbox(tempfile::TempDir);
+/// A working directory that is deleted with its content, and the program to run in it.
+pub(crate) struct Sandbox(tempfile::TempDir, PathBuf);
 
 impl Sandbox {
     pub(crate) fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+        Self::of(env!("CARGO_BIN_EXE_trgs").into())
+    }
+
+    /// A sandbox for another build of the program.
+    pub(crate) fn of(program: PathBuf) -> Self {
+        Self(tempfile::tempdir().unwrap(), program)
     }
 
     /// A sandbox with the dataset `scan`: 12³ voxels, 4 training and 3 test views of 14 × 15 pixels.
@@ -32,7 +36,7 @@ impl Sandbox {
 
     /// The program with arguments separated by spaces.
     pub(crate) fn command(&self, arguments: &str) -> Command {
-        let mut command = cargo_bin_cmd!("trgs");
+        let mut command = Command::new(&self.1);
         command.args(arguments.split_whitespace()).current_dir(self.0.path());
         command
     }

@@ -3,6 +3,9 @@ use crate::damage::{MANY, assert_reader_survives};
 use crate::stack::{self, ScanFile};
 use crate::volume_file;
 use ndarray::Array3;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::process::Command;
 use trgs_core::setting::Text;
 
 fn path(name: &str) -> PathBuf {
@@ -131,4 +134,45 @@ fn damaged_files_are_clear_errors() {
     }
     let content = std::fs::read(path("matlab.mat")).unwrap();
     assert_reader_survives("matlab.mat", MANY / 3, &content, volume_file::parse);
+}
+
+/// The arrays of files as h5py reads them, or `None` with a message without h5py. A CI server must have it.
+fn read_with_h5py(folder: &Path, files: &[PathBuf]) -> Option<Value> {
+    let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
+    let has_it = Command::new(&program).args(["-c", "import h5py"]).output();
+    if !has_it.is_ok_and(|out| out.status.success()) {
+        assert!(std::env::var_os("CI").is_none(), "{program} lacks h5py; set TRGS_PYTHON");
+        std::io::stderr().write_all(format!("SKIPPED: {program} lacks h5py; set TRGS_PYTHON\n").as_bytes()).unwrap();
+        return None;
+    }
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../reference/formats/hdf5.py");
+    let output = Command::new(program).arg(script).arg(folder).args(files).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn every_array_is_read_as_h5py_reads_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["arrays.h5", "exchange.h5", "nxtomo.nxs", "matlab.mat", "deep.h5", "many_paths.h5"];
+    let files = names.map(path);
+    let Some(expected) = read_with_h5py(folder.path(), &files) else { return };
+    let mut compared = 0;
+    for file in &files {
+        let found = Hdf5::read(file).unwrap();
+        let file = file.to_str().unwrap();
+        for (name, expected) in expected[file].as_object().unwrap() {
+            let entry = found.entry(name).unwrap();
+            assert_eq!(
+                json!([entry.shape, entry.numbers]),
+                json!([expected["shape"], expected["numbers"]]),
+                "{file}: {name}"
+            );
+            let array = npy::read(expected["array"].as_str().unwrap()).unwrap();
+            let values = found.numbers(&entry).unwrap().into_f64();
+            assert_eq!(values, array.numbers.into_f64(), "{file}: {name}");
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 28);
 }
