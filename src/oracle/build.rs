@@ -1,4 +1,7 @@
-//! Lists the conformance vectors that are built in.
+//! Finds the files of `reference` that are built in, and lists the conformance vectors.
+//!
+//! The folder `reference` beside this file has links to them, which `cargo package` replaces with the files. Where links
+//! are not supported, the files are read from the repository.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs, io};
@@ -12,14 +15,17 @@ fn files(folder: &Path, found: &mut Vec<PathBuf>) -> io::Result<()> {
     Ok(())
 }
 
+/// A variable that cargo sets.
+fn variable(name: &str) -> PathBuf {
+    PathBuf::from(env::var_os(name).expect("cargo sets it"))
+}
+
 /// Writes a slice of (path with `/`, content), in the order of the paths.
-fn embed_vectors() -> io::Result<()> {
-    let variable = |name| PathBuf::from(env::var_os(name).expect("cargo sets it"));
-    let root = variable("CARGO_MANIFEST_DIR").join("../../reference/vectors");
+fn embed_vectors(root: &Path) -> io::Result<()> {
     let mut found = Vec::new();
-    files(&root, &mut found)?;
+    files(root, &mut found)?;
     let name = |path: &PathBuf| {
-        let parts = path.strip_prefix(&root).expect("below the root").iter();
+        let parts = path.strip_prefix(root).expect("below the root").iter();
         parts.map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
     };
     let mut named: Vec<_> = found.iter().map(|path| (name(path), path)).collect();
@@ -29,10 +35,13 @@ fn embed_vectors() -> io::Result<()> {
 }
 
 fn main() {
+    let places = ["reference", "../../reference"].map(|place| variable("CARGO_MANIFEST_DIR").join(place));
+    let reference = places.iter().find(|place| place.join("vectors").is_dir()).expect("a folder with the vectors");
+    println!("cargo:rustc-env=TRGS_REFERENCE={}", reference.display());
     if env::var_os("CARGO_FEATURE_VECTORS").is_some() {
-        embed_vectors().expect("the vectors can be read");
+        embed_vectors(&reference.join("vectors")).expect("the vectors can be read");
     }
     // Files that are added are built in, too.
-    println!("cargo:rerun-if-changed=../../reference/vectors");
+    println!("cargo:rerun-if-changed={}", reference.join("vectors").display());
     println!("cargo:rerun-if-changed=build.rs");
 }

@@ -9,7 +9,7 @@ use std::path::Path;
 use trgs_core::error::{Error, Result};
 
 const FILE: &str = "reference/tolerances.toml";
-const TEXT: &str = include_str!("../../reference/tolerances.toml");
+const TEXT: &str = include_str!(concat!(env!("TRGS_REFERENCE"), "/tolerances.toml"));
 
 /// The whole table.
 #[derive(Clone, Debug, Deserialize)]

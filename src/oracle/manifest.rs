@@ -19,7 +19,7 @@ pub const SCHEMA_VERSION: u32 = 2;
 /// The manifest's file name.
 const MANIFEST: &str = "manifest.json";
 /// The definition of every question and answer, for authors of backends.
-pub const PROTOCOL: &str = include_str!("../../reference/PROTOCOL.md");
+pub const PROTOCOL: &str = include_str!(concat!(env!("TRGS_REFERENCE"), "/PROTOCOL.md"));
 /// Its file name beside the manifest.
 pub const PROTOCOL_FILE: &str = "PROTOCOL.md";
 
