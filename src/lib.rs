@@ -47,10 +47,40 @@
 //! # Ok::<(), trgs::Error>(())
 //! ```
 //!
+//! Images of given primitives, and the gradient of a loss on them:
+//!
+//! ```
+//! use trgs::{Parameters, Primitives, Projection, Scanner, forward, vjp};
+//!
+//! let primitives = Primitives::new(Parameters {
+//!     mean: vec![[0.1, -0.2, 0.3]],
+//!     scale: vec![[0.2, 0.1, 0.15]],
+//!     quaternion: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     density: vec![1.0],
+//!     nu: vec![5.0],
+//! })?;
+//! let scanner = Scanner::synthetic(16, 24);
+//! let images = forward::<f64>(&primitives, &scanner, &[0.0, 1.0], Projection::Exact, 0.0);
+//! let gradient = vjp(&primitives, &scanner, &[0.0, 1.0], Projection::Exact, 0.0, images.view());
+//! assert!(gradient.density[0] > 0.0);
+//! # Ok::<(), trgs::Error>(())
+//! ```
+//!
+//! A trained model as a volume on a finer grid:
+//!
+//! ```no_run
+//! # fn main() -> trgs::Result<()> {
+//! let model = trgs::read_model("run/model.npz")?;
+//! let grid = trgs::Grid::cube(256);
+//! let values = trgs::voxelize::<f32>(&model, &grid, 0.0);
+//! trgs::write_volume("fine.nii.gz", &trgs::Volume::new(grid, values)?, &trgs::Frame::default())?;
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! [`Dataset::read`] takes a dataset folder of R²-Gaussian or a pickle of NAF; [`scan::stack`] turns raw detector frames
-//! into projections. [`Config`] documents every setting. Images and gradients of given primitives come from
-//! [`projector::forward`] and [`projector::vjp`]. The programs in `reference/examples` show reconstruction, rendering with
-//! gradients, and FDK.
+//! into projections. [`Config`] documents every setting. The programs in `reference/examples` show reconstruction,
+//! rendering with gradients, and FDK.
 //!
 //! # Features
 //!
@@ -74,6 +104,8 @@
 //!
 //! # Modules, in reading order
 //!
+//! The names at the root are those that a program needs first; the modules have the rest.
+//!
 //! | module | content | paper |
 //! |---|---|---|
 //! | [`geometry`] | **the conventions**: every axis, sign, unit and index order | |
@@ -94,8 +126,6 @@
 //! | `oracle` | conformance vectors for other implementations, and the judge of their answers | |
 //! | [`experiments`] | the paper's tables as data, run and set beside the paper's figures | Sec. 4, appendix |
 //! | [`config`], [`setting`] | settings of a run, and those besides the configuration | |
-//! | [`report`], [`provenance`], [`output`] | the page and the files of a run | |
-//! | [`limit`] | the limit on memory of readers and commands | |
 //! | [`memory`] | an upper bound on the memory of a run | |
 //! | [`numeric`] | scalars, lanes, sums, random numbers, threads | |
 //!
@@ -112,28 +142,37 @@
 mod tolerances;
 
 pub mod config;
-pub mod duration;
 pub mod experiments;
 pub mod memory;
-pub mod provenance;
 pub mod reconstruction;
-pub mod report;
 mod sealed;
 pub mod train;
 
-pub use config::{Config, Method};
-pub use reconstruction::{Run, evaluate, reconstruct};
-pub use scan::{Dataset, write_volume};
-pub use trgs_core::geometry::{Grid, Projections, Scanner, Volume};
-pub use trgs_core::primitives::Primitives;
-pub use trgs_core::projector::{Field, Projection};
+pub use config::{Config, Method, Precision, Preset};
+pub use reconstruction::{Checkpoints, Progress, Reconstruction, Run, evaluate, reconstruct};
+pub use trgs_core::geometry::{Beam, Detector, Grid, Projections, Scanner, Volume};
+pub use trgs_core::primitives::{KernelKind, Parameters, Primitives};
+pub use trgs_core::projector::{Field, Projection, forward, vjp, voxelize, voxelize_vjp};
 pub use trgs_core::setting::{Setting, Text};
-pub use trgs_core::{
-    confidence, density, error, error::Error, error::Result, geometry, loss, numeric, optim, primitives, projector,
-    setting, wavelet, words,
-};
+pub use trgs_core::{Error, Result};
+pub use trgs_scan::model::{read as read_model, write as write_model};
+pub use trgs_scan::volume_file::read as read_volume;
+pub use trgs_scan::{Dataset, Frame, Noise, Phantom, write_volume};
+
+pub use trgs_core::{confidence, density, geometry, loss, numeric, optim, primitives, projector, setting, wavelet};
 pub use trgs_methods::{classical, evaluation, neural};
 #[cfg(feature = "oracle")]
 pub use trgs_oracle as oracle;
 pub use trgs_scan as scan;
+
+// Parts of the program and of the packages beside this one.
+#[doc(hidden)]
+pub mod duration;
+#[doc(hidden)]
+pub mod provenance;
+#[doc(hidden)]
+pub mod report;
+#[doc(hidden)]
+pub use trgs_core::{error, words};
+#[doc(hidden)]
 pub use trgs_scan::{input, limit, output};
