@@ -21,7 +21,7 @@ use trgs::config::{Config, Method};
 use trgs::geometry::Scanner;
 use trgs::loss::tv::{self, tv_into};
 use trgs::loss::{Ssim, SsimTarget, image_loss_into};
-use trgs::neural::{NeuralRun, sizes};
+use trgs::neural::NeuralRun;
 use trgs::numeric::threads::WorkerPool;
 use trgs::numeric::{Lanes, Real, real};
 use trgs::optim::Adam;
@@ -249,7 +249,7 @@ fn all(c: &mut Criterion) {
         let batch = run.batch();
         let samples = batch.lengths.len() as f64;
         println!("{name}: {} rays of {} samples", batch.values.len(), settings.samples);
-        let operations = 3.0 * sizes(&settings, scan.scanner.grid.shape[2]).network as f64 * samples / f32s;
+        let operations = 3.0 * settings.parameters() as f64 * samples / f32s;
         let run = RefCell::new(run);
         pass(name, Work { operations, ..Work::default() }, &|| {
             black_box(run.borrow_mut().train());

@@ -1,4 +1,5 @@
-//! Upper bound on the memory of a run, known before it starts: rows of arrays, grouped by phase.
+//! Upper bound on the memory of a run, known before it starts: rows of arrays, grouped by phase. Each method on voxels
+//! states its own, beside itself.
 //!
 //! Populations are counted as large as their settings let them become, and an allowance covers memory that the
 //! allocator keeps between two uses. The estimate needs sizes only, so a run can be rejected before a projection is
@@ -6,6 +7,8 @@
 //!
 //! Tests: `tests/cli/memory.rs` compares it with the largest resident set of runs.
 
+use crate::classical::algebraic::{SartSettings, TvSettings, cgls_arrays};
+use crate::classical::fdk;
 use crate::config::{Config, DensityControl, Finish, Method, Plan, Precision, Sampling, Start};
 use crate::error::{Error, Result};
 use crate::projector;
@@ -13,6 +16,9 @@ use crate::scan::dataset::DatasetInfo;
 use crate::setting::Setting;
 use bytesize::ByteSize;
 use std::fmt;
+use trgs_methods::memory::{F32, F64, Sizes, allocation};
+
+pub use trgs_methods::memory::Allocation;
 
 /// Bytes of the program itself, its threads' stacks and small objects.
 const PROGRAM: u64 = 20 << 20;
@@ -20,23 +26,8 @@ const PROGRAM: u64 = 20 << 20;
 const SLACK: f64 = 0.15;
 /// Numbers per primitive: mean, scales, quaternion, density, ν.
 const NUMBERS: usize = 12;
-/// Bytes of a double-precision number.
-const F64: usize = size_of::<f64>();
-/// Bytes of a single-precision number.
-const F32: usize = size_of::<f32>();
 /// Rows named in the message that rejects a run.
 const SHOWN: usize = 3;
-
-/// Arrays of one kind.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Allocation {
-    /// Content of the arrays.
-    pub what: &'static str,
-    /// Number of elements: pixels, voxels or primitives.
-    pub count: usize,
-    /// Bytes per element.
-    pub bytes: usize,
-}
 
 /// A phase of a run: arrays that live at the same time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,17 +47,6 @@ pub struct Estimate {
     pub phases: Vec<Phase>,
 }
 
-impl Allocation {
-    /// Bytes of all rows.
-    pub fn total(&self) -> u64 {
-        (self.count as u64).saturating_mul(self.bytes as u64)
-    }
-}
-
-fn allocation(what: &'static str, count: usize, bytes: usize) -> Allocation {
-    Allocation { what, count, bytes }
-}
-
 fn sum(allocations: &[Allocation]) -> u64 {
     allocations.iter().fold(0, |sum, allocation| sum.saturating_add(allocation.total()))
 }
@@ -75,19 +55,22 @@ impl Estimate {
     /// Estimates a run on a scan with `views` of its training views and `threads` workers.
     pub fn new(scan: &DatasetInfo, views: usize, plan: &Plan, threads: usize) -> Self {
         let config: &Config = plan;
-        let sizes = Sizes::new(scan, views, config, threads);
+        let run = Run::new(scan, views, config, threads);
+        let sizes = &run.sizes;
+        let reconstruction = |allocations| vec![Phase { name: "reconstruction", allocations }];
         let mut phases = match config.method {
-            Method::TrGs | Method::R2Gaussian => sizes.training(config),
+            Method::TrGs | Method::R2Gaussian => run.training(config),
             Method::Fdk => {
                 let pads = scan.scanner.detector.offset_u != 0.0 || scan.is_posed || scan.is_cut;
-                vec![sizes.fdk("reconstruction", pads)]
+                reconstruction(fdk::arrays(sizes, pads))
             }
-            Method::Sart | Method::OsSart => vec![sizes.sart(config)],
-            Method::AsdPocs => vec![sizes.asd_pocs(config)],
-            Method::Cgls => vec![sizes.cgls()],
-            Method::Tv => vec![sizes.tv(config)],
+            Method::Sart | Method::OsSart => reconstruction(config.sart().arrays(sizes)),
+            Method::AsdPocs => reconstruction(config.asd_pocs().arrays(sizes)),
+            Method::Cgls => reconstruction(cgls_arrays(sizes)),
+            Method::Tv => reconstruction(tv(config, sizes)),
             Method::Naf | Method::SaxNerf | Method::Intratomo => {
-                vec![sizes.sart(&Config::of(Method::Sart)), sizes.neural(config)]
+                let unit = Phase { name: "unit of density", allocations: SartSettings::default().arrays(sizes) };
+                [vec![unit], reconstruction(config.neural().arrays(sizes))].concat()
             }
         };
         if scan.train > views {
@@ -95,7 +78,7 @@ impl Estimate {
                 allocation("all training projections, before the choice of views", scan.train * sizes.detector, F32);
             phases.push(Phase { name: "reading", allocations: vec![all] });
         }
-        phases.push(sizes.evaluation(config));
+        phases.push(run.evaluation(config));
         Self {
             lasting: vec![
                 allocation("training projections", sizes.pixels, F32),
@@ -153,31 +136,24 @@ impl fmt::Display for Estimate {
     }
 }
 
-/// The sizes that all rows follow from.
-#[derive(Clone)]
-struct Sizes {
-    /// Pixels of a view, and its rows.
-    detector: usize,
+/// The arrays of TV by a configuration.
+fn tv(config: &Config, sizes: &Sizes) -> Vec<Allocation> {
+    TvSettings::arrays(sizes, config.tv.weight.fixed().is_none())
+}
+
+/// The sizes that the rows of a run follow from.
+struct Run {
+    sizes: Sizes,
+    /// Rows of a view.
     rows: usize,
-    /// Pixels of all views used.
-    pixels: usize,
-    voxels: usize,
-    /// Voxels of a slice across x.
-    slice: usize,
-    slices: usize,
-    /// Voxels along z.
-    column: usize,
     /// Primitives at the start.
     points: usize,
     /// Largest number of primitives.
     most: usize,
     test: usize,
-    /// Bytes of a number in the precision of pixels and voxels.
-    real: usize,
-    threads: usize,
 }
 
-impl Sizes {
+impl Run {
     fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
         let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
         let points = match config.initialisation.from {
@@ -185,40 +161,31 @@ impl Sizes {
             Start::Random | Start::Model => config.model.points,
             Start::Dataset => scan.points,
         };
-        Self {
+        let sizes = Sizes {
             detector,
-            rows: scan.scanner.detector.rows,
             pixels: views * detector,
             voxels: grid.voxels(),
             slice: grid.shape[1] * grid.shape[2],
             slices: grid.shape[0],
             column: grid.shape[2],
-            points,
-            most: most_primitives(points, config),
-            test: scan.test,
             real: match config.precision {
                 Precision::F32 => F32,
                 Precision::F64 => F64,
             },
             threads,
-        }
-    }
-
-    fn fdk(&self, name: &'static str, widened: bool) -> Phase {
-        // A detector that is displaced or cuts the object off at most doubles in width before projections are filtered.
-        let copies = if widened { 4 } else { 1 };
-        let allocations =
-            vec![allocation("filtered projections", self.pixels, copies * F32), allocation("volume", self.voxels, F32)];
-        Phase { name, allocations }
+        };
+        let (rows, most) = (scan.scanner.detector.rows, most_primitives(points, config));
+        Self { sizes, rows, points, most, test: scan.test }
     }
 
     fn training(&self, config: &Config) -> Vec<Phase> {
-        let (m, real, d) = (self.most, self.real, self.detector);
+        let Self { sizes, most: m, .. } = self;
+        let (m, real, d) = (*m, sizes.real, sizes.detector);
         let in_units = config.density_unit.fixed() != Some(1.0);
         let lasting = |count: usize| {
             vec![
-                allocation("views as SSIM compares with them: image, mean, variance", self.pixels, 3 * real),
-                allocation("projections in units of density", if in_units { self.pixels } else { 0 }, F32),
+                allocation("views as SSIM compares with them: image, mean, variance", sizes.pixels, 3 * real),
+                allocation("projections in units of density", if in_units { sizes.pixels } else { 0 }, F32),
                 // Raw values, two moments each, momentum, id, c, its target, pull and views.
                 allocation("state of the optimisers", count, 3 * NUMBERS * F64 + 3 * F64 + 8 + 2 * F64 + 12),
             ]
@@ -231,11 +198,11 @@ impl Sizes {
         let prepared = allocation("primitives, prepared", m, projector::bytes::FIELD);
         let mut start = match config.initialisation.from {
             // The pilot run of a run from a model starts from SART.
-            Start::Sart | Start::Model => self.sart(config).allocations,
-            _ => self.fdk("first volume", false).allocations,
+            Start::Sart | Start::Model => config.sart().arrays(sizes),
+            _ => fdk::arrays(sizes, false),
         };
-        start.push(allocation("bright voxels and the choice among them", self.voxels, size_of::<usize>() + 4));
-        let block = |side: usize| self.voxels.min(side * side * side);
+        start.push(allocation("bright voxels and the choice among them", sizes.voxels, size_of::<usize>() + 4));
+        let block = |side: usize| sizes.voxels.min(side * side * side);
         // The workspace of an iteration stays for the next one, whatever runs between them.
         let kept = [
             physical,
@@ -259,7 +226,7 @@ impl Sizes {
         ];
         let working = |name, allocations: &[Allocation]| with(name, m, &[&kept, allocations].concat());
         let mut phases = vec![
-            Phase { name: "unit of density", allocations: self.sart(config).allocations },
+            Phase { name: "unit of density", allocations: config.sart().arrays(sizes) },
             with("first volume", self.points, &start),
             working("iteration", &[]),
             working("checkpoint", &[allocation("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
@@ -270,33 +237,33 @@ impl Sizes {
                     physical,
                     prepared,
                     allocation("primitives on the grid", m, projector::bytes::GRID),
-                    allocation("volume, in slices, together and in single precision", self.voxels, 2 * real + F32),
+                    allocation("volume, in slices, together and in single precision", sizes.voxels, 2 * real + F32),
                 ],
             ),
         ];
         if config.sampling != Sampling::Point {
-            let volumes = allocation("volume, and its interpolant as it is solved for", self.voxels, F64 + 3 * F32);
+            let volumes = allocation("volume, and its interpolant as it is solved for", sizes.voxels, F64 + 3 * F32);
             phases.push(Phase { name: "sampling", allocations: vec![volumes] });
         }
         if config.finish != Finish::None {
-            let mut allocations = self.tv(config).allocations;
-            allocations.push(allocation("volume of the primitives", self.voxels, F32));
-            allocations.push(allocation("corrected projections", self.pixels, F32));
+            let mut allocations = tv(config, sizes);
+            allocations.push(allocation("volume of the primitives", sizes.voxels, F32));
+            allocations.push(allocation("corrected projections", sizes.pixels, F32));
             phases.push(Phase { name: "finish", allocations });
         }
         if config.has_pilot() {
             let run = [
-                allocation("volume of the run", self.voxels, F32),
+                allocation("volume of the run", sizes.voxels, F32),
                 allocation("primitives of the run", m, NUMBERS * F64),
-                allocation("views of the pilot run and those held out", self.pixels, F32),
+                allocation("views of the pilot run and those held out", sizes.pixels, F32),
             ];
             phases.push(working("pilot run", &run));
-            let mut allocations = self.tv(config).allocations;
+            let mut allocations = tv(config, sizes);
             allocations.extend(run);
             allocations.extend([
-                allocation("volume of the pilot run, its interpolant as solved", self.voxels, F64 + 3 * F32),
+                allocation("volume of the pilot run, its interpolant as solved", sizes.voxels, F64 + 3 * F32),
                 allocation("primitives of the pilot run", m, NUMBERS * F64),
-                allocation("corrected projections, and what they come from", self.pixels, 3 * F32),
+                allocation("corrected projections, and what they come from", sizes.pixels, 3 * F32),
             ]);
             phases.push(Phase { name: "choice of sampling and finish", allocations });
         }
@@ -308,87 +275,18 @@ impl Sizes {
         phases
     }
 
-    fn sart(&self, config: &Config) -> Phase {
-        let subset = config.algebraic.subset.saturating_mul(self.detector).min(self.pixels);
-        let allocations = vec![
-            allocation("projections and lengths of rays", self.pixels, 3 * self.real),
-            allocation("corrections of a set of views", subset, 3 * self.real),
-            allocation("volume, its copy in the state, and as it is written", self.voxels, 2 * self.real + F32),
-            allocation("sums of slices at work", self.slice, self.at_work(2)),
-        ];
-        Phase { name: "reconstruction", allocations }
-    }
-
-    fn asd_pocs(&self, config: &Config) -> Phase {
-        let mut phase = self.sart(config);
-        phase.allocations.extend([
-            allocation("first guess, steps and direction", self.voxels, 5 * self.real + F32),
-            allocation("residual", self.pixels, self.real),
-        ]);
-        phase
-    }
-
-    fn cgls(&self) -> Phase {
-        let allocations = vec![
-            allocation("projections, residual, image and pairs", self.pixels, 4 * self.real),
-            allocation(
-                "volume, direction, and their gradient or copies in the state",
-                self.voxels,
-                4 * self.real + F32,
-            ),
-            allocation("sums of slices at work", self.slice, self.at_work(1)),
-        ];
-        Phase { name: "reconstruction", allocations }
-    }
-
-    fn tv(&self, config: &Config) -> Phase {
-        let allocations = vec![
-            allocation("projections, images of two volumes, residual and pairs", self.pixels, 6 * self.real + 1),
-            allocation(
-                "views held out and the others",
-                if config.tv.weight.fixed().is_some() { 0 } else { self.pixels },
-                F32 + self.real,
-            ),
-            allocation("volumes, dual of the total variation, and as it is written", self.voxels, 12 * self.real + F32),
-            allocation("sums of slices at work", self.slice, self.at_work(1)),
-        ];
-        Phase { name: "reconstruction", allocations }
-    }
-
-    /// The unit of density comes from SART in f32 before.
-    fn neural(&self, config: &Config) -> Phase {
-        let settings = config.neural();
-        let sizes = crate::neural::sizes(&settings, self.column);
-        let parameters = sizes.table + sizes.network;
-        let rays = settings.rays + settings.windows * settings.window * settings.window;
-        let allocations = vec![
-            allocation("parameters, moments and gradients", parameters, 5 * F64 + 3 * self.real),
-            allocation("as they are written to a checkpoint", parameters, 6 * F64),
-            allocation(
-                "points of a step and gradients to their codes",
-                rays * settings.samples,
-                4 * F64 + (3 + 41) * self.real,
-            ),
-            allocation("gradients of the network", sizes.bundles * sizes.network, F64),
-            allocation("samples in the network", self.threads * sizes.together, sizes.computed * self.real),
-            allocation("volume", self.voxels, F32),
-        ];
-        Phase { name: "reconstruction", allocations }
-    }
-
-    /// Bytes per voxel of a slice for the partial sums of all workers.
-    fn at_work(&self, numbers: usize) -> usize {
-        const SLICES: usize = 8;
-        SLICES * numbers * self.real * self.threads.min(self.slices.div_ceil(SLICES))
-    }
-
     fn evaluation(&self, config: &Config) -> Phase {
+        let Self { sizes, .. } = self;
         let m = if config.method.fits_primitives() { self.most } else { 0 };
-        let largest = self.detector.max(self.slice);
+        let largest = sizes.detector.max(sizes.slice);
         let allocations = vec![
-            allocation("volume and a copy in order of its values", self.voxels, 2 * F32),
-            allocation("test views of the result", self.test * self.detector, F32 + if m > 0 { self.real } else { 0 }),
-            allocation("images that are compared", largest, 12 * F64 * self.threads),
+            allocation("volume and a copy in order of its values", sizes.voxels, 2 * F32),
+            allocation(
+                "test views of the result",
+                self.test * sizes.detector,
+                F32 + if m > 0 { sizes.real } else { 0 },
+            ),
+            allocation("images that are compared", largest, 12 * F64 * sizes.threads),
             allocation(
                 "primitives in a view",
                 m,

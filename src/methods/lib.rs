@@ -17,6 +17,7 @@ mod tolerances;
 
 pub mod classical;
 pub mod evaluation;
+pub mod memory;
 pub mod neural;
 
 /// For the package `trgs`, no part of the interface.

@@ -50,5 +50,5 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-pub use run::{Batch, NeuralRun, Sizes, sizes};
+pub use run::{Batch, NeuralRun};
 pub use settings::{Kind, NeuralSettings};

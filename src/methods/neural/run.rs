@@ -7,6 +7,7 @@ use super::network::{Network, Trace, Weights, split};
 use super::rays::{self, MeasuredRay};
 use super::settings::{Kind, NeuralSettings};
 use crate::classical::algebraic::{Pass, VoxelRun, VoxelState};
+use crate::memory::{Allocation, F32, F64, Sizes, allocation};
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3, ArrayD};
 use rand::RngExt;
@@ -102,32 +103,33 @@ pub struct Batch {
     pub values: Array1<f64>,
 }
 
-/// How much a run keeps.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sizes {
-    /// Numbers of the table.
-    pub table: usize,
-    /// Numbers of the network.
-    pub network: usize,
-    /// Numbers that the network computes for a sample, at most.
-    pub computed: usize,
-    /// Samples that go through the network together, at most.
-    pub together: usize,
-    /// Tasks of a step, each with a gradient of the network.
-    pub bundles: usize,
-}
+impl NeuralSettings {
+    /// Numbers of the network, without those of its table.
+    pub fn parameters(&self) -> usize {
+        parts(self).1.parameters()
+    }
 
-/// The sizes of a run whose volume has columns of `column` voxels.
-pub fn sizes(settings: &NeuralSettings, column: usize) -> Sizes {
-    let (encoding, network) = parts(settings);
-    let rays = settings.rays + settings.windows * settings.window * settings.window;
-    Sizes {
-        table: encoding.parameters(),
-        network: network.parameters(),
-        computed: if network.has_block() { 1300 } else { 600 },
-        // A task of the volume has whole columns.
-        together: settings.samples.max(TOGETHER).max(VOXELS).max(points_of_column(settings, &network, column)),
-        bundles: rays.div_ceil(BUNDLE),
+    /// What a run asks of memory. The unit of density comes from SART in f32 before.
+    pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
+        let (encoding, network) = parts(self);
+        let rays = self.rays + self.windows * self.window * self.window;
+        let parameters = encoding.parameters() + network.parameters();
+        // Numbers for a sample, at most, and samples that go through the network together. A task of the volume has
+        // whole columns.
+        let computed = if network.has_block() { 1300 } else { 600 };
+        let column = points_of_column(self, &network, sizes.column);
+        let together = self.samples.max(TOGETHER).max(VOXELS).max(column);
+        let (points, codes) = (rays * self.samples, 4 * F64 + (3 + 41) * sizes.real);
+        // Each task of a step has a gradient of the network.
+        let gradients = rays.div_ceil(BUNDLE) * network.parameters();
+        vec![
+            allocation("parameters, moments and gradients", parameters, 5 * F64 + 3 * sizes.real),
+            allocation("as they are written to a checkpoint", parameters, 6 * F64),
+            allocation("points of a step and gradients to their codes", points, codes),
+            allocation("gradients of the network", gradients, F64),
+            allocation("samples in the network", sizes.threads * together, computed * sizes.real),
+            allocation("volume", sizes.voxels, F32),
+        ]
     }
 }
 

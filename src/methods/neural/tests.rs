@@ -4,9 +4,10 @@ use super::block::PARTS;
 use super::encoding::{Encoding, FEATURES, Level};
 use super::linear::HIDDEN;
 use super::run::Model;
-use super::{Kind, NeuralRun, NeuralSettings, sizes};
+use super::{Kind, NeuralRun, NeuralSettings};
 use crate::classical::algebraic::VoxelRun;
 use crate::evaluation::psnr_3d;
+use crate::memory::Sizes;
 use crate::tolerances::largest;
 use glam::DVec3;
 use ndarray::Array3;
@@ -371,8 +372,10 @@ fn points_of_a_ray_lie_in_the_box_in_order_and_stand_for_its_length() {
 /// A column of 601 voxels is more than a task of the volume has otherwise, if each of its points is a pair.
 #[test]
 fn the_samples_of_a_long_column_are_counted() {
+    let sizes = Sizes { detector: 1, pixels: 1, voxels: 1, slice: 1, slices: 1, column: 1, real: 4, threads: 1 };
     let together = |kind: Kind, pairs_neighbours: bool, column: usize| {
-        sizes(&NeuralSettings { pairs_neighbours, ..settings(kind) }, column).together
+        let arrays = NeuralSettings { pairs_neighbours, ..settings(kind) }.arrays(&Sizes { column, ..sizes });
+        arrays.iter().find(|row| row.what == "samples in the network").unwrap().count
     };
     assert_eq!([false, true].map(|pairs| together(Kind::SaxNerf, pairs, 601)), [1202, 1024]);
     assert_eq!([false, true].map(|pairs| together(Kind::SaxNerf, pairs, 1601)), [3202, 1602]);

@@ -8,6 +8,7 @@ use super::{
     voxel_run::Numbers,
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
+use crate::memory::{Allocation, F32, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, Volume};
 use trgs_core::numeric::{Real, real};
@@ -37,6 +38,18 @@ impl Default for AsdPocsSettings {
     fn default() -> Self {
         let sart = SartSettings { iterations: 10, reduction: 0.9999, ..SartSettings::default() };
         Self { sart, tv_steps: 20, alpha: 0.002, alpha_reduction: 0.95, r_max: 0.94, epsilon: 0.15, unit: 1.0 }
+    }
+}
+
+impl AsdPocsSettings {
+    /// What a run asks of memory.
+    pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
+        let mut arrays = self.sart.arrays(sizes);
+        arrays.extend([
+            allocation("first guess, steps and direction", sizes.voxels, 5 * sizes.real + F32),
+            allocation("residual", sizes.pixels, sizes.real),
+        ]);
+        arrays
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{Observe, Pass, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
+use crate::memory::{Allocation, F32, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
 use trgs_core::numeric::{Real, real};
@@ -22,6 +23,16 @@ pub fn cgls<R: Real>(
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
     run_to_the_end(CglsRun::<R>::new(projector, projections, iterations, None)?, observe)
+}
+
+/// What a run asks of memory.
+pub fn arrays(sizes: &Sizes) -> Vec<Allocation> {
+    let volumes = "volume, direction, and their gradient or copies in the state";
+    vec![
+        allocation("projections, residual, image and pairs", sizes.pixels, 4 * sizes.real),
+        allocation(volumes, sizes.voxels, 4 * sizes.real + F32),
+        sizes.at_work(1),
+    ]
 }
 
 /// CGLS, run one iteration at a time.

@@ -27,7 +27,7 @@ mod tv;
 mod voxel_run;
 
 pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
-pub use cgls::{CglsRun, cgls};
+pub use cgls::{CglsRun, arrays as cgls_arrays, cgls};
 pub use held_out::{Choice, FEWEST_TRIALS, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
 pub use order::Order;
 pub use sart::{SartRun, SartSettings, sart};

@@ -2,6 +2,7 @@
 
 use super::{CHUNK, Observe, Order, Pass, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
+use crate::memory::{Allocation, F32, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
 use trgs_core::numeric::{Real, real, reduce, threads};
@@ -49,6 +50,17 @@ impl SartSettings {
     /// The factor on λ after a pass.
     pub(super) fn factor(&self) -> f64 {
         if self.constant_relaxation { 1.0 } else { self.reduction }
+    }
+
+    /// What a run asks of memory.
+    pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
+        let subset = self.subset.saturating_mul(sizes.detector).min(sizes.pixels);
+        vec![
+            allocation("projections and lengths of rays", sizes.pixels, 3 * sizes.real),
+            allocation("corrections of a set of views", subset, 3 * sizes.real),
+            allocation("volume, its copy in the state, and as it is written", sizes.voxels, 2 * sizes.real + F32),
+            sizes.at_work(2),
+        ]
     }
 }
 

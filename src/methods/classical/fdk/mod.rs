@@ -56,6 +56,7 @@ mod filter;
 mod redundancy;
 
 use super::columns::Columns;
+use crate::memory::{Allocation, F32, Sizes, allocation};
 use backproject::voxels;
 use circle::Circle;
 use filter::filtered;
@@ -118,6 +119,13 @@ pub enum Turn {
     Measured,
     /// A full turn of a centred detector, even if views are missing: for a first guess from any scan.
     Full,
+}
+
+/// What a reconstruction asks of memory. A detector that is displaced or cuts the object off is `widened` before its
+/// projections are filtered, at most to the double.
+pub fn arrays(sizes: &Sizes, widened: bool) -> Vec<Allocation> {
+    let copies = if widened { 4 } else { 1 };
+    vec![allocation("filtered projections", sizes.pixels, copies * F32), allocation("volume", sizes.voxels, F32)]
 }
 
 /// Reconstructs the scanner's grid by `[FDK84]`, or exactly for parallel rays.

@@ -20,6 +20,7 @@ mod tests;
 
 use super::{CHUNK, Observe, Pass, System, dot, norm, run_to_the_end};
 use crate::classical::VoxelProjector;
+use crate::memory::{Allocation, F32, Sizes, allocation};
 use proximal::Proximal;
 use std::mem::swap;
 use trgs_core::error::{Error, Result};
@@ -42,6 +43,20 @@ pub struct TvSettings {
 impl Default for TvSettings {
     fn default() -> Self {
         Self { weight: 1e-3, iterations: 100, tolerance: 1e-4, steps: 10 }
+    }
+}
+
+impl TvSettings {
+    /// What a run asks of memory; one that `chooses` its weight holds out views.
+    pub fn arrays(sizes: &Sizes, chooses: bool) -> Vec<Allocation> {
+        let held_out = if chooses { sizes.pixels } else { 0 };
+        let volumes = "volumes, dual of the total variation, and as it is written";
+        vec![
+            allocation("projections, images of two volumes, residual and pairs", sizes.pixels, 6 * sizes.real + 1),
+            allocation("views held out and the others", held_out, F32 + sizes.real),
+            allocation(volumes, sizes.voxels, 12 * sizes.real + F32),
+            sizes.at_work(1),
+        ]
     }
 }
 
