@@ -282,6 +282,23 @@ def test_documentation_names_all_arguments():
             assert re.search(rf"\b{argument}\b", documentation), f"{name}: {argument}"
 
 
+def test_defaults_are_those_of_the_configuration():
+    tomllib = pytest.importorskip("tomllib")
+    scan = trgs.simulate("torso", trgs.Scanner.synthetic(8, 12), views=6, test_views=1)
+    compared = 0
+    for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv"]:
+        tables = tomllib.loads(trgs.reconstruct(scan, method=method).settings)
+        settings = tables | tables["algebraic"] | tables.get(method.replace("-", "_"), {})
+        # Without views held out, no weight is chosen.
+        settings.pop("weight", None)
+        function = getattr(trgs, method.replace("-", "_"))
+        for name, parameter in inspect.signature(function).parameters.items():
+            if name in settings:
+                assert parameter.default == settings[name], f"{method}: {name}"
+                compared += 1
+    assert compared == 34
+
+
 def test_types_agree_with_the_module():
     pytest.importorskip("mypy")
     run = subprocess.run(
