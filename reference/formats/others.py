@@ -4,6 +4,7 @@ SimpleITK, nibabel, pynrrd, tifffile and imagecodecs say what is right.
 
     others.py see FILE...    prints as JSON what SimpleITK, nibabel, plyfile and NumPy read from each file
     others.py make FOLDER    writes files in many formats, and expected.json with their contents
+    others.py letters PATH...   prints as JSON the letters that SimpleITK and nibabel see on the phantom `letters`
     others.py odd FOLDER     the same for odd files: stacks of tifffile and ImageJ, headers with skips, lists and units
 
 tests/data/point_cloud.pickle is the point_cloud_5.pickle of `make`. Positions are in ITK's coordinates (left, posterior,
@@ -78,6 +79,30 @@ def see(path):
     if ".nii" in path.suffixes:
         found["nibabel"] = seen_by_nibabel(path)
     return found
+
+
+def letters(path):
+    """Rows of the letters on the right, front and upper side of the cube, by reader; `path` may be a DICOM series."""
+    reader = sitk.ImageSeriesReader()
+    if path.is_dir():
+        reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(path)))
+    image = reader.Execute() if path.is_dir() else sitk.ReadImage(str(path))
+    readers = {"itk": lambda point: image[image.TransformPhysicalPointToIndex(point)]}
+    if ".nii" in path.suffixes:
+        file = nibabel.load(path)
+        values, inverse = file.get_fdata(), np.linalg.inv(TO_ITK @ file.affine)
+        readers["nibabel"] = lambda point: values[tuple(np.rint(inverse @ [*point, 1.0])[:3].astype(int))]
+    # The patient's left, back and head are x, y and z: a reader in front of a side has its right at up × side.
+    sides = [([-1, 0, 0], [0, 0, 1]), ([0, -1, 0], [0, 0, 1]), ([0, 0, 1], [0, -1, 0])]
+
+    def rows(at, side, up):
+        side, up = np.array(side, float), np.array(up, float)
+        right = np.cross(up, side)
+        # In the middle of the part that stands out, in the lengths of a volume of 2.
+        point = lambda row, column: 0.65 * side + 0.12 * (right * (column - 2) + up * (3 - row))
+        return ["".join("#" if at(point(row, column).tolist()) > 0.5 else "." for column in range(5)) for row in range(7)]
+
+    return {who: [rows(at, *side) for side in sides] for who, at in readers.items()}
 
 
 def check(name, found, expected):
@@ -299,7 +324,8 @@ def odd(folder):
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "see":
-        print(json.dumps({path: see(pathlib.Path(path)) for path in sys.argv[2:]}))
+    if sys.argv[1] in ["see", "letters"]:
+        look = {"see": see, "letters": letters}[sys.argv[1]]
+        print(json.dumps({path: look(pathlib.Path(path)) for path in sys.argv[2:]}))
     else:
         {"make": make, "odd": odd}[sys.argv[1]](pathlib.Path(sys.argv[2]))

@@ -42,7 +42,7 @@ pub struct Named {
 }
 
 /// The named phantoms: first those without a group, then the stand-ins in the order of their groups.
-pub const PHANTOMS: [Named; 19] = {
+pub const PHANTOMS: [Named; 20] = {
     use Group::{AnimalsAndPlants, Artificial, Organs};
     const fn named(
         name: &'static str,
@@ -64,6 +64,7 @@ pub const PHANTOMS: [Named; 19] = {
             "a different marker on every axis and in every octant: shows flips and exchanged axes",
             |_| basic::axes(),
         ),
+        named("letters", None, "a cube with R, A and S on these sides of the patient", |_| basic::letters()),
         named("chest", Some(Organs), "lungs with vessels and a nodule, heart, ribs, spine", organs::chest),
         named("foot", Some(Organs), "26 bones with marrow in soft tissue", organs::foot),
         named("head", Some(Organs), "skull, brain with sulci and ventricles, sinuses, teeth", organs::head),

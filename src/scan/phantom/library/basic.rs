@@ -10,6 +10,13 @@ use trgs_core::numeric::rng::{Purpose, stream};
 /// Number of bubbles in the foam.
 const BUBBLES: usize = 300;
 
+/// Side of a pixel of the letters.
+const PIXEL: f64 = 0.12;
+/// Seven rows of five pixels of each letter.
+const R: [u8; 7] = [0b11110, 0b10001, 0b10001, 0b11110, 0b10100, 0b10010, 0b10001];
+const A: [u8; 7] = [0b01110, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001];
+const S: [u8; 7] = [0b01111, 0b10000, 0b10000, 0b01110, 0b00001, 0b00001, 0b11110];
+
 /// The Shepp-Logan head phantom in three dimensions.
 ///
 /// Ellipsoids of A. C. Kak and M. Slaney, *Principles of Computerized Tomographic Imaging*, 1988, with the stronger
@@ -48,6 +55,23 @@ pub(in super::super) fn axes() -> Vec<Solid> {
         let centre = DVec3::new(side(0), side(1), side(2));
         let size = 0.12 + 0.02 * f64::from(octant);
         solids.push(Solid::new(Shape::Ellipsoid, f64::from(octant + 1) / 8.0, centre, DVec3::splat(size)));
+    }
+    solids
+}
+
+/// A cube with the letters of the patient's sides on their faces, each upright for a reader outside: R at -x and A at -y with
+/// their tops to +z, S at +z with its top to -y.
+pub(in super::super) fn letters() -> Vec<Solid> {
+    let mut solids = vec![Solid::new(Shape::Cuboid, 0.3, DVec3::ZERO, DVec3::splat(0.6))];
+    for (rows, face, up) in [(R, DVec3::NEG_X, DVec3::Z), (A, DVec3::NEG_Y, DVec3::Z), (S, DVec3::Z, DVec3::NEG_Y)] {
+        let right = up.cross(face);
+        for (row, pixels) in rows.into_iter().enumerate() {
+            for column in (0..5).filter(|column| pixels >> (4 - column) & 1 == 1) {
+                let place = right * (f64::from(column) - 2.0) + up * (3.0 - row as f64);
+                let pixel = Solid::new(Shape::Cuboid, 0.9, 0.62 * face + PIXEL * place, DVec3::splat(PIXEL / 2.0));
+                solids.push(pixel.displacing());
+            }
+        }
     }
     solids
 }
