@@ -49,6 +49,7 @@ pub mod pixels;
 pub mod plausibility;
 pub mod simulate;
 pub mod stack;
+pub mod surface;
 pub mod trace;
 pub mod trajectory;
 pub mod trilinear;

@@ -338,7 +338,7 @@ fn volumes_and_scans_change_their_format() {
             sandbox.done(&format!("simulate --volume {name} --out again --views 2 --detector 20 --test-views 0"));
         assert_eq!(scan["volume"], found["shape"]);
     }
-    assert!(sandbox.refused("convert scan/vol_gt.npy v.stl").contains(".nii.gz"));
+    assert!(sandbox.refused("convert scan/vol_gt.npy v.vtk").contains(".nii.gz"));
     let pickle = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/naf_4.pickle");
     assert_eq!(sandbox.done(&format!("convert {pickle} of_naf"))["kind"], "dataset");
     assert_eq!(sandbox.done("inspect of_naf")["kind"], "dataset");

@@ -12,6 +12,7 @@ use std::path::Path;
 use std::process::Command;
 use trgs::primitives::{Group, KernelKind, Parameters, Primitives};
 use trgs::scan::model;
+use trgs::scan::surface::otsu;
 use trgs::scan::volume_file::{self, VolumeFile};
 use trgs::scan::{dataset, npy};
 
@@ -286,7 +287,14 @@ fn impossible_pairs_are_told_which_command_does_it() {
     for (arguments, remedy) in [
         ("model.npz v.nii.gz", "trgs voxelize"),
         ("model.npz folder", "trgs render"),
-        ("scan/vol_gt.npy model.ply", "trgs reconstruct"),
+        ("scan/vol_gt.npy other.npz", "trgs reconstruct"),
+        ("model.npz surface.stl", "trgs voxelize"),
+        ("scan/vol_gt.npy v.mha --level 0.5", "--level"),
+        ("model.npz model.ply --level 0.5", "--level"),
+        ("model.npz other.npz --splats", "--splats"),
+        ("scan copy --slices png", "--slices"),
+        ("scan/vol_gt.npy v.mha --slices png", "--slices"),
+        ("scan/vol_gt.npy s.stl --level 9", "the highest value of the volume"),
         ("scan model.npz", "trgs reconstruct"),
         ("scan v.mha", "trgs reconstruct"),
         ("model.npz other.npz --scanner scan", "trgs confidence"),
@@ -296,4 +304,32 @@ fn impossible_pairs_are_told_which_command_does_it() {
         let message = sandbox.refused(&format!("convert {arguments}"));
         assert!(message.contains(remedy), "{arguments}: {message}");
     }
+}
+
+#[test]
+fn surfaces_slices_and_splats_say_how_they_were_made() {
+    let sandbox = Sandbox::with_scan();
+    let chosen = sandbox.done("convert scan/vol_gt.npy surface.stl --scanner scan");
+    assert_eq!(sandbox.read("surface.stl").len() as u64, 84 + 50 * chosen["triangles"].as_u64().unwrap());
+    let level = chosen["level"].as_f64().unwrap();
+    assert_eq!(level, otsu(&volume_file::read(sandbox.path("scan/vol_gt.npy")).unwrap()));
+    assert!(chosen["notes"][0].as_str().unwrap().contains("Otsu"), "{chosen}");
+    for ending in ["ply", "glb", "stl"] {
+        let found = sandbox.done(&format!("convert scan/vol_gt.npy given.{ending} --scanner scan --level {level}"));
+        assert_eq!([&found["kind"], &found["volume"]], [&json!("surface"), &chosen["volume"]]);
+    }
+    assert_eq!(sandbox.read("given.stl"), sandbox.read("surface.stl"));
+    let found = sandbox.done("convert scan/vol_gt.npy slices --slices png");
+    assert_eq!([&found["kind"], &found["shape"]], [&json!("slices"), &json!([12, 12, 12])]);
+    assert!(found["notes"][0].as_str().unwrap().starts_with("a stored number n is the value 0.0"), "{found}");
+    assert_eq!(volume_file::read(sandbox.path("slices")).unwrap().values.dim(), (12, 12, 12));
+    model::write(sandbox.path("model.npz"), &primitives().parameters).unwrap();
+    let output = sandbox.run("convert model.npz splats.ply --splats");
+    assert!(crate::program::stderr(&output).contains("approximation"), "{}", crate::program::stderr(&output));
+    let path = sandbox.path("splats.ply");
+    let Some(seen) = others(&[&path], "see") else { return };
+    let splats = seen[path.to_str().unwrap()].as_object().unwrap();
+    assert_eq!((splats.len(), numbers(&splats["opacity"]).len()), (17, 3));
+    // A reader of what is written for viewers is told so.
+    assert!(sandbox.refused("convert splats.ply back.npz").contains("3D Gaussian splatting"));
 }

@@ -4,6 +4,7 @@ mod model;
 mod protocol;
 mod scan;
 mod stack;
+mod surface;
 mod volume;
 
 use crate::cli::Output;
@@ -16,6 +17,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf, is_separator};
 use trgs::output::{self, Destination};
 use trgs::scan::npz::Npz;
+use trgs::scan::surface::Mesh;
+use trgs::scan::volume_file::Slices;
 use trgs::{Error, Result};
 
 /// Convert volumes, models, scans and raw projections between formats
@@ -25,7 +28,10 @@ use trgs::{Error, Result};
   trgs convert scan/vol_gt.npy truth.nii.gz --scanner scan
   trgs convert volume_256x256x256_uint8.raw volume.mha
   trgs convert thorax_in_hu.nii.gz thorax.npy --mu-water 1
+  trgs convert run bone.stl --level 0.4
+  trgs convert run slices --slices dicom
   trgs convert run/model.npz model.ply --scanner scan
+  trgs convert run/model.npz splats.ply --splats
   trgs convert run/model.npz point_cloud.npz --r2
   trgs convert point_cloud.pickle model.npz
   trgs convert chest.pickle scan
@@ -44,7 +50,9 @@ name.raw.json: {\"shape\": [256, 256, 100], \"type\": \"uint16\", \"byte_order\"
 0.5, 1], \"origin\": [0, 0, 0], \"unit\": \"mm\", \"skip_bytes\": 0}, of which shape and type are required. Volumes \
 are written as f32 with axes in the order of the source. A run keeps spacing, place and unit of its volume.npy in \
 volume.npy.json beside it. The unit of a scan's lengths is that of \"unit\": \"mm\" (or um, cm, m) in its \
-meta_data.json; where it is known, files state lengths in mm and hold attenuation per mm. Models: .npz, .ply (physical values, coloured by confidence or nu), \
+meta_data.json; where it is known, files state lengths in mm and hold attenuation per mm. A volume \
+becomes a closed surface as .stl, .glb or .ply, with vertices in mm (or in the unit of the files), or slices across z in \
+a folder: 16 bits from the lowest to the highest value. Models: .npz, .ply (physical values, coloured by confidence or nu), \
 R²-Gaussian's point_cloud.pickle (its code is not run), or the same arrays as .npz. Scans: a pickle of NAF or a \
 folder, written as a folder in scene units.
 
@@ -84,6 +92,15 @@ pub(super) struct Convert {
     /// Write a model as R²-Gaussian's arrays, with values before activation
     #[arg(long)]
     r2: bool,
+    /// Write a model as splats for viewers of 3D Gaussian splatting: an approximation
+    #[arg(long)]
+    splats: bool,
+    /// Values above X are inside of a surface [default: chosen by Otsu's method]
+    #[arg(long, value_name = "X", value_parser = crate::cli::arguments::finite)]
+    level: Option<f64>,
+    /// Write a volume as a folder of slices
+    #[arg(long, value_parser = crate::cli::arguments::choice(&[Slices::Dicom, Slices::Png]))]
+    slices: Option<Slices>,
     #[command(flatten)]
     corrections: CorrectionArgs,
     #[command(flatten)]
@@ -98,6 +115,8 @@ enum Kind {
     Scan,
     Model,
     Volume,
+    /// A surface, which is only written.
+    Surface,
     /// Projections without a description; as output, a scan.
     Stack,
 }
@@ -130,6 +149,7 @@ impl Convert {
             "pickle" | "pkl" if out == Kind::Model => Kind::Model,
             "pickle" | "pkl" => Kind::Scan,
             _ if is_model(&self.source) => Kind::Model,
+            _ if self.slices.is_some() => Kind::Volume,
             _ if out == Kind::Scan => Kind::Stack,
             _ => Kind::Volume,
         };
@@ -137,6 +157,7 @@ impl Convert {
             let got = format!("{} to {}", self.source.display(), self.out.display());
             Err(Error::invalid(flag, got, expected, "omit the flag, or name an output of that kind"))
         };
+        let is_surface = source == Kind::Volume && Mesh::is_written_as(extension(&self.out));
         match (self.stack.first_flag(), self.protocol.flag()) {
             (Some(flag), _) if source != Kind::Stack => {
                 return refuse(
@@ -153,7 +174,16 @@ impl Convert {
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
                 return refuse("--r2", "a model to read and a .npz to write");
             }
-            _ if self.mu_water.is_some() && (source, out) != (Kind::Volume, Kind::Volume) => {
+            _ if self.splats && ((source, out) != (Kind::Model, Kind::Model) || extension(&self.out) != "ply") => {
+                return refuse("--splats", "a model to read and a .ply to write");
+            }
+            _ if self.slices.is_some() && (source, out) != (Kind::Volume, Kind::Scan) => {
+                return refuse("--slices", "a volume to read and a folder to write, a name without an extension");
+            }
+            _ if self.level.is_some() && !is_surface => {
+                return refuse("--level", "a volume to read and a surface to write: .stl, .glb or .ply");
+            }
+            _ if self.mu_water.is_some() && (source != Kind::Volume || out == Kind::Model && !is_surface) => {
                 return refuse("--mu-water", "a volume to read and a volume to write, .nii.gz for example");
             }
             _ => {}
@@ -162,6 +192,8 @@ impl Convert {
             (Kind::Scan, Kind::Scan) => scan::convert(self),
             (Kind::Stack, _) => stack::convert(self),
             (Kind::Model, Kind::Model) => model::convert(self),
+            (Kind::Volume, _) if is_surface => surface::convert(self),
+            (Kind::Volume, Kind::Scan) if let Some(format) = self.slices => surface::slices(self, format),
             // An unknown extension leads to an error that lists the known ones.
             (Kind::Volume, Kind::Volume) => volume::convert(self),
             _ => Err(self.impossible(source, out)),
@@ -177,7 +209,7 @@ impl Convert {
     /// The error for a conversion that needs another command; the remedy names that command.
     fn impossible(&self, source: Kind, out: Kind) -> Error {
         let (got, expected, remedy) = match (source, out) {
-            (Kind::Model, Kind::Volume) => {
+            (Kind::Model, Kind::Volume | Kind::Surface) => {
                 ("a volume of a model", "a model, .npz or .ply", "use trgs voxelize to make a volume")
             }
             (Kind::Model, _) => ("a scan of a model", "a model, .npz or .ply", "use trgs render to make projections"),
@@ -200,6 +232,7 @@ fn kind(path: &Path) -> Kind {
     match path.extension().and_then(OsStr::to_str) {
         None => Kind::Scan,
         Some("npz" | "ply") => Kind::Model,
+        Some("stl" | "glb") => Kind::Surface,
         Some(_) => Kind::Volume,
     }
 }

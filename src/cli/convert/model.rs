@@ -52,6 +52,17 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     };
     check_file(&command.out)?;
     interrupt::shielded(|| match (to_ply, command.r2) {
+        _ if command.splats => {
+            tracing::warn!(
+                "splats are an approximation: Gaussians of the same half width, and viewers lay one over the other instead of \
+                 adding line integrals"
+            );
+            let written = model::splat::write(&command.out, &primitives, confidence.as_deref())?;
+            if written < primitives.len() {
+                tracing::warn!("{} without density are left out", primitives.len() - written);
+            }
+            Ok(())
+        }
         (true, _) => model::ply::write(&command.out, &primitives, confidence.as_deref(), &frame),
         (_, true) => model::r2::write(&command.out, &primitives),
         _ => model::write(&command.out, &primitives.parameters),

@@ -3,19 +3,19 @@
 use super::{Convert, Converted, extension};
 use crate::cli::Output;
 use crate::cli::messages::{hounsfield_to_attenuation, warnings};
+use std::path::Path;
 use trgs::output::check_file;
 use trgs::scan::Unit;
 use trgs::scan::dataset::Description;
 use trgs::scan::volume_file::{self, VolumeFile};
 use trgs::{Error, Result};
 
-pub(super) fn convert(command: &Convert) -> Result<Output> {
-    let out = &command.out;
+/// The volume to convert, at its place and in attenuation where that is asked for; and its note.
+pub(super) fn read(command: &Convert) -> Result<(VolumeFile, Option<String>)> {
     // The folder of a run stands for its volume.
     let of_run = command.source.join("volume.npy");
     let source = if of_run.exists() { &of_run } else { &command.source };
     let mut volume = volume_file::read(source)?;
-    let mut notes = Vec::new();
     if let Some(path) = &command.scanner {
         let Description { scanner, frame, .. } = Description::read(path)?;
         let (shape, grid): ([usize; 3], _) = (volume.values.dim().into(), scanner.grid);
@@ -31,17 +31,32 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     if let Some(mu_water) = command.mu_water {
         hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
     }
+    let is_of_a_scan = command.scanner.is_some() || extension(source) == "npy";
+    let note = note(&volume, extension(&command.out), is_of_a_scan);
+    Ok((volume, note))
+}
+
+pub(super) fn convert(command: &Convert) -> Result<Output> {
+    let out = &command.out;
+    let (volume, note) = read(command)?;
     check_file(out)?;
     volume_file::write(out, &volume)?;
-    let is_of_a_scan = command.scanner.is_some() || extension(source) == "npy";
-    notes.extend(note(&volume, extension(out), is_of_a_scan));
+    Ok(Output::list(&converted(out, "volume", &volume, note.into_iter().collect())))
+}
+
+/// A volume that was written, and its place as it was written.
+pub(super) fn converted<'a>(
+    out: &'a Path,
+    kind: &'static str,
+    volume: &VolumeFile,
+    notes: Vec<String>,
+) -> Converted<'a> {
     let shape: [usize; 3] = volume.values.dim().into();
-    // The place as it is written.
     let factor = volume.unit.map_or(1.0, Unit::millimetres);
     let [spacing, origin] =
         [volume.spacing, volume.origin].map(|vector| vector.map(|vector| (vector * factor).to_array()));
     let unit = volume.spacing.map(|_| if volume.unit.is_some() { "mm" } else { "not stated" });
-    Ok(Output::list(&Converted { out, kind: "volume", shape, spacing, origin, unit, notes }))
+    Converted { out, kind, shape, spacing, origin, unit, notes }
 }
 
 /// What the written file does not keep, or the place that it states without knowing it.

@@ -4,10 +4,12 @@
 //! |---|---|
 //! | MODEL.npz, GRAD.npz | `mean [M,3]`, `scale [M,3]`, `quaternion [M,4]`, `density [M]`, `nu [M]`, physical values |
 //! | `.ply` | the same as vertex properties, and a colour: [`ply`] |
+//! | `.ply` of splats | Gaussians for viewers of 3D Gaussian splatting; written only: [`splat`] |
 //! | R²-Gaussian's `.pickle`, or its arrays as `.npz` | `xyz`, `density`, `scale`, `rotation`, `scale_bound`, raw values: [`r2`] |
 
 pub mod ply;
 pub mod r2;
+pub mod splat;
 
 use crate::npz::{self, Entry, Npz};
 use ndarray::{Array1, Array2, ArrayView, IxDyn};

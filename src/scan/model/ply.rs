@@ -134,16 +134,12 @@ pub fn write(path: impl AsRef<Path>, primitives: &Primitives, confidence: Option
 fn write_path(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>, frame: &Frame) -> Result<()> {
     let Parameters { mean, scale, quaternion, density, nu } = &primitives.parameters;
     assert!(confidence.is_none_or(|c| c.len() == density.len()), "one confidence for each primitive");
-    let (of, place) = match (confidence, primitives.kernel) {
-        (Some(confidence), _) => ("confidence, 0 to 1", confidence.to_vec()),
-        (None, KernelKind::StudentT) => ("ln nu, smallest to largest", spread(nu.iter().map(|&nu| log(nu)).collect())),
-        (None, KernelKind::Gaussian) => ("density, smallest to largest", spread(density.clone())),
-    };
+    let (of, colours) = colours(primitives, confidence);
     let vertex = |i: usize| {
         let ([x, y, z], [scale_x, scale_y, scale_z]) = (mean[i], scale[i]);
         let [rotation_w, rotation_x, rotation_y, rotation_z] = quaternion[i];
         let (nu, confidence) = ((primitives.kernel == KernelKind::StudentT).then_some(nu[i]), confidence.map(|c| c[i]));
-        let (red, green, blue) = VIRIDIS.eval_continuous(place[i].clamp(0.0, 1.0)).as_tuple();
+        let [red, green, blue] = colours[i];
         let density = density[i];
         Vertex {
             x,
@@ -177,6 +173,17 @@ fn write_path(path: &Path, primitives: &Primitives, confidence: Option<&[f64]>, 
     }
     let options = SerializeOptions::binary_le().with_comments(comments);
     write_atomically(path, |out| serde_ply::to_writer(&file, options, out).map_err(io::Error::other))
+}
+
+/// What the colours of primitives stand for, and the colour of each.
+pub(super) fn colours(primitives: &Primitives, confidence: Option<&[f64]>) -> (&'static str, Vec<[u8; 3]>) {
+    let Parameters { density, nu, .. } = &primitives.parameters;
+    let (of, place) = match (confidence, primitives.kernel) {
+        (Some(confidence), _) => ("confidence, 0 to 1", confidence.to_vec()),
+        (None, KernelKind::StudentT) => ("ln nu, smallest to largest", spread(nu.iter().map(|&nu| log(nu)).collect())),
+        (None, KernelKind::Gaussian) => ("density, smallest to largest", spread(density.clone())),
+    };
+    (of, place.into_iter().map(|place| VIRIDIS.eval_continuous(place.clamp(0.0, 1.0)).as_tuple().into()).collect())
 }
 
 /// Values scaled to [0, 1] from smallest to largest; ½ where all are equal.

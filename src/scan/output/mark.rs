@@ -27,6 +27,8 @@ pub enum Kind {
     Answers,
     /// The paper's tables and their cells.
     Tables,
+    /// A volume as slices.
+    Slices,
 }
 
 impl Kind {
@@ -37,6 +39,7 @@ impl Kind {
             Self::Vectors => "folder of vectors",
             Self::Answers => "folder of answers",
             Self::Tables => "folder of tables",
+            Self::Slices => "folder of slices",
         }
     }
 

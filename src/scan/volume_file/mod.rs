@@ -15,6 +15,8 @@
 //! | folder of `.tif`, `.png`, `.jpg` or `.raw` | one slice each, in natural order: `s2.tif` before `s10.tif` | nothing |
 //! | folder of DICOM slices, `.dcm` | a series, ordered by position; needs the feature `dicom` | spacing, origin |
 //!
+//! [`write_slices`] writes a folder of PNG or a DICOM series.
+//!
 //! # Axes
 //!
 //! The array's axes are always `[x, y, z]`, in the order of the file: nothing is flipped or rotated. Spacing and origin
@@ -50,11 +52,15 @@ mod npy_side;
 mod nrrd;
 mod pages;
 mod raw;
+mod scaling;
+mod slices;
 mod tiff;
 
 pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub use npy_side::NpySide;
 pub use raw::SideFile;
+pub use scaling::Scaling;
+pub use slices::{Slices, write_slices};
 
 use super::content::{damaged, unsupported};
 use super::unit::Unit;
@@ -296,7 +302,7 @@ fn write_path(path: &Path, volume: &VolumeFile) -> Result<()> {
         Format::Nifti => return nifti::write(path, &values, place),
         Format::Tiff => return tiff::write(path, &values, place),
         Format::Dicom | Format::Image | Format::Npz | Format::Hdf5 => {
-            let expected = "another format: DICOM, HDF5, PNG, JPEG and volumes as .npz are read but not written";
+            let expected = "another format: HDF5, JPEG and volumes as .npz are not written, and DICOM and PNG as folders of slices";
             return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
         }
         Format::Raw => {
@@ -413,5 +419,7 @@ impl VolumeFile {
     }
 }
 
+#[cfg(test)]
+mod letters;
 #[cfg(test)]
 mod tests;

@@ -10,8 +10,11 @@
 //! C-arm, stay in the order of the file.
 //!
 //! Pixels must be uncompressed; compressed pixels (such as JPEG) are rejected.
+//!
+//! [`write_slices`](super::write_slices) writes a series.
 
 mod lengths;
+mod write;
 
 use super::{VolumeFile, damaged, unsupported};
 use crate::limit;
@@ -26,6 +29,8 @@ use std::fmt::Display;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use trgs_core::error::{Error, Result};
+
+pub(super) use write::write;
 
 /// Allowed relative deviation of a slice distance from the usual one: positions have few digits.
 const UNEVEN: f64 = 0.01;
