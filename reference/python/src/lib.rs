@@ -11,6 +11,7 @@ mod losses;
 mod model;
 mod networks;
 mod optim;
+mod pages;
 mod projector;
 mod scan;
 mod work;
@@ -42,6 +43,8 @@ mod _core {
     use crate::networks::network_steps;
     #[pymodule_export]
     use crate::optim::{Adam, Sghmc, adaptive_control, add_and_recycle, gate, learning_rate};
+    #[pymodule_export]
+    use crate::pages::{Page, save_page, show};
     #[pymodule_export]
     use crate::projector::{
         footprint_gradient, project, project_vjp, support, truncation_bound, voxelize, voxelize_vjp,

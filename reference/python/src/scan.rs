@@ -489,12 +489,17 @@ pub(crate) fn save_volume(
     volume: &Bound<'_, PyAny>,
     grid: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
-    let (grid, frame) = match grid.cast::<Scan>() {
-        Ok(scan) => (scan.get().0.scanner.grid, scan.get().0.frame),
-        Err(_) => (crate::geometry::grid_of(grid)?, Frame::default()),
-    };
+    let (grid, frame) = place_of(grid)?;
     let volume = self::volume(grid, volume, "volume")?;
     try_run(py, || trgs::write_volume(&path, &volume, &frame))
+}
+
+/// The grid of a scan, grid or scanner, and its unit and place.
+pub(crate) fn place_of(grid: &Bound<'_, PyAny>) -> PyResult<(trgs::Grid, Frame)> {
+    match grid.cast::<Scan>() {
+        Ok(scan) => Ok((scan.get().0.scanner.grid, scan.get().0.frame)),
+        Err(_) => Ok((crate::geometry::grid_of(grid)?, Frame::default())),
+    }
 }
 
 /// What a method found.

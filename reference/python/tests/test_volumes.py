@@ -317,3 +317,23 @@ def test_unit_and_place_go_from_a_scan_to_its_volume(tmp_path, scan):
     # In scene units without a scan.
     trgs.save_volume(tmp_path / "v.mha", again.truth, again.scanner)
     assert np.allclose(trgs.load_volume(tmp_path / "v.mha", place=True)[1]["spacing"], again.scanner.grid.spacing)
+
+
+def test_a_page_shows_volumes_at_their_place(tmp_path):
+    values = np.arange(60, dtype=np.float32).reshape(3, 4, 5)
+    page = trgs.show(values, trgs.Grid((3, 4, 5)), title="a <b>")
+    scene = json.loads(page.html.split('<script type="application/json">')[1].split("</script>")[0])
+    assert scene["shape"] == [3, 4, 5] and scene["title"] == "a <b>" and [v["bits"] for v in scene["volumes"]] == [16]
+    assert "<title>a &lt;b&gt;</title>" in page.html
+    frame = page._repr_html_()
+    assert frame.startswith('<iframe srcdoc="<!doctype html>') and frame.count('"') == 6
+    two = {"truth": values, "other": values + 1}
+    trgs.save_page(tmp_path / "page.html", two)
+    written = (tmp_path / "page.html").read_text()
+    assert written == trgs.show(two).html and '"name":"other"' in written
+    with pytest.raises(ValueError, match="volumes to show: got 5, expected 1 to 4"):
+        trgs.show({name: values for name in "abcde"})
+    with pytest.raises(ValueError, match="volume of c"):
+        trgs.show({"b": values, "c": values[:2].copy()})
+    with pytest.raises(TypeError, match="volume of volume"):
+        trgs.show(values.astype(float))

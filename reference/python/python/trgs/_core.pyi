@@ -507,6 +507,29 @@ def load_volume(
     path: _Path, *, scan: Scan | None = None, place: Literal[True]
 ) -> tuple[NDArray[np.float32], dict[str, Any]]: ...
 def save_volume(path: _Path, volume: NDArray[np.float32], grid: Scan | Grid | Scanner) -> None: ...
+class Page:
+    @property
+    def html(self) -> str: ...
+    def save(self, path: _Path) -> None: ...
+    def _repr_html_(self) -> str: ...
+
+def show(
+    volumes: NDArray[np.float32] | dict[str, NDArray[np.float32]],
+    grid: Scan | Grid | Scanner | None = None,
+    *,
+    title: str = "volume",
+    full: bool = False,
+    mu_water: float | None = None,
+) -> Page: ...
+def save_page(
+    path: _Path,
+    volumes: NDArray[np.float32] | dict[str, NDArray[np.float32]],
+    grid: Scan | Grid | Scanner | None = None,
+    *,
+    title: str = "volume",
+    full: bool = False,
+    mu_water: float | None = None,
+) -> None: ...
 def reconstruct(
     scan: Scan,
     method: _Method = "tr-gs",
