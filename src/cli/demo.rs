@@ -3,7 +3,7 @@
 use super::arguments::{Replace, seed};
 use super::messages::moved;
 use super::reconstruct::reconstruct;
-use super::run_folder::{Inputs, Outcome, RunFolder};
+use super::run_folder::{Outcome, RunFolder, Source};
 use super::{Global, Output, interrupt};
 use clap::Args;
 use serde::Serialize;
@@ -64,7 +64,8 @@ impl Demo {
         // The mark of the folder has the digests of its files.
         let files = Mark::read(&source).map_or_else(BTreeMap::new, |mark| mark.files);
         let path = |file: String| source.join(file).display().to_string();
-        let inputs: Inputs = files.into_iter().filter_map(|(file, digest)| Some((path(file), digest?))).collect();
+        let digests: BTreeMap<_, _> =
+            files.into_iter().filter_map(|(file, digest)| Some((path(file), digest?))).collect();
 
         let run = |method, folder: &Path, beside: Option<&Outcome>| {
             let claim = RunFolder::claim(folder, &source, overwrite)?;
@@ -74,7 +75,8 @@ impl Demo {
                 config.iterations = ITERATIONS;
             }
             let config = config.plan(&dataset.scanner, dataset.train.len())?;
-            reconstruct(&dataset, &config, claim, inputs.clone(), None, beside, global)
+            let source = Source { scan: source.clone(), digests: digests.clone(), warnings: Vec::new() };
+            reconstruct(&dataset, &config, claim, source, None, beside, global)
         };
         tracing::info!("reconstructing by filtered back projection");
         let fdk = run(Method::Fdk, &self.out.join("fdk"), None)?;

@@ -3,9 +3,10 @@
 use super::arguments::{Replace, choice, positive, seed, word};
 use super::corrections::CorrectionArgs;
 use super::evaluate::{answer, answer_again};
+use super::flags::with_flags;
 use super::messages::warnings;
 use super::progress::RunProgress;
-use super::run_folder::{Inputs, Outcome, RunFolder, TimedPass, checkpoint_file, metrics_of_results};
+use super::run_folder::{Outcome, RunFolder, Source, TimedPass, checkpoint_file, metrics_of_results};
 use super::{Global, Output, interrupt};
 use bytesize::ByteSize;
 use clap::Args;
@@ -26,7 +27,7 @@ use trgs::scan::dataset::DatasetInfo;
 use trgs::scan::plausibility::{self, AnglesFrom};
 use trgs::train::{Decision, primitives_of_model};
 use trgs::words;
-use trgs::{Error, Result, Setting, limit};
+use trgs::{Error, Result, Setting, Text, limit};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
 const AUTO: usize = 10;
@@ -126,8 +127,9 @@ impl Reconstruct {
         }
         self.corrections.refuse_region("a scan")?;
         self.corrections.apply(&mut dataset, [false; 2])?;
-        warnings(&self.dataset, &dataset.oddities);
-        warnings(&self.dataset, plausibility::remarks(&dataset));
+        let oddities = dataset.oddities.iter().map(Text::from);
+        let mut remarks: Vec<Text> = oddities.chain(plausibility::remarks(&dataset)).collect();
+        warnings(&self.dataset, remarks.iter().cloned());
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
         }
@@ -135,7 +137,9 @@ impl Reconstruct {
         let config = asked.plan(&dataset.scanner, dataset.train.len())?;
         if asked.wavelet.enabled && asked.method.fits_primitives() && !config.wavelet.enabled {
             let shape = dataset.scanner.grid.shape;
-            tracing::warn!("wavelets are left out: a volume of {shape:?} voxels is too thin for their blocks");
+            let remark = format!("wavelets are left out: a volume of {shape:?} voxels is too thin for their blocks");
+            tracing::warn!("{remark}");
+            remarks.push(remark.into());
         }
         if let Some(saved) = &mut checkpoint {
             extend(saved, config.iterations)?;
@@ -147,12 +151,14 @@ impl Reconstruct {
             }
             tell_of_decision(saved, &config);
         } else if config.method.fits_primitives() && config.initialisation.from == Start::Model {
-            let (_, remarks) = primitives_of_model(&dataset.scanner.grid, &config)?;
-            remarks.iter().for_each(|remark| tracing::warn!("{remark}"));
+            let (_, of_model) = primitives_of_model(&dataset.scanner.grid, &config)?;
+            of_model.iter().for_each(|remark| tracing::warn!("{remark}"));
+            remarks.extend(of_model.iter().map(Text::from));
         }
         let checkpoints = Checkpoints { file: checkpoint_file(&self.out), from: checkpoint };
-        let inputs = input::digests()?;
-        let outcome = reconstruct(&dataset, &config, claim, inputs, Some(checkpoints), None, global)
+        let warnings = remarks.iter().map(with_flags).collect();
+        let source = Source { scan: self.dataset.clone(), digests: input::digests()?, warnings };
+        let outcome = reconstruct(&dataset, &config, claim, source, Some(checkpoints), None, global)
             .map_err(|error| self.with_command(error))?;
         tracing::info!("wrote {}: open it in a browser", self.out.join("report.html").display());
         let mut context = self.context(config.method);
@@ -292,14 +298,14 @@ fn tell_of_decision(checkpoint: &Checkpoint, config: &Config) {
     }
 }
 
-/// Reconstructs the dataset, read from `inputs`, and writes the run; `beside` is compared on its page.
+/// Reconstructs the dataset, read from `source`, and writes the run; `beside` is compared on its page.
 ///
 /// Without `checkpoints`, an interrupted run leaves nothing.
 pub(super) fn reconstruct(
     dataset: &Dataset,
     config: &Plan,
     claim: Claim,
-    inputs: Inputs,
+    source: Source,
     checkpoints: Option<Checkpoints>,
     beside: Option<&Outcome>,
     global: &Global,
@@ -308,7 +314,7 @@ pub(super) fn reconstruct(
         let estimate = Estimate::new(&DatasetInfo::of(dataset), dataset.train.len(), config, threads::count());
         // Checked again with sizes that are known only after reading.
         estimate.check(limit::bytes())?;
-        let folder = RunFolder::begin(claim, config, estimate.peak(), inputs)?;
+        let folder = RunFolder::begin(claim, config, estimate.peak(), source)?;
         tracing::info!(memory = estimate.peak(), parts = %estimate, "memory: at most {}", ByteSize(estimate.peak()));
         if let Some(installed) = limit::available().filter(|&installed| installed < estimate.peak()) {
             tracing::warn!("this machine has only {} of memory: the run may be slow or be killed", ByteSize(installed));

@@ -19,6 +19,7 @@ use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_
 use trgs::primitives::Primitives;
 use trgs::provenance::{Provenance, digest_bytes, digest_file};
 use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
+use trgs::report::agreement::Agreement;
 use trgs::report::viewer::Scene;
 use trgs::report::{self, Curve, Report};
 use trgs::scan::model;
@@ -35,13 +36,23 @@ const CHECKPOINTS: &str = "checkpoints";
 /// The volume, and its place beside it: spacing, origin, directions and unit.
 const VOLUME: &str = "volume.npy";
 const PLACE: &str = "volume.npy.json";
-/// Views on the page.
+/// Views on the page, and views that are compared for it.
 const SHOWN_VIEWS: usize = 6;
+const COMPARED_VIEWS: usize = 24;
+/// Training views from which on some can be held out for a test.
+const ENOUGH_VIEWS: usize = 8;
 /// Files that contain no time, so that equal runs have equal digests.
 const TIMELESS: [&str; 5] = ["config.toml", "model.npz", VOLUME, PLACE, "metrics.json"];
 
-/// Digests of the files that a run was made from, by path.
-pub(super) type Inputs = BTreeMap<String, String>;
+/// What a run was made from.
+pub(super) struct Source {
+    /// The path of the scan.
+    pub(super) scan: PathBuf,
+    /// Digests of the files that were read, by path.
+    pub(super) digests: BTreeMap<String, String>,
+    /// What is unusual about the scan.
+    pub(super) warnings: Vec<String>,
+}
 
 /// The result of a run.
 pub(super) struct Outcome {
@@ -95,6 +106,8 @@ pub(super) struct RunFolder {
     claim: Claim,
     destination: Destination,
     provenance: Provenance,
+    scan: PathBuf,
+    warnings: Vec<String>,
 }
 
 impl Outcome {
@@ -125,18 +138,18 @@ impl RunFolder {
     }
 
     /// Begins a run of `config`; `memory` is estimated, in bytes. An older run of the same method will be replaced.
-    pub(super) fn begin(claim: Claim, config: &Config, memory: u64, inputs: Inputs) -> Result<Self> {
+    pub(super) fn begin(claim: Claim, config: &Config, memory: u64, source: Source) -> Result<Self> {
         let destination = claim.destination().by(word(&config.method));
         destination.check()?;
         let mut provenance = Provenance::new(threads::count(), std::env::args_os().map(words::name));
         provenance.seeds.insert("reconstruct".into(), config.seed);
         provenance.memory = Some(memory);
-        provenance.inputs = inputs;
+        provenance.inputs = source.digests;
         // Tests whether the folder can be written and replaced.
         drop(stage_folder(destination.clone())?);
         claim.begin(&destination)?;
         moved(&destination);
-        Ok(Self { claim, destination, provenance })
+        Ok(Self { claim, destination, provenance, scan: source.scan, warnings: source.warnings })
     }
 
     /// The log that grows while the run goes on.
@@ -156,7 +169,7 @@ impl RunFolder {
     ) -> Result<()> {
         self.provenance.density_unit = outcome.unit;
         self.provenance.continued.clone_from(&outcome.continued);
-        let staged = stage_folder(self.destination)?;
+        let staged = stage_folder(self.destination.clone())?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at(VOLUME), outcome.volume.values.view())?;
@@ -191,19 +204,65 @@ impl RunFolder {
                 Err(error) => tracing::warn!("the run cannot be continued: {}", with_flags(&error.text())),
             }
         }
-        write_text(&at("report.html"), &page(dataset, config, outcome, beside, &self.provenance)?)?;
+        write_text(&at("report.html"), &self.page(dataset, config, outcome, beside)?)?;
         write_text(&at("provenance.json"), &json(&self.provenance))?;
         staged.commit()
     }
+
+    fn page(&self, dataset: &Dataset, config: &Config, outcome: &Outcome, beside: Option<&Outcome>) -> Result<String> {
+        let (curves, facts) = (curves(outcome), facts(dataset, config, outcome));
+        let (agreement, scene) = views(dataset, config, outcome)?;
+        report::render(&Report {
+            title: &format!("{} from {}", outcome.name(), dataset.name),
+            subtitle: &format!("Reconstructed from {}", counted(dataset.train.len(), "projection")),
+            methods: outcome.on_the_page().chain(beside.into_iter().flat_map(Outcome::on_the_page)).collect(),
+            truth: dataset.truth.as_ref(),
+            frame: dataset.frame,
+            warnings: self.warnings.clone(),
+            next: self.next(dataset, outcome, &agreement),
+            views: Some((agreement, scene)),
+            curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
+            choice: outcome.choice.as_ref(),
+            confidence: confidence(dataset, config, outcome),
+            facts,
+            provenance: Some(&self.provenance),
+        })
+    }
+
+    /// Commands that may follow the run, with what each is for.
+    fn next(&self, dataset: &Dataset, outcome: &Outcome, agreement: &Agreement) -> Vec<(String, String)> {
+        let run = self.claim.folder();
+        let scan = words::quoted_path(&self.scan);
+        let beside = |suffix: &str| {
+            let mut name = run.as_os_str().to_owned();
+            name.push(suffix);
+            words::quoted_path(Path::new(&name))
+        };
+        let [page, volume, other, held] = [".html", ".nii.gz", "-tr-gs", "-held-out"].map(beside);
+        let run = words::quoted_path(run);
+        let mut next = vec![
+            ("Look at all voxels and all views:".into(), format!("trgs view {run} {scan} --full --out {page}")),
+            ("Take the volume to 3D Slicer, ITK-SNAP or Fiji:".into(), format!("trgs convert {run} {volume}")),
+        ];
+        if !agreement.is_explained() {
+            let why = "The residual is more than noise: check axes, rotation and offset of the scan:";
+            next.push((why.into(), format!("trgs inspect {scan} --check-geometry")));
+        }
+        let count = dataset.train.len();
+        if dataset.test.is_none() && count >= ENOUGH_VIEWS {
+            let (kept, tested) = (count - count / 5, count / 5);
+            let command = format!("trgs convert {scan} {held} --views {kept} --test-views {tested}");
+            next.push(("Keep views for a test, then reconstruct that scan:".into(), command));
+        }
+        if !outcome.method.fits_primitives() {
+            next.push(("Compare with TR-GS:".into(), format!("trgs reconstruct {scan} --out {other}")));
+        }
+        next
+    }
 }
 
-fn page(
-    dataset: &Dataset,
-    config: &Config,
-    outcome: &Outcome,
-    beside: Option<&Outcome>,
-    provenance: &Provenance,
-) -> Result<String> {
+/// Losses or residuals over the iterations.
+fn curves(outcome: &Outcome) -> [Curve<'static>; 7] {
     let curve = |name, value: fn(&Record) -> f64| Curve {
         name,
         points: outcome.log.iter().map(|record| (record.iteration as f64, value(record))).collect(),
@@ -215,7 +274,7 @@ fn page(
             .filter_map(|TimedPass { pass, .. }| Some((pass.iteration as f64, value(pass)?)))
             .collect(),
     };
-    let curves = [
+    [
         curve("total", |r| r.loss),
         curve("L1", |r| r.l1),
         curve("1-SSIM", |r| r.d_ssim),
@@ -223,7 +282,11 @@ fn page(
         Curve { name: "residual", points: passes.collect() },
         of_passes("objective", |pass| pass.objective),
         of_passes("step", |pass| pass.change),
-    ];
+    ]
+}
+
+/// Facts of scan and run: label and value.
+fn facts(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Vec<(String, String)> {
     let detector = &dataset.scanner.detector;
     let mut facts = vec![
         ("Training views".into(), dataset.train.len().to_string()),
@@ -263,29 +326,19 @@ fn page(
             facts.push(("Spearman's ρ of ν and confidence".into(), format!("{rho:.2}")));
         }
     }
-    report::render(&Report {
-        title: &format!("{} from {}", outcome.name(), dataset.name),
-        subtitle: &format!("Reconstructed from {}", counted(dataset.train.len(), "projection")),
-        methods: outcome.on_the_page().chain(beside.into_iter().flat_map(Outcome::on_the_page)).collect(),
-        truth: dataset.truth.as_ref(),
-        frame: dataset.frame,
-        projections: Some(projections(dataset, config, outcome)?),
-        curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
-        choice: outcome.choice.as_ref(),
-        confidence: confidence(dataset, config, outcome),
-        facts,
-        provenance: Some(provenance),
-    })
+    facts
 }
 
-/// A few test views, or else training views, measured and rendered.
-fn projections(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Result<Scene<'static>> {
+/// Test views, or else training views, beside those of the result: compared, and a few of them shown.
+fn views(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Result<(Agreement, Scene<'static>)> {
     let (views, kind) = dataset.test.as_ref().map_or((&dataset.train, "training"), |test| (test, "test"));
-    let views = views.evenly_spaced(views.len().min(SHOWN_VIEWS))?;
+    let views = views.evenly_spaced(views.len().min(COMPARED_VIEWS))?;
     let rendered = reproject(dataset, &views, &outcome.volume, outcome.primitives.as_ref(), config)?;
-    let stacks = vec![("Measured", Cow::Owned(views)), (outcome.name(), Cow::Owned(rendered))];
+    let agreement = Agreement::new([&views, &rendered], &dataset.train, &dataset.scanner, dataset.test.is_none())?;
+    let [views, rendered] = [&views, &rendered].map(|views| views.evenly_spaced(views.len().min(SHOWN_VIEWS)));
+    let stacks = vec![("Measured", Cow::Owned(views?)), (outcome.name(), Cow::Owned(rendered?))];
     let title = format!("Projections of {kind} views");
-    Ok(Scene::of_projections(&title, stacks, &dataset.scanner, &dataset.frame)?.reduced())
+    Ok((agreement, Scene::of_projections(&title, stacks, &dataset.scanner, &dataset.frame)?.reduced()))
 }
 
 /// The size of a voxel in the unit of the scan's files.

@@ -8,10 +8,11 @@ use clap::Args;
 use ndarray::Array3;
 use serde::Serialize;
 use std::borrow::Cow;
+use std::f64::consts::TAU;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use trgs::config::{Config, Method};
-use trgs::geometry::Volume;
+use trgs::geometry::{Projections, Scanner, Volume};
 use trgs::output::{check_file, write_atomically};
 use trgs::reconstruction::reproject;
 use trgs::report::viewer::{Depth, Scene, page};
@@ -27,9 +28,10 @@ use trgs::{Error, Result};
   trgs view out/torso data/torso --out torso.html
   trgs view out/tr-gs out/tv truth.nii.gz --full
   trgs view data/torso
+  trgs view out/torso data/torso --turntable
 
 The page is one file without network access, for any browser of 2023 or newer; ? lists its keys. All formats of volumes \
-that trgs convert reads are shown; a folder of .npy is a stack of projections. Two or three volumes are compared, on the \
+that trgs convert reads are shown; a folder of .npy is a stack of projections. Two to four volumes are compared, on the \
 grid of the first that states one: side by side, by difference, wipe and flicker. A scan shows its true volume and its \
 projections; with a run or a volume beside it, measured and rendered projections of the test views and their difference.
 
@@ -45,6 +47,9 @@ pub(super) struct View {
     /// Show all voxels and views of large volumes and scans
     #[arg(long)]
     full: bool,
+    /// Show projections around the object, rendered from the first volume or run on the scan
+    #[arg(long)]
+    turntable: bool,
     /// Bits of a stored value [default: 16 for one volume, 8 for several]
     #[arg(long, value_name = "8|16", value_parser = depth)]
     bits: Option<Depth>,
@@ -52,6 +57,9 @@ pub(super) struct View {
     #[arg(long, value_name = "X", value_parser = water)]
     mu_water: Option<f64>,
 }
+
+/// Projections of a turntable.
+const TURNTABLE: usize = 36;
 
 /// What is shown, sorted by kind.
 #[derive(Default)]
@@ -92,6 +100,13 @@ impl View {
                     scenes.push(scene);
                 }
                 scenes.push(placed.projections(dataset)?);
+                if self.turntable {
+                    scenes.push(placed.turntable(dataset)?);
+                }
+            }
+            None if self.turntable => {
+                let expected = "a volume or a run, and the scan whose detector sees it";
+                return Err(Error::invalid("--turntable", "no scan", expected, "name a scan as well"));
             }
             None if !volumes.is_empty() => {
                 let names: Vec<_> = volumes.iter().map(|named| named.name.as_str()).collect();
@@ -182,17 +197,35 @@ impl Placed {
             _ => (&dataset.train, "training"),
         };
         let mut stacks = vec![("measured", Cow::Borrowed(views))];
-        if let Some((_, volume)) = self.volumes.first() {
-            let config = match &self.run {
-                Some(run) => Config::read(run.join("config.toml"), Method::TrGs)?,
-                None => Config::default(),
-            };
-            let model = self.run.as_ref().map(|run| run.join("model.npz")).filter(|model| model.exists());
-            let primitives = model.map(|model| model::read(&model)).transpose()?;
-            let rendered = reproject(dataset, views, volume, primitives.as_ref(), &config)?;
-            stacks.push(("rendered", Cow::Owned(rendered)));
+        if !self.volumes.is_empty() {
+            stacks.push(("rendered", Cow::Owned(self.rendered(dataset, views)?)));
         }
         Scene::of_projections(&format!("Projections of the {kind} views"), stacks, &dataset.scanner, &dataset.frame)
+    }
+
+    /// Rendered projections over a whole turn.
+    fn turntable(&self, dataset: &Dataset) -> Result<Scene<'static>> {
+        let detector = &dataset.scanner.detector;
+        let images = Array3::zeros((TURNTABLE, detector.rows, detector.columns));
+        let views = Projections::new(Scanner::uniform_angles(TURNTABLE, 0.0, TAU), images)?;
+        let stacks = vec![("rendered", Cow::Owned(self.rendered(dataset, &views)?))];
+        Scene::of_projections("Turntable", stacks, &dataset.scanner, &dataset.frame)
+    }
+
+    /// The views rendered from the first volume, or from the primitives of its run; without both, from the true volume.
+    fn rendered(&self, dataset: &Dataset, views: &Projections) -> Result<Projections> {
+        let volume = self.volumes.first().map(|(_, volume)| volume).or(dataset.truth.as_ref());
+        let Some(volume) = volume else {
+            let expected = "a run or a volume beside a scan without a true volume";
+            return Err(Error::invalid("projections to render", "a scan alone", expected, "name a run as well"));
+        };
+        let config = match &self.run {
+            Some(run) => Config::read(run.join("config.toml"), Method::TrGs)?,
+            None => Config::default(),
+        };
+        let model = self.run.as_ref().map(|run| run.join("model.npz")).filter(|model| model.exists());
+        let primitives = model.map(|model| model::read(&model)).transpose()?;
+        reproject(dataset, views, volume, primitives.as_ref(), &config)
     }
 }
 

@@ -2,12 +2,13 @@
 //!
 //! It is readable on a phone, in dark mode and on paper, loads nothing, and forbids loading by its content policy.
 
+pub mod agreement;
 mod chart;
-mod gallery;
 mod histogram;
 pub mod slice;
 pub mod viewer;
 
+use agreement::Agreement;
 use chart::Axes;
 pub use chart::Curve;
 
@@ -18,7 +19,7 @@ use crate::evaluation::Metrics;
 use crate::geometry::Volume;
 use crate::provenance::Provenance;
 use crate::scan::Frame;
-use gallery::Gallery;
+use histogram::Bars;
 use slice::short;
 use std::fmt::Write;
 use viewer::{Depth, Scene};
@@ -36,8 +37,12 @@ pub struct Report<'a> {
     pub truth: Option<&'a Volume>,
     /// Unit and place of the volumes.
     pub frame: Frame,
-    /// Measured and rendered projections.
-    pub projections: Option<Scene<'a>>,
+    /// What is unusual about the scan, one sentence each.
+    pub warnings: Vec<String>,
+    /// Measured and rendered views beside each other, compared and displayed.
+    pub views: Option<(Agreement, Scene<'a>)>,
+    /// Commands that may follow: what each is for, and its text.
+    pub next: Vec<(String, String)>,
     /// Losses over the iterations; the total comes first.
     pub curves: Vec<Curve<'a>>,
     /// The setting that was chosen by held-out views.
@@ -69,6 +74,9 @@ const METRICS: [(&str, &str, &str); 4] = [
     ("SSIM 2D", "", "of the same projections"),
 ];
 
+/// Most numbers below a chart of bars.
+const MOST_TICKS: usize = 12;
+
 /// Axes of the chart of losses.
 const LOSSES: Axes<'static> =
     Axes { label: "Loss over the iterations", x: "iteration", is_logarithmic: false, mark: None };
@@ -81,13 +89,14 @@ const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inlin
 /// # Errors
 /// When the volumes differ in shape.
 pub fn render(report: &Report) -> Result<String> {
-    let volumes = report.methods.iter().filter_map(|method| Some((method.name, method.volume?))).collect();
-    let gallery = Gallery::new(report.truth, volumes)?;
+    let views = report.views.as_ref();
     let content = [
         headline(&report.methods),
+        answer(report),
         volumes_to_scroll(report)?,
-        gallery.map_or(String::new(), |gallery| gallery.html()),
-        report.projections.as_ref().map_or(String::new(), projections),
+        views.map(|(agreement, _)| agreement.doubt(&report.frame)).transpose()?.unwrap_or_default(),
+        views.map_or(String::new(), |(agreement, scene)| projections(agreement, scene)),
+        next(&report.next),
         losses(&report.curves),
         report.choice.map_or(String::new(), choice),
         report.confidence.as_ref().map_or(String::new(), confidence),
@@ -146,9 +155,51 @@ fn volumes_to_scroll(report: &Report) -> Result<String> {
     Ok(section(title, &format!("{how}{}", scene.html(Depth::Eight))))
 }
 
-fn projections(scene: &Scene) -> String {
+/// The answer to whether the volume is good, and what to mind.
+fn answer(report: &Report) -> String {
+    let mut html = report.views.as_ref().map_or(String::new(), |(agreement, _)| agreement.verdict());
+    let chosen =
+        |choice: &Choice| choice.curve.iter().find(|trial| trial.value == choice.value).map(|trial| trial.error);
+    if let Some(error) = report.choice.and_then(chosen) {
+        let percent = short(100.0 * error);
+        let _ = writeln!(html, "<p>A volume made without some views predicts them with a residual of {percent} %.</p>");
+    }
+    if !report.warnings.is_empty() {
+        let items: String = report.warnings.iter().map(|text| format!("<li>{}</li>\n", escape(text))).collect();
+        let _ = writeln!(html, "<h3>Warnings</h3>\n<ul>\n{items}</ul>");
+    }
+    section("Is the volume good?", &html)
+}
+
+/// Measured and rendered views, and the residual of each.
+fn projections(agreement: &Agreement, scene: &Scene) -> String {
+    let views: Vec<_> = agreement.views().collect();
+    let percent = |residual: f64| format!("{} %", short(residual));
+    let bar = |[angle, residual]: &[f64; 2]| (*residual, format!("view at {}°: {}", short(*angle), percent(*residual)));
+    let step = views.len().div_ceil(MOST_TICKS).max(1);
+    let tick = |number: usize| (number as f64 + 0.5, format!("{}°", views[number][0].round()));
+    let highest = views.iter().map(|view| view[1]).fold(0.0, f64::max);
+    let chart = Bars {
+        label: "Residual of each view",
+        x: "angle of the view",
+        bars: views.iter().map(bar).collect(),
+        highest: percent(highest),
+        ticks: (0..views.len()).step_by(step).map(tick).collect(),
+    };
+    let bars = chart.svg().map_or(String::new(), |svg| {
+        format!("<h3>Residual of each view <span>relative to its measured values</span></h3>\n{svg}\n")
+    });
     let meaning = "<p>The volume contradicts the data where the difference is more than noise.</p>\n";
-    section(&escape(scene.title()), &format!("{meaning}{}", scene.html(Depth::Eight)))
+    section(&escape(scene.title()), &format!("{meaning}{}{bars}", scene.html(Depth::Eight)))
+}
+
+/// The commands that may follow; a click selects one.
+fn next(commands: &[(String, String)]) -> String {
+    let item = |(what, command): &(String, String)| {
+        format!("<li>{}<pre class=\"scroll\"><code>{}</code></pre></li>\n", escape(what), escape(command))
+    };
+    let items: String = commands.iter().map(item).collect();
+    section("What next?", &if items.is_empty() { items } else { format!("<ul class=\"next\">\n{items}</ul>\n") })
 }
 
 fn losses(curves: &[Curve]) -> String {
@@ -167,7 +218,20 @@ fn losses(curves: &[Curve]) -> String {
 /// The chart of how many primitives have which confidence.
 fn confidence(histogram: &Histogram) -> String {
     let label = "Primitives by confidence";
-    let Some(chart) = histogram::bars(histogram, label, "confidence c") else { return String::new() };
+    let total: usize = histogram.counts.iter().sum();
+    let largest = histogram.counts.into_iter().max().unwrap_or(0);
+    let bar = |(interval, count): (usize, usize)| {
+        let (from, to) = (Histogram::start(interval), Histogram::start(interval + 1));
+        (count as f64, format!("{from:.2} to {to:.2}: {count}"))
+    };
+    let chart = Bars {
+        label,
+        x: "confidence c",
+        bars: histogram.counts.into_iter().enumerate().map(bar).collect(),
+        highest: format!("{:.0} %", 100.0 * largest as f64 / total.max(1) as f64),
+        ticks: (0..=Histogram::INTERVALS).step_by(2).map(|n| (n as f64, Histogram::start(n).to_string())).collect(),
+    };
+    let Some(chart) = chart.svg() else { return String::new() };
     let meaning = "<p>The part of a primitive's directions that the rays of all training views cover, 0 to 1. The height of a \
                    bar is the part of all primitives.</p>\n";
     section(label, &format!("{meaning}{chart}\n"))

@@ -33,23 +33,9 @@ pub struct Window {
     pub high: f64,
 }
 
-/// The colours of a [`Picture`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Palette {
-    /// Black to white.
-    Grey,
-    /// Blue through white to red, distinguishable with any colour vision: 255 colours, 127 is white.
-    Diverging,
-}
-
-/// A small image of palette indices.
+/// A small image in grey: `[row, column]`, top row first.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
-    /// `[row, column]`, top row first.
-    pub indices: Array2<u8>,
-    /// The mapping from indices to colours.
-    pub palette: Palette,
-}
+pub struct Picture(Array2<u8>);
 
 impl Cut {
     /// For each axis, the slice with most detail (the largest total variation).
@@ -66,21 +52,11 @@ impl Cut {
         })
     }
 
-    /// The axes of the image: to the right, upwards.
-    pub fn plane(&self) -> (usize, usize) {
-        [(1, 2), (0, 2), (0, 1)][self.axis]
-    }
-
     /// The values in image order, `[row, column]`, top row first.
     pub fn values(&self, volume: &Volume) -> Array2<f32> {
         let mut slice = volume.values.index_axis(Axis(self.axis), self.index).reversed_axes();
         slice.invert_axis(Axis(0));
         slice.to_owned()
-    }
-
-    /// Coordinate of the slice along its axis, scene units.
-    pub fn position(&self, volume: &Volume) -> f64 {
-        volume.grid.min[self.axis] + (self.index as f64 + 0.5) * volume.grid.spacing[self.axis]
     }
 }
 
@@ -96,77 +72,26 @@ impl Window {
     }
 }
 
-/// The difference at full colour: the 99.5th percentile of the magnitudes, rounded to two digits.
-pub fn reach<'a>(differences: impl IntoIterator<Item = &'a Array2<f32>>) -> f64 {
-    let sizes: Vec<f32> = differences.into_iter().flatten().map(|d| d.abs()).collect();
-    let reach = significant(quantile(sizes, 0.995), 2);
-    if reach > 0.0 { reach } else { 1.0 }
-}
-
-impl Palette {
-    /// Number of colours in use.
-    pub fn colours(self) -> usize {
-        match self {
-            Self::Grey => 256,
-            Self::Diverging => 255,
-        }
-    }
-
-    /// The colour of an index.
-    pub fn colour(self, index: u8) -> [u8; 3] {
-        match self {
-            Self::Grey => [index; 3],
-            // `RED_BLUE` begins with red, but here positive differences are red.
-            Self::Diverging => {
-                let colour = colorous::RED_BLUE.eval_rational(254 - usize::from(index.min(254)), 255);
-                [colour.r, colour.g, colour.b]
-            }
-        }
-    }
-}
-
 impl Picture {
     /// Values in grey.
     pub fn grey(values: &Array2<f32>, window: Window) -> Self {
         let level = |&v: &f32| ((f64::from(v) - window.low) / (window.high - window.low) * 255.0).round() as u8;
-        Self { indices: values.map(level), palette: Palette::Grey }
-    }
-
-    /// Differences in colours symmetric about 0; full colours mean `±reach` and beyond.
-    pub fn diverging(differences: &Array2<f32>, reach: f64) -> Self {
-        let level = |&d: &f32| (127.0 + (f64::from(d) / reach).clamp(-1.0, 1.0) * 127.0).round() as u8;
-        Self { indices: differences.map(level), palette: Palette::Diverging }
+        Self(values.map(level))
     }
 
     /// The picture as a PNG file, one pixel per value.
     pub fn png(&self) -> Vec<u8> {
-        let (rows, columns) = self.indices.dim();
-        let palette: Vec<u8> = (0..self.palette.colours()).flat_map(|index| self.palette.colour(index as u8)).collect();
-        let indices: Vec<u8> = self.indices.iter().copied().collect();
-        encode(columns, rows, png::ColorType::Indexed, Some(palette), &indices)
+        let (rows, columns) = self.0.dim();
+        let mut file = Vec::new();
+        let mut encoder = png::Encoder::new(&mut file, columns as u32, rows as u32);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::High);
+        let mut writer = encoder.write_header().expect("a picture has pixels and memory takes all bytes");
+        writer.write_image_data(&self.0.iter().copied().collect::<Vec<_>>()).expect("memory takes all bytes");
+        writer.finish().expect("memory takes all bytes");
+        file
     }
-}
-
-/// A PNG file with eight bits per channel.
-pub(super) fn encode(
-    width: usize,
-    height: usize,
-    colour: png::ColorType,
-    palette: Option<Vec<u8>>,
-    data: &[u8],
-) -> Vec<u8> {
-    let mut file = Vec::new();
-    let mut encoder = png::Encoder::new(&mut file, width as u32, height as u32);
-    encoder.set_color(colour);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::High);
-    if let Some(palette) = palette {
-        encoder.set_palette(palette);
-    }
-    let mut writer = encoder.write_header().expect("a picture has pixels and memory takes all bytes");
-    writer.write_image_data(data).expect("memory takes all bytes");
-    writer.finish().expect("memory takes all bytes");
-    file
 }
 
 /// The `q`-quantile of the values; 0 for no values.
@@ -211,35 +136,19 @@ mod tests {
         volume.values[[1, 2, 0]] = 900.0;
         let cuts = Cut::through_detail(&volume);
         assert_eq!(cuts.map(|cut| cut.index), [1, 2, 0]);
-        assert_eq!(cuts[1].position(&volume), 1.25);
         let flat = Volume::new(Grid::cube(5), Array3::ones((5, 5, 5))).unwrap();
         assert_eq!(Cut::through_detail(&flat).map(|cut| cut.index), [2, 2, 2]);
-    }
-
-    #[test]
-    fn the_difference_of_swapped_volumes_has_the_mirrored_colours() {
-        let differences = array![[-2.0_f32, -1.0, -0.3], [0.0, 0.3, 1.5]];
-        let (one, other) = (Picture::diverging(&differences, 1.5), Picture::diverging(&differences.map(|d| -d), 1.5));
-        assert!(one.indices.iter().zip(&other.indices).all(|(a, b)| a + b == 254));
-        assert_eq!(one.indices[[1, 0]], 127);
-        let [r, g, b] = Palette::Diverging.colour(127);
-        assert!(r.min(g).min(b) > 230, "{r} {g} {b} is not white");
-        let ([red, _, _], [_, _, blue]) = (Palette::Diverging.colour(200), Palette::Diverging.colour(54));
-        assert!(red > 200 && blue > 180);
     }
 
     #[test]
     fn a_png_reads_back_with_the_right_size_and_colours() {
         let picture = Picture::grey(&Cut { axis: 0, index: 1 }.values(&volume()), Window { low: 100.0, high: 123.0 });
         let file = picture.png();
-        let mut decoder = png::Decoder::new(std::io::Cursor::new(&file));
-        decoder.set_transformations(png::Transformations::EXPAND);
-        let mut reader = decoder.read_info().unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut pixels).unwrap();
-        assert_eq!((info.width, info.height, info.color_type), (3, 4, png::ColorType::Rgb));
-        assert_eq!(&pixels[pixels.len() - 9..][..3], [0, 0, 0]);
-        assert_eq!(&pixels[6..9], [255, 255, 255]);
+        assert_eq!((info.width, info.height, info.color_type), (3, 4, png::ColorType::Grayscale));
+        assert_eq!([pixels[9], pixels[2]], [0, 255]);
     }
 
     #[test]
@@ -253,6 +162,5 @@ mod tests {
     fn a_volume_of_zeros_still_has_a_window() {
         let zeros = Volume::new(Grid::cube(2), Array3::zeros((2, 2, 2))).unwrap();
         assert_eq!(Window::of(&zeros), Window { low: 0.0, high: 1.0 });
-        assert_eq!(reach([&Array2::zeros((2, 2))]), 1.0);
     }
 }

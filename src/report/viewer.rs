@@ -33,7 +33,7 @@ const VIEWS: usize = 128;
 /// Axes of a stack of projections.
 const STACK: [&str; 3] = ["view", "v", "u"];
 /// Most volumes of a scene.
-pub(super) const MOST: usize = 3;
+pub(super) const MOST: usize = 4;
 /// Intervals of a histogram.
 const BINS: usize = 160;
 /// Values nearer to 0 than this part of the window are no reason for black to be another value.
@@ -59,7 +59,7 @@ pub enum Depth {
     Sixteen,
 }
 
-/// One to three volumes, or stacks of projections, on one grid.
+/// One to four volumes, or stacks of projections, on one grid.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
     title: String,
@@ -75,6 +75,8 @@ pub struct Scene<'a> {
     /// Degrees of the views of projections; empty if they are not known.
     angles: Option<Vec<f64>>,
     is_hounsfield: bool,
+    /// Whether values are attenuations, which are shown in grey.
+    is_attenuation: bool,
     /// Attenuation of water, where Hounsfield units are wanted.
     water: Option<f64>,
     notes: Vec<String>,
@@ -98,7 +100,7 @@ impl<'a> Scene<'a> {
     /// Named volumes of files; the first states the place of all.
     ///
     /// # Errors
-    /// For no volume, more than three, an empty one, and different shapes.
+    /// For no volume, more than four, an empty one, and different shapes.
     pub fn of_files(title: &str, files: Vec<(String, VolumeFile)>) -> Result<Self> {
         let Some((_, first)) = files.first() else { return Err(wrong_number(0)) };
         let scene = Self {
@@ -111,6 +113,7 @@ impl<'a> Scene<'a> {
             unit: first.unit,
             angles: None,
             is_hounsfield: hounsfield::remark("volume", &first.values).is_some(),
+            is_attenuation: true,
             water: None,
             notes: Vec::new(),
             named: Vec::new(),
@@ -135,11 +138,20 @@ impl<'a> Scene<'a> {
             unit: frame.unit,
             angles: None,
             is_hounsfield: false,
+            is_attenuation: true,
             water: None,
             notes: Vec::new(),
             named: Vec::new(),
         };
         scene.with(volumes.into_iter().map(|(name, volume)| (name.into(), Cow::Borrowed(&volume.values))).collect())
+    }
+
+    /// A volume of another quantity than attenuation, without a unit and in colours.
+    ///
+    /// # Errors
+    /// Those of [`Self::of_files`].
+    pub fn of_map(title: &str, name: &str, map: &'a Volume, frame: &Frame) -> Result<Self> {
+        Ok(Self { is_attenuation: false, ..Self::of_volumes(title, vec![(name, map)], frame)? })
     }
 
     /// Named projections in the same views: measured and rendered, for example.
@@ -169,6 +181,7 @@ impl<'a> Scene<'a> {
             unit: frame.unit,
             angles: Some(first.angles.iter().map(|angle| angle.to_degrees()).collect()),
             is_hounsfield: false,
+            is_attenuation: true,
             water: None,
             notes: Vec::new(),
             named: Vec::new(),
@@ -293,7 +306,7 @@ impl<'a> Scene<'a> {
         if self.angles.is_some() {
             sides[0] = shape[2] as f64 * sides[2] / shape[0] as f64;
         }
-        let quantity = self.unit.filter(|_| self.angles.is_none() && !self.is_hounsfield);
+        let quantity = self.unit.filter(|_| self.angles.is_none() && !self.is_hounsfield && self.is_attenuation);
         json!({
             "title": self.title,
             "note": self.note(depth),
@@ -308,6 +321,7 @@ impl<'a> Scene<'a> {
             "quantity": quantity.map_or(String::new(), |unit| format!("/{unit}")),
             "is_hounsfield": self.is_hounsfield,
             "water": self.water,
+            "map": if self.is_attenuation { "Grey" } else { "Cividis" },
             "angles": self.angles,
             "window": window(all[0]),
             "range": [low, high],

@@ -61,6 +61,11 @@ fn a_run_beside_its_scan_shows_volumes_and_projections() {
     // The projections of a volume are those that it is judged by.
     assert!(sandbox.text("view.html").contains("<h2>Projections of the test views</h2>"));
     assert_eq!(shown[1]["angles"].as_array().unwrap().len(), 3);
+    // A whole turn in steps of ten degrees.
+    sandbox.done("view run scan --turntable --out turn.html");
+    let turn = scenes(&sandbox, "turn.html").pop().unwrap();
+    assert_eq!([&turn["title"], &turn["shape"]], [&json!("Turntable"), &json!([36, 14, 15])]);
+    assert_eq!(turn["angles"][35].as_f64().unwrap().round(), 350.0);
     // Alone, a scan shows what was measured.
     sandbox.done("view scan --out scan.html");
     let alone = scenes(&sandbox, "scan.html");
@@ -110,12 +115,66 @@ fn what_cannot_be_shown_is_refused() {
     for (arguments, part) in [
         ("view scan other", "scans to show: got scan and other, expected one"),
         ("view a.npy flat.npy", "flat.npy"),
-        ("view a.npy a.npy a.npy a.npy", "volumes to show: got 4, expected 1 to 3"),
+        ("view a.npy a.npy a.npy a.npy a.npy", "volumes to show: got 5, expected 1 to 4"),
         ("view a.npy scan", "a.npy"),
+        ("view a.npy --turntable", "--turntable"),
         ("view missing.nii.gz", "missing.nii.gz"),
         ("view a.npy --out a.npy", "a file that is read"),
     ] {
         let error = sandbox.refused(arguments);
         assert!(error.contains(part), "{arguments}: {error}");
     }
+}
+
+#[test]
+fn the_page_of_a_run_without_a_truth_says_how_good_it_is_and_what_next() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("simulate --phantom torso --out plain --size 12 --detector 16 --views 10 --test-views 0");
+    let mut meta: Value = serde_json::from_str(&sandbox.text("plain/meta_data.json")).unwrap();
+    meta.as_object_mut().unwrap().remove("vol").unwrap();
+    sandbox.write("plain/meta_data.json", meta.to_string());
+    sandbox.done("reconstruct plain --out run --method fdk");
+    let page = sandbox.text("run/report.html");
+    for part in [
+        "<h2>Is the volume good?</h2>",
+        "In 10 of the views that it was fitted to, the residual is ",
+        "<h2>Where is it doubtful?</h2>",
+        "<h3>Residual of each view",
+        "<code>trgs view run plain --full --out run.html</code>",
+        "<code>trgs convert plain run-held-out --views 8 --test-views 2</code>",
+        "<code>trgs inspect plain --check-geometry</code>",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    // The commands of the page do what they say.
+    for command in page.split("<code>trgs ").skip(1).map(|part| part.split("</code>").next().unwrap()) {
+        if !command.starts_with("inspect") {
+            sandbox.done(command);
+        }
+    }
+    sandbox.done("reconstruct run-held-out --out tested --method fdk");
+    let page = sandbox.text("tested/report.html");
+    assert!(page.contains("In 2 test views, which were not used to make it"));
+}
+
+#[test]
+fn runs_are_shown_side_by_side_with_the_settings_that_differ() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("reconstruct scan --out a --method fdk");
+    sandbox.done("reconstruct scan --out b --method sart --iterations 3");
+    assert_eq!(sandbox.done("report a")["report"], "a/report.html");
+    let found = sandbox.done("report a b --out runs.html");
+    assert_eq!([&found["report"], &found["runs"]], [&json!("runs.html"), &json!(["a", "b"])]);
+    assert_eq!(scenes(&sandbox, "runs.html").iter().map(names).collect::<Vec<_>>(), [vec!["a", "b"]]);
+    let page = sandbox.text("runs.html");
+    let psnr: Value = serde_json::from_str(&sandbox.text("b/metrics.json")).unwrap();
+    for part in [
+        "<th>method</th><td>&quot;fdk&quot; | &quot;sart&quot;</td>".into(),
+        format!("{:.2}", psnr["psnr_3d"]["value"].as_f64().unwrap()),
+    ] {
+        assert!(page.contains(&part), "{part}");
+    }
+    assert!(!page.contains("<th>seed</th>"));
+    let error = sandbox.refused("report a scan");
+    assert!(error.contains("scan/config.toml"), "{error}");
 }

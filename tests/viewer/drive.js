@@ -1,4 +1,5 @@
 // Drives a page of `trgs view` in Chromium, without packages: node tests/viewer/drive.js PAGE.html [--measure] [--shots DIR]
+// --picture FILE writes one of the first viewer, with the last of its planes alone.
 //
 // The page shows two volumes `a` and `b` of 16³ voxels: (x + 16·y + 256·z)/4096, and the same plus 0.25. Each check prints a
 // line; the exit code is 1 if one fails. --measure prints times of any page instead, --shots writes pictures of it.
@@ -341,12 +342,24 @@ async function shots(folder) {
   }
 }
 
+async function picture(file) {
+  await open(1280, 900);
+  await ask('v.set({ layout: v.planes.at(-1).across })');
+  const [x, y, width, height] = await ask(`(() => {
+    const [first, last] = [v.readout, v.field].map((part) => part.getBoundingClientRect());
+    return [first.x, first.y + scrollY, first.width, last.bottom - first.y];
+  })()`);
+  const { data } = await send('Page.captureScreenshot', { captureBeyondViewport: true, clip: { x, y, width, height, scale: 1 } });
+  fs.writeFileSync(file, Buffer.from(data, 'base64'));
+}
+
 (async () => {
   const { targetId } = await send('Target.createTarget', { url: 'about:blank' });
   ({ sessionId: session } = await send('Target.attachToTarget', { targetId, flatten: true }));
   for (const domain of ['Page', 'Runtime', 'Network', 'Log']) await send(`${domain}.enable`);
   if (flags[0] === '--measure') await measure();
   else if (flags[0] === '--shots') await shots(flags[1]);
+  else if (flags[0] === '--picture') await picture(flags[1]);
   else {
     for (const [name, check] of Object.entries(checks)) {
       await check();

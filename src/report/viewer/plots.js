@@ -1,6 +1,6 @@
 // The histogram with the window in it, and the profile along a line.
 
-const DASHES = [[], [6, 3], [2, 3]];
+const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
 // Heights of the bar of colours, and of the numbers below a plot.
 const [BAR, FOOT] = [8, 16];
 

@@ -161,12 +161,12 @@ fn hounsfield_units_are_recognised_and_values_that_are_no_numbers_reported() {
 }
 
 #[test]
-fn scenes_of_no_four_or_different_volumes_are_refused() {
+fn scenes_of_no_five_or_different_volumes_are_refused() {
     let of = |shapes: &[[usize; 3]]| {
         Scene::of_files("", shapes.iter().map(|shape| ("v".into(), file(digits(*shape)))).collect())
     };
     assert!(of(&[[2, 2, 2]; 3]).is_ok());
-    assert!(of(&[]).is_err() && of(&[[2, 2, 2]; 4]).is_err() && of(&[[0, 2, 2]]).is_err());
+    assert!(of(&[]).is_err() && of(&[[2, 2, 2]; 5]).is_err() && of(&[[0, 2, 2]]).is_err());
     assert!(of(&[[2, 2, 2], [2, 2, 3]]).unwrap_err().to_string().contains("volume of v"));
 }
 

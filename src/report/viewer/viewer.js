@@ -49,14 +49,14 @@ class View {
   }
 
   start() {
-    const { root, scene: { shape, window, reach, angles }, volumes: [, second, third], planes } = this;
+    const { root, scene: { shape, window, reach, angles, map }, volumes: [, second, third], planes } = this;
     // The plane that is shown alone: a projection, or the one across the last axis.
     const last = planes[angles ? 0 : planes.length - 1];
     const is_one = angles || planes.length < 3 || root.clientWidth < 540;
     return {
       cross: shape.map((count, axis) => (angles && !axis ? 0 : (count - 1) >> 1)),
       centre: shape.map((count) => (count - 1) / 2),
-      zoom: 1, wipe: 0.5, phase: 0, mark: null, drag: 'cross', crosshair: true, map: 'Grey',
+      zoom: 1, wipe: 0.5, phase: 0, mark: null, drag: 'cross', crosshair: true, map,
       window, reach,
       mode: third ? 'side' : second ? 'all' : 'one', pair: [0, second ? 1 : 0], slab: 'slice', thickness: 0,
       layout: is_one ? last.across : 'all', active: last.across, axis: last.axes[0],
