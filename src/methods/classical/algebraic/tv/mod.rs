@@ -7,7 +7,8 @@
 //!
 //! FISTA `[BT09]` with L from a power iteration of AᵀA. Its momentum restarts when it points uphill or F has grown
 //! (`[OC15]`), and a step that increases F is rejected. λ scales with the unit of density, the unit of length and the
-//! number of views as the first term does, so the weight is dimensionless.
+//! number of views as the first term does, so the weight is dimensionless. From zeros, the first iterations are
+//! [sweeps](sweep) over sets of views, which have no F.
 //!
 //! `[BT09]`: A. Beck, M. Teboulle, *Fast gradient-based algorithms for constrained total variation image denoising and
 //! deblurring problems*, IEEE Trans. Image Process. 18 (2009) 2419.
@@ -15,6 +16,7 @@
 
 mod proximal;
 mod state;
+mod sweep;
 #[cfg(test)]
 mod tests;
 
@@ -42,7 +44,7 @@ pub struct TvSettings {
 
 impl Default for TvSettings {
     fn default() -> Self {
-        Self { weight: 1e-3, iterations: 100, tolerance: 1e-4, steps: 10 }
+        Self { weight: 1e-3, iterations: 40, tolerance: 1e-4, steps: 10 }
     }
 }
 
@@ -70,12 +72,13 @@ const SAFETY: f64 = 1.02;
 /// Minimises F from zeros or from `start`, which must have the projector's shape `[BT09]`.
 ///
 /// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
-/// ignored, as in [`super::sart()`]. F never grows.
+/// ignored, as in [`super::sart()`]. After the [sweeps](sweep), F never grows.
 ///
 /// # Errors
 /// Those of [`super::sart()`], and for a start of another shape.
 ///
-/// Tests: `the_least_objective_is_found`, `powers_of_two_change_no_bit`, `a_solution_is_a_fixed_point`.
+/// Tests: `the_least_objective_is_found`, `sweeps_get_further_than_as_many_iterations_over_all_views`,
+/// `powers_of_two_change_no_bit`, `a_solution_is_a_fixed_point`.
 pub fn tv<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,
@@ -110,6 +113,8 @@ pub struct TvRun<'a, R> {
     objective: f64,
     change: f64,
     iteration: usize,
+    /// Sets of views that correct the volume one after another; 1: iterations over all views.
+    sets: usize,
 }
 
 impl<'a, R: Real> TvRun<'a, R> {
@@ -133,6 +138,7 @@ impl<'a, R: Real> TvRun<'a, R> {
             run.x = start.values.iter().map(|&v| if v > 0.0 { real(f64::from(v)) } else { R::ZERO }).collect();
         }
         run.lipschitz = run.power_iteration();
+        run.sets = if start.is_none() { sweep::first_sets(run.views.len()) } else { 1 };
         run.begin();
         Ok(run)
     }
@@ -161,6 +167,7 @@ impl<'a, R: Real> TvRun<'a, R> {
             objective: 0.0,
             change: f64::INFINITY,
             iteration: 0,
+            sets: 1,
             views,
             system,
         };
@@ -185,7 +192,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.set_lambda();
         self.proximal = Proximal::new(&self.system.projector.scanner().grid);
         self.x.fill(R::ZERO);
-        self.iteration = 0;
+        (self.iteration, self.sets) = (0, sweep::first_sets(self.views.len()));
         self.begin();
     }
 
@@ -197,6 +204,13 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.seen_before = self.seen.clone();
         self.objective = self.objective_of(&self.seen, &self.x);
         self.change = f64::INFINITY;
+    }
+
+    /// Goes on with iterations over all views after sweeps.
+    fn begin_whole(&mut self) {
+        self.sets = 1;
+        (self.seen, self.seen_before) = (self.project(&self.x), self.project(&self.before));
+        self.objective = self.objective_of(&self.seen, &self.x);
     }
 
     /// `A x`; measured values for ignored rays.
@@ -242,24 +256,27 @@ impl<'a, R: Real> TvRun<'a, R> {
         self.iteration >= self.settings.iterations || self.change < self.settings.tolerance
     }
 
+    /// Lengths of a step of the gradient and of one of the total variation: 1/L and λ/L.
+    fn step_lengths(&self) -> [f64; 2] {
+        if self.lipschitz > 0.0 { [1.0, self.lambda].map(|length| length / self.lipschitz) } else { [0.0; 2] }
+    }
+
     /// Runs one iteration.
     ///
     /// # Errors
     /// When values become non-finite.
     pub fn step(&mut self) -> Result<Pass> {
         self.iteration += 1;
+        if self.sets > 1 {
+            return self.sweep();
+        }
+        self.extrapolate();
         let beta: R = real(self.momentum[1]);
-        let ahead = |x: R, before: R| x + beta * (x - before);
-        let (x, before) = (&self.x, &self.before);
-        threads::for_each_chunk(&mut self.y, CHUNK, |chunk, y| {
-            let (x, before) = (&x[chunk * CHUNK..], &before[chunk * CHUNK..]);
-            y.iter_mut().enumerate().for_each(|(i, y)| *y = ahead(x[i], before[i]));
-        });
         let seen = self.seen.iter().zip(&self.seen_before).zip(&self.system.measured);
-        let residual: Vec<R> = seen.map(|((&seen, &before), &p)| ahead(seen, before) - p).collect();
-        let step: R = real(if self.lipschitz > 0.0 { 1.0 / self.lipschitz } else { 0.0 });
+        let residual: Vec<R> = seen.map(|((&seen, &before), &p)| seen + beta * (seen - before) - p).collect();
+        let [step, tau] = self.step_lengths();
+        let step: R = real(step);
         self.system.projector.adjoin(&self.views, [&residual], &mut self.y, |y, [gradient]| *y += -(step * gradient));
-        let tau = if self.lipschitz > 0.0 { self.lambda / self.lipschitz } else { 0.0 };
         self.proximal.solve(&self.y, tau, self.settings.steps, &mut self.next);
 
         let seen = self.project(&self.next);
@@ -279,9 +296,7 @@ impl<'a, R: Real> TvRun<'a, R> {
             swap(&mut self.x, &mut self.next);
             self.seen_before = std::mem::replace(&mut self.seen, seen);
             self.objective = objective;
-            let t = if upwards > 0.0 { 1.0 } else { self.momentum[0] };
-            let next = 0.5 * (1.0 + (1.0 + 4.0 * t * t).sqrt());
-            self.momentum = if upwards > 0.0 { [1.0, 0.0] } else { [next, (t - 1.0) / next] };
+            self.momentum = if upwards > 0.0 { [1.0, 0.0] } else { next_momentum(self.momentum[0]) };
         } else {
             self.momentum = [1.0, 0.0];
         }
@@ -326,4 +341,10 @@ impl<'a, R: Real> TvRun<'a, R> {
     pub fn volume(self) -> Result<Volume> {
         self.system.volume(self.x)
     }
+}
+
+/// t and β of the next step.
+fn next_momentum(t: f64) -> [f64; 2] {
+    let next = 0.5 * (1.0 + (1.0 + 4.0 * t * t).sqrt());
+    [next, (t - 1.0) / next]
 }

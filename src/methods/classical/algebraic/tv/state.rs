@@ -20,9 +20,9 @@ impl<'a, R: Real> TvRun<'a, R> {
         state: &VoxelState,
     ) -> Result<Self> {
         let mut run = Self::prepared(projector, projections, settings)?;
-        let ([t, beta, objective, change, lipschitz], [x, before, q0, q1, q2]) = state.get([run.x.len(); 5])?;
+        let ([t, beta, objective, change, lipschitz, sets], [x, before, q0, q1, q2]) = state.get([run.x.len(); 5])?;
         (run.seen, run.seen_before) = (run.project(&x), run.project(&before));
-        (run.x, run.before) = (x, before);
+        (run.x, run.before, run.sets) = (x, before, (sets as usize).clamp(1, run.views.len()));
         run.proximal.set_dual([q0, q1, q2]);
         (run.iteration, run.momentum) = (state.iteration, [t, beta]);
         (run.objective, run.change, run.lipschitz) = (objective, change, lipschitz);
@@ -43,7 +43,7 @@ impl<R: Real> VoxelRun for TvRun<'_, R> {
         let ([q0, q1, q2], [t, beta]) = (self.proximal.dual(), self.momentum);
         VoxelState {
             iteration: self.iteration,
-            scalars: vec![t, beta, self.objective, self.change, self.lipschitz],
+            scalars: vec![t, beta, self.objective, self.change, self.lipschitz, self.sets as f64],
             arrays: [&self.x, &self.before, q0, q1, q2].map(|values| Numbers::new(values)).into(),
         }
     }

@@ -147,7 +147,8 @@ fn the_least_objective_is_found() {
     let least = objective(&x);
     within!((found / least - 1.0).abs(), "{found}, {least}");
     within!("volume", largest(volume.values.iter().zip(&x).map(|(a, b)| f64::from(*a) - b)));
-    assert!(passes.windows(2).all(|pair| pair[1].objective <= pair[0].objective), "it grew");
+    let objectives: Vec<f64> = passes.iter().filter_map(|pass| pass.objective).collect();
+    assert!(objectives.len() > 1400 && objectives.is_sorted_by(|a, b| b <= a), "it grew");
 }
 
 #[test]
@@ -216,4 +217,21 @@ fn one_row_and_no_data_are_reconstructed() {
     within!("outside", volume.values[[1, 1, 0]]);
     let (volume, _) = run::<f32>(&scan(SHAPE, 0.0), &settings(3));
     assert!(volume.values.iter().all(|&value| value == 0.0));
+}
+
+#[test]
+fn sweeps_get_further_than_as_many_iterations_over_all_views() {
+    let (projector, projections) = scan(SHAPE, 1.0);
+    let zeros = Volume::new(projector.scanner().grid, Array3::zeros(SHAPE)).unwrap();
+    let mut sweeping = TvRun::<f64>::new(&projector, &projections, &settings(6), None).unwrap();
+    let mut whole = TvRun::<f64>::new(&projector, &projections, &settings(6), Some(&zeros)).unwrap();
+    // Of seven views three and four.
+    assert_eq!((sweeping.sets, whole.sets), (2, 1));
+    let before = whole.objective();
+    for run in [&mut sweeping, &mut whole] {
+        (0..6).for_each(|_| drop(run.step().unwrap()));
+    }
+    sweeping.begin_whole();
+    let [fast, slow] = [&sweeping, &whole].map(TvRun::objective);
+    assert!(fast < slow && slow < before, "{fast}, {slow}, {before}");
 }
