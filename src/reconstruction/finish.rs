@@ -32,7 +32,7 @@ pub(super) const LEAST: f64 = 2e-3;
 /// Without a pilot run: iterations at most.
 const ITERATIONS: usize = 20;
 /// Without a pilot run: iterations, from zeros, after which each weight is judged.
-const JUDGED_AFTER: usize = 50;
+const JUDGED_AFTER: usize = 40;
 /// Fewest iterations where the projections are corrected. Without a pilot run the finish may end from then on, when the
 /// last [`WINDOW`] iterations have lowered the residual by less than [`FALL`]: the correction is used up.
 pub(super) const SHORTEST: usize = 10;

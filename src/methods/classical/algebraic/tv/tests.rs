@@ -229,7 +229,9 @@ fn sweeps_get_further_than_as_many_iterations_over_all_views() {
     assert_eq!((sweeping.sets, whole.sets), (2, 1));
     let before = whole.objective();
     for run in [&mut sweeping, &mut whole] {
-        (0..6).for_each(|_| drop(run.step().unwrap()));
+        for _ in 0..6 {
+            run.step().unwrap();
+        }
     }
     sweeping.begin_whole();
     let [fast, slow] = [&sweeping, &whole].map(TvRun::objective);
