@@ -532,7 +532,7 @@ pub(crate) fn cgls<'py>(
 /// TypeError, ValueError, ArithmeticError
 ///     As `sart`.
 #[pyfunction]
-#[pyo3(signature = (projections, scanner, angles, *, weight = 1e-3, iterations = 100, tolerance = 1e-4, steps = 10,
+#[pyo3(signature = (projections, scanner, angles, *, weight = 1e-3, iterations = 40, tolerance = 1e-4, steps = 10,
     rays = "joseph", dtype = None, callback = None))]
 #[allow(clippy::too_many_arguments)]
 pub(crate) fn tv<'py>(

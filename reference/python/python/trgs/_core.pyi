@@ -14,6 +14,7 @@ __all__ = [
     "Adam",
     "Grid",
     "Model",
+    "Page",
     "Reconstruction",
     "Scan",
     "Scanner",
@@ -58,9 +59,11 @@ __all__ = [
     "psnr_3d",
     "reconstruct",
     "sart",
+    "save_page",
     "save_volume",
     "set_max_memory",
     "set_threads",
+    "show",
     "simulate",
     "ssim",
     "ssim_2d",
@@ -481,7 +484,7 @@ def tv(
     angles: _Numbers,
     *,
     weight: float = 1e-3,
-    iterations: int = 100,
+    iterations: int = 40,
     tolerance: float = 1e-4,
     steps: int = 10,
     rays: _Rays = "joseph",
@@ -507,6 +510,7 @@ def load_volume(
     path: _Path, *, scan: Scan | None = None, place: Literal[True]
 ) -> tuple[NDArray[np.float32], dict[str, Any]]: ...
 def save_volume(path: _Path, volume: NDArray[np.float32], grid: Scan | Grid | Scanner) -> None: ...
+@final
 class Page:
     @property
     def html(self) -> str: ...
