@@ -62,5 +62,5 @@ fn files_are_inspected_and_volumes_are_converted() {
     sandbox.done(&format!("convert {DATA}/matlab.mat v.npy"));
     let array = npy::read_f32::<ndarray::Ix3>(&sandbox.path("v.npy"), "[x, y, z]").unwrap();
     assert_eq!((array.dim(), array[[1, 2, 3]]), ((5, 3, 4), ((3 * 3 + 2) * 5 + 1) as f32 * 7.0 + 100.0));
-    assert!(sandbox.refused("inspect missing.h5").contains("missing.h5"));
+    assert!(sandbox.refused("inspect missing.h5 --quiet").contains("missing.h5"));
 }

@@ -72,7 +72,7 @@ const SAFETY: f64 = 1.02;
 /// Minimises F from zeros or from `start`, which must have the projector's shape `[BT09]`.
 ///
 /// The volume is `[x, y, z]`, attenuation per scene unit. Rays that intersect less than half a voxel in length are
-/// ignored, as in [`super::sart()`]. After the [sweeps](sweep), F never grows.
+/// ignored, as in [`super::sart()`]. After the sweeps over sets of views, F never grows.
 ///
 /// # Errors
 /// Those of [`super::sart()`], and for a start of another shape.
