@@ -3,7 +3,7 @@
 //! and Ray-Confidence Modeling*, MM '26, doi 10.1145/3767308.3835527) for the CPU, with SIMD. The same input gives the
 //! same bits on every build and any number of threads.
 //!
-//! [`Preset::Paper`](config::Preset::Paper) is the paper's method. The default adds exact rays in a cone
+//! [`Preset::Paper`] is the paper's method. The default adds exact rays in a cone
 //! beam, a start from SART, a pilot run and a finish on voxels, which are ours. The equations alone are the package
 //! `trgs-core`.
 //!
