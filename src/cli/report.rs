@@ -101,9 +101,7 @@ impl Run {
         let text = input::read(&path).map_err(|source| Error::read(&path, source))?;
         let metrics = serde_json::from_slice(&text)
             .map_err(|error| Error::format(&path, "metrics", error, "those of a run", "give the folder of a run"))?;
-        let mut settings = BTreeMap::new();
-        let table = config.to_toml().parse().expect("a configuration is TOML");
-        flatten("", &toml::Value::Table(table), &mut settings);
+        let settings = config.entries().into_iter().map(|(key, value)| (key, value.to_string())).collect();
         Ok(Self { name: words::name(folder.file_name().unwrap_or(folder.as_os_str())), file, metrics, settings })
     }
 }
@@ -115,14 +113,4 @@ fn differences(runs: &[Run]) -> Vec<(String, String)> {
     let row = |key: &String| (key.clone(), runs.iter().map(|run| value(run, key)).collect::<Vec<_>>());
     let differ = keys.into_iter().map(row).filter(|(_, values)| values.iter().any(|value| *value != values[0]));
     differ.map(|(key, values)| (key, values.join(" | "))).collect()
-}
-
-/// Dotted keys and values of a table.
-fn flatten(name: &str, value: &toml::Value, settings: &mut BTreeMap<String, String>) {
-    match value.as_table() {
-        Some(table) => table.iter().for_each(|(key, value)| {
-            flatten(&if name.is_empty() { key.clone() } else { format!("{name}.{key}") }, value, settings);
-        }),
-        None => drop(settings.insert(name.into(), value.to_string())),
-    }
 }

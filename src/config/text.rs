@@ -119,7 +119,7 @@ impl Config {
     }
 
     /// All keys, dotted, with their values, in the order of the structs.
-    pub(super) fn entries(&self) -> Vec<(String, Value)> {
+    pub fn entries(&self) -> Vec<(String, Value)> {
         flatten(&self.to_table())
     }
 
