@@ -4,12 +4,13 @@
 //! the mesh is closed at the faces of the outer voxels. Vertices are in millimetres, or in the unit of the file if that is
 //! not known, in the patient's coordinates of [`volume_file`](super::volume_file).
 
-use super::volume_file::VolumeFile;
+use super::volume_file::{VolumeFile, range};
 use crate::Unit;
 use crate::output::write_atomically;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::{DMat3, DVec3, Vec3};
+use ndarray::Array3;
 use serde::Serialize;
 use serde_json::json;
 use serde_ply::SerializeOptions;
@@ -63,7 +64,7 @@ impl Mesh {
     /// The surface around the values above `level`, in the unit of the values.
     ///
     /// # Errors
-    /// When no value or every value is above the level, and for more voxels than a mesh can count.
+    /// When no value is above the level, and for more voxels than a mesh can count.
     pub fn of(volume: &VolumeFile, level: f64) -> Result<Self> {
         let values = &volume.values;
         let above = values.iter().filter(|&&value| f64::from(value) > level).count();
@@ -83,19 +84,19 @@ impl Mesh {
                 "bin it first",
             ));
         }
-        let [_, columns, depth] = padded;
-        let distance = |index: usize| {
-            let place = [index / (columns * depth), index / depth % columns, index % depth];
+        let distance = |(x, y, z): (usize, usize, usize)| {
+            let place = [x, y, z];
             let nearest = [0, 1, 2].map(|axis| place[axis].clamp(1, padded[axis] - 2));
             let value = f64::from(values[nearest.map(|index| index - 1)]);
             let distance = (level - if value.is_finite() { value } else { f64::MIN }) as f32;
             if nearest == place { distance } else { distance.abs() }
         };
-        let distances: Vec<f32> = (0..padded.iter().product()).map(distance).collect();
+        let distances = Array3::from_shape_fn(padded, distance);
         // The last axis is the fastest in memory: the crate's x.
-        let shape = RuntimeShape::<u32, 3>::new([depth, columns, padded[0]].map(|count| count as u32));
+        let shape = RuntimeShape::<u32, 3>::new([padded[2], padded[1], padded[0]].map(|count| count as u32));
         let mut found = SurfaceNetsBuffer::default();
-        surface_nets(&distances, &shape, [0; 3], shape.as_array().map(|count| count - 1), &mut found);
+        let distances = distances.as_slice().expect("made in C order");
+        surface_nets(distances, &shape, [0; 3], shape.as_array().map(|count| count - 1), &mut found);
         let factor = volume.unit.map_or(1.0, Unit::millimetres);
         let spacing = volume.spacing.unwrap_or(DVec3::ONE);
         let origin = volume.origin.unwrap_or(DVec3::ZERO);
@@ -187,6 +188,7 @@ impl Mesh {
         let ends = |start: f32, of: fn(Vec3, Vec3) -> Vec3| self.positions.iter().copied().fold(Vec3::splat(start), of);
         let (low, high) = (ends(f32::INFINITY, Vec3::min), ends(f32::NEG_INFINITY, Vec3::max));
         let [of_vectors, of_triangles] = [12 * self.positions.len(), 12 * self.triangles.len()];
+        let binary = 2 * of_vectors + of_triangles;
         let scale = if self.in_millimetres { 1e-3 } else { 1.0 };
         let view = |start: usize, length: usize, target: u32| json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": target });
         let accessor = |view: usize, kind: u32, count: usize, shape: &str| json!({ "bufferView": view, "componentType": kind, "count": count, "type": shape });
@@ -200,7 +202,7 @@ impl Mesh {
             "nodes": [{ "mesh": 0, "rotation": UPRIGHT, "scale": [scale, scale, scale] }],
             "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0, "NORMAL": 1 }, "indices": 2, "material": 0 }] }],
             "materials": [{ "pbrMetallicRoughness": { "baseColorFactor": [0.9, 0.87, 0.8, 1.0], "metallicFactor": 0.0 } }],
-            "buffers": [{ "byteLength": 2 * of_vectors + of_triangles }],
+            "buffers": [{ "byteLength": binary }],
             "bufferViews": [view(0, of_vectors, 34962), view(of_vectors, of_vectors, 34962), view(2 * of_vectors, of_triangles, 34963)],
             "accessors": [
                 positions,
@@ -211,7 +213,6 @@ impl Mesh {
         // Chunks have whole words; JSON is filled up with spaces.
         let mut content = content.to_string().into_bytes();
         content.resize(content.len().next_multiple_of(4), b' ');
-        let binary = 2 * of_vectors + of_triangles;
         file.write_all(b"glTF")?;
         for number in [2, 12 + 8 + content.len() + 8 + binary, content.len()] {
             file.write_all(&(number as u32).to_le_bytes())?;
@@ -231,13 +232,13 @@ impl Mesh {
 
 /// The level that parts the values best into two classes: Otsu's method.
 pub fn otsu(volume: &VolumeFile) -> f64 {
-    let finite = || volume.values.iter().copied().filter(|value| value.is_finite()).map(f64::from);
-    let (low, high) = finite().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    let (low, high) = range(&volume.values);
     if low >= high {
         return low;
     }
     let mut counts = [0_u64; BINS];
-    finite().for_each(|value| counts[(((value - low) / (high - low) * BINS as f64) as usize).min(BINS - 1)] += 1);
+    let finite = volume.values.iter().copied().filter(|value| value.is_finite()).map(f64::from);
+    finite.for_each(|value| counts[(((value - low) / (high - low) * BINS as f64) as usize).min(BINS - 1)] += 1);
     let all = counts.iter().sum::<u64>() as f64;
     let total: f64 = counts.iter().enumerate().map(|(bin, &count)| bin as f64 * count as f64).sum();
     let mut best = (0.0, 0.0, 0.0);
@@ -265,7 +266,6 @@ fn bytes(vector: [f32; 3]) -> [u8; 12] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::Array3;
     use std::collections::HashMap;
     use std::f64::consts::PI;
 

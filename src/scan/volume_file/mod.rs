@@ -60,6 +60,7 @@ pub(super) use folder::{GAP, SLICES, files, with_extension};
 pub use npy_side::NpySide;
 pub use raw::SideFile;
 pub use scaling::Scaling;
+pub(super) use scaling::range;
 pub use slices::{Slices, write_slices};
 
 use super::content::{damaged, unsupported};
