@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-pub use crate::scan::digest::{digest_bytes, digest_file, digest_parts};
+pub use crate::scan::digest::{digest_bytes, digest_file};
 
 /// The content of `provenance.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

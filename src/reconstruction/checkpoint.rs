@@ -4,11 +4,9 @@ use crate::classical::algebraic::{Choice, Pass, VoxelState};
 use crate::config::{Config, Method};
 use crate::error::{Error, Result, start_again};
 use crate::output::create_folder;
-use crate::provenance::digest_parts;
 use crate::scan::Dataset;
 use crate::sealed::{self, Kind, are_finite, require};
-use crate::train::{self, Record};
-use bytemuck::cast_slice;
+use crate::train::{self, Record, digest};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -270,14 +268,6 @@ pub(super) fn chooses(config: &Config) -> Option<&'static str> {
         Method::Cgls | Method::Sart | Method::OsSart if config.algebraic.auto => Some("passes"),
         _ => None,
     }
-}
-
-/// Digest of all that a run takes from its dataset.
-fn digest(dataset: &Dataset) -> String {
-    let projections = dataset.train.images.as_standard_layout();
-    let description =
-        format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
-    digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
 }
 
 #[cfg(test)]

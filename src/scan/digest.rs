@@ -29,12 +29,18 @@ pub fn digest_file(path: &Path) -> Result<String> {
 
 /// SHA-256 of bytes, 64 hexadecimal digits.
 pub fn digest_bytes(bytes: &[u8]) -> String {
-    digest_parts(&[bytes])
+    hex(Sha256::new().chain_update(bytes))
 }
 
-/// [`digest_bytes`] of the concatenated parts.
-pub fn digest_parts(parts: &[&[u8]]) -> String {
-    hex(parts.iter().fold(Sha256::new(), |hasher, part| hasher.chain_update(part)))
+/// [`digest_bytes`] of a text and numbers. On every processor the numbers count as little-endian.
+pub fn digest_numbers(text: &str, numbers: &[f32]) -> String {
+    let mut hasher = Sha256::new().chain_update(text);
+    let mut bytes = [[0; 4]; 1024];
+    for block in numbers.chunks(bytes.len()) {
+        bytes.iter_mut().zip(block).for_each(|(bytes, number)| *bytes = number.to_le_bytes());
+        hasher.update(bytes[..block.len()].as_flattened());
+    }
+    hex(hasher)
 }
 
 fn hex(hasher: Sha256) -> String {
@@ -52,6 +58,15 @@ mod tests {
         std::fs::write(&path, "abc").unwrap();
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(digest_file(&path).unwrap(), expected);
+    }
+
+    #[test]
+    fn numbers_are_digested_as_little_endian() {
+        let expected = digest_bytes(b"ab\0\0\x80\x3f\0\0\0\x80");
+        assert_eq!(digest_numbers("ab", &[1.0, -0.0]), expected);
+        let many: Vec<f32> = (0..3000).map(|i| i as f32).collect();
+        let bytes: Vec<u8> = many.iter().flat_map(|number| number.to_le_bytes()).collect();
+        assert_eq!(digest_numbers("", &many), digest_bytes(&bytes));
     }
 
     #[test]

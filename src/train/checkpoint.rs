@@ -6,11 +6,10 @@ use crate::classical::algebraic::Choice;
 use crate::config::{Config, Sampling};
 use crate::error::{Error, Result, start_again};
 use crate::output::create_folder;
-use crate::provenance::digest_parts;
 use crate::scan::Dataset;
+use crate::scan::digest::digest_numbers;
 use crate::sealed::{self, Kind, Sealed, are_finite, require};
 use crate::setting::Text;
-use bytemuck::cast_slice;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -230,10 +229,10 @@ pub(crate) fn check_extension(iterations: usize, done: usize) -> Result<()> {
     Err(Error::invalid("iterations", iterations, format!("more than {done}, which are done"), remedy))
 }
 
-/// Digest of the parts of a dataset that training uses.
-pub(super) fn digest(dataset: &Dataset) -> String {
+/// Digest of all that a run takes from its dataset.
+pub(crate) fn digest(dataset: &Dataset) -> String {
     let projections = dataset.train.images.as_standard_layout();
     let description =
         format!("{:?} {:?}{}", dataset.scanner, dataset.train.angles, dataset.train.trajectory().digest_text());
-    digest_parts(&[description.as_bytes(), cast_slice(projections.as_slice().expect("standard layout"))])
+    digest_numbers(&description, projections.as_slice().expect("standard layout"))
 }

@@ -18,7 +18,7 @@ mod state;
 mod views;
 
 pub use checkpoint::{Checkpoint, Checkpoints, Decision};
-pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension};
+pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension, digest};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model};
 
@@ -35,7 +35,6 @@ use crate::primitives::activation::Interval;
 use crate::primitives::{Activation, Primitives};
 use crate::projector::{Field, Kernels};
 use crate::scan::dataset::Dataset;
-use checkpoint::digest;
 use losses::{DataTerm, IterationState, LossInputs};
 use optimiser::Step;
 use rand::RngExt;

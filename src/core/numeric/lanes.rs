@@ -116,9 +116,9 @@ pub trait Lanes:
     fn rsqrt_1p_sixteenth(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
-    /// The smaller of both, `other` where `self` is NaN.
+    /// `self` where `self < other`, else `other`: so of two zeros, and where one is NaN.
     fn at_most(self, other: Self) -> Self;
-    /// The larger of both, `other` where `self` is NaN.
+    /// `self` where `self > other`, else `other`: so of two zeros, and where one is NaN.
     fn at_least(self, other: Self) -> Self;
     /// A bit for each lane, from the lowest one on: whether `self < limit`.
     fn below(self, limit: Self) -> u32;
@@ -286,7 +286,7 @@ macro_rules! precision {
             #[inline(always)]
             fn fma(self, factor: Self, summand: Self) -> Self {
                 // Elsewhere `wide` rounds twice.
-                if cfg!(all(target_feature = "avx", target_feature = "fma")) {
+                if cfg!(any(target_arch = "aarch64", all(target_feature = "avx", target_feature = "fma"))) {
                     self.mul_add(factor, summand)
                 } else {
                     let (a, b, c) = (self.to_array(), factor.to_array(), summand.to_array());
@@ -314,11 +314,20 @@ macro_rules! precision {
             }
             #[inline(always)]
             fn at_most(self, other: Self) -> Self {
-                self.fast_min(other)
+                // Instructions of other processors take another one of two zeros, and NaN.
+                if cfg!(target_feature = "sse2") {
+                    self.fast_min(other)
+                } else {
+                    self.simd_lt(other).select(self, other)
+                }
             }
             #[inline(always)]
             fn at_least(self, other: Self) -> Self {
-                self.fast_max(other)
+                if cfg!(target_feature = "sse2") {
+                    self.fast_max(other)
+                } else {
+                    self.simd_gt(other).select(self, other)
+                }
             }
             #[inline(always)]
             fn below(self, limit: Self) -> u32 {
@@ -450,7 +459,30 @@ mod tests {
         assert_eq!([f64::NAN, 0.0, 0.5, 3.0].map(|limit| lanes.below(f64x8::splat(limit))), [0, 0, 1, 0b111]);
         assert_eq!(f32x16::from_fn(|i| 15.0 - i as f32).below(f32x16::splat(6.0)), 0b1111_1100_0000_0000);
         assert_eq!(lanes.at_least(f64x8::splat(3.0)).to_array(), [3.0, 3.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-        assert_eq!(f64x8::splat(f64::NAN).at_least(lanes), lanes);
+    }
+
+    /// Every lane of both bounds has the bits of the comparison that defines it.
+    fn bounds_by_bits<R: Real>(bits: impl Fn(R) -> u64) {
+        let (zero, nan) = (R::ZERO, R::from_f64(f64::NAN));
+        let values = [zero, -zero, R::ONE, -R::ONE, R::from_f64(f64::INFINITY), R::from_f64(-f64::INFINITY), nan];
+        for a in values {
+            for b in values {
+                for lane in 0..R::Lanes::WIDTH {
+                    let [x, y] = [a, b].map(|value| R::Lanes::from_fn(|i| if i == lane { value } else { R::ONE }));
+                    let mut found = [[R::ZERO; WIDEST]; 2];
+                    x.at_most(y).write(&mut found[0]);
+                    x.at_least(y).write(&mut found[1]);
+                    let expected = [if a < b { a } else { b }, if a > b { a } else { b }];
+                    assert_eq!(found.map(|lanes| bits(lanes[lane])), expected.map(&bits), "of {a} and {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn of_two_zeros_and_of_nan_a_bound_is_the_other_on_every_processor() {
+        bounds_by_bits::<f32>(|value| value.to_bits().into());
+        bounds_by_bits::<f64>(f64::to_bits);
     }
 
     #[test]
