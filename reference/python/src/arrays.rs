@@ -1,6 +1,5 @@
 //! NumPy arrays in and out. An array is checked and never converted; a result is handed over without a copy.
 
-use crate::work::raise;
 use ndarray::{Array, Array2, Dimension};
 use numpy::{Element, IntoPyArray, PyArray, PyArrayDescr, PyArrayDescrMethods, PyArrayMethods};
 use numpy::{PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods};
@@ -12,7 +11,6 @@ use trgs::config::Precision;
 use trgs::numeric::Real;
 use trgs::primitives::{Group, Parameters};
 use trgs::projector::Kernels;
-use trgs::scan::plausibility::{self, AnglesFrom};
 
 /// The types of numbers that pixels and voxels have: float32 and float64.
 pub(crate) trait Number: Kernels + Sample + Element {}
@@ -125,15 +123,6 @@ pub(crate) fn numbers(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<f64>
     }
     let expected = "a sequence of numbers, or a C-contiguous NumPy array of float64, [N]";
     value.extract().map_err(|_| wrong_type(what, value, expected, &format!("give [0.0, 0.5] as {what}, for example")))
-}
-
-/// The angles of views, radians.
-pub(crate) fn angles(value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-    let angles = numbers(value, "angles")?;
-    match angles.iter().find(|angle| !angle.is_finite()) {
-        None => plausibility::check_radians(&angles, AnglesFrom::Argument).map_err(raise).map(|()| angles),
-        Some(bad) => Err(wrong_value("angles", bad, "finite numbers of radians", "correct the angles")),
-    }
 }
 
 /// Refuses an array of another shape.

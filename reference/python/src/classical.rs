@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, dispatch, give, read, read_float, word, wrong_value};
 use crate::geometry::Scanner;
+use crate::views::Views;
 use crate::work::{Event, Watch, fits, raise, run, try_run};
 use ndarray::Ix3;
 use pyo3::prelude::*;
@@ -29,8 +30,8 @@ fn projector(scanner: &Scanner, rays: &str) -> PyResult<VoxelProjector> {
 /// volume : ndarray [x, y, z], float32 or float64
 ///     On the scanner's grid, attenuation per scene unit. Its type is the arithmetic.
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians, or vectors of poses: as of `project`.
 /// rays : {"joseph", "siddon"}
 ///     Weights of the voxels on a ray: bilinear in planes of voxel centres, or the length in each voxel.
 ///
@@ -54,12 +55,12 @@ pub(crate) fn forward_project<'py>(
     angles: &Bound<'py, PyAny>,
     rays: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (projector, angles) = (projector(scanner, rays)?, arrays::angles(angles)?);
+    let (projector, views) = (projector(scanner, rays)?, Views::of(angles, scanner)?);
     let detector = scanner.0.detector;
-    fits("projections", &[angles.len(), detector.rows, detector.columns], 2 * size_of::<f64>())?;
+    fits("projections", &[views.len(), detector.rows, detector.columns], 2 * size_of::<f64>())?;
     dispatch!(read_float::<Ix3>(volume, "volume", "[x, y, z]")?, |volume| {
         let volume = volume.as_array();
-        Ok(give(py, try_run(py, || projector.forward(&angles, volume.view()))?))
+        Ok(give(py, try_run(py, || projector.forward(views.trajectory(), volume.view()))?))
     })
 }
 
@@ -91,10 +92,10 @@ pub(crate) fn back_project<'py>(
     rays: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
     fits("volume", &scanner.0.grid.shape, 2 * size_of::<f64>())?;
-    let (projector, angles) = (projector(scanner, rays)?, arrays::angles(angles)?);
+    let (projector, views) = (projector(scanner, rays)?, Views::of(angles, scanner)?);
     dispatch!(read_float::<Ix3>(projections, "projections", "[view, v, u]")?, |projections| {
         let projections = projections.as_array();
-        Ok(give(py, try_run(py, || projector.adjoint(&angles, projections.view()))?))
+        Ok(give(py, try_run(py, || projector.adjoint(views.trajectory(), projections.view()))?))
     })
 }
 
@@ -125,7 +126,7 @@ pub(crate) fn fdk_filter<'py>(
     angles: &Bound<'py, PyAny>,
     window: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (window, angles) = (word("window", window, &Window::NAMED)?, arrays::angles(angles)?);
+    let (window, angles) = (word("window", window, &Window::NAMED)?, Views::circle(angles, scanner)?);
     dispatch!(read_float::<Ix3>(projections, "projections", "[view, v, u]")?, |projections| {
         let projections = projections.as_array();
         Ok(give(py, try_run(py, || classical::fdk::filter(&scanner.0, &angles, projections.view(), window))?))
@@ -157,7 +158,7 @@ pub(crate) fn fdk_backproject<'py>(
     scanner: &Scanner,
     angles: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let angles = arrays::angles(angles)?;
+    let angles = Views::circle(angles, scanner)?;
     fits("volume", &scanner.0.grid.shape, 2 * size_of::<f64>())?;
     dispatch!(read_float::<Ix3>(filtered, "filtered", "[view, v, u]")?, |filtered| {
         let filtered = filtered.as_array();
@@ -165,16 +166,24 @@ pub(crate) fn fdk_backproject<'py>(
     })
 }
 
-/// Measured line integrals with their angles; the volume's arithmetic is another matter.
-pub(crate) fn measured(projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
-    let angles = arrays::angles(angles)?;
+/// Measured line integrals with their angles or poses; the volume's arithmetic is another matter.
+pub(crate) fn measured(
+    projections: &Bound<'_, PyAny>,
+    scanner: &Scanner,
+    angles: &Bound<'_, PyAny>,
+) -> PyResult<Projections> {
+    let views = Views::of(angles, scanner)?;
     let images = read::<f32, Ix3>(projections, "projections", "[view, v, u]")?;
-    Projections::new(angles, images.as_array().to_owned()).map_err(raise)
+    Projections::along(views.trajectory(), images.as_array().to_owned()).map_err(raise)
 }
 
 /// [`measured`], refused where no method makes anything of it: views that are empty or have the wrong sign.
-fn to_reconstruct(projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
-    let measured = measured(projections, angles)?;
+fn to_reconstruct(
+    projections: &Bound<'_, PyAny>,
+    scanner: &Scanner,
+    angles: &Bound<'_, PyAny>,
+) -> PyResult<Projections> {
+    let measured = measured(projections, scanner, angles)?;
     plausibility::check_views(&measured).map_err(raise).map(|()| measured)
 }
 
@@ -185,8 +194,8 @@ fn to_reconstruct(projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> 
 /// projections : ndarray [view, v, u], float32
 ///     Line integrals, scene units of length times density.
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians, or vectors of poses: as of `project`. Filtered backprojection takes poses on a circle.
 /// window : {"ram-lak", "shepp-logan", "cosine", "hamming", "hann"}
 ///     Factor on the ramp filter.
 /// turn : {"measured", "full"}
@@ -214,7 +223,7 @@ pub(crate) fn fdk<'py>(
     turn: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (window, turn) = (word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?);
-    let measured = to_reconstruct(projections, angles)?;
+    let measured = to_reconstruct(projections, scanner, angles)?;
     fits("volume", &scanner.0.grid.shape, 2 * size_of::<f32>())?;
     Ok(give(py, try_run(py, || classical::fdk(&scanner.0, &measured, window, turn))?.values))
 }
@@ -270,8 +279,8 @@ fn check_run(iterations: usize, scanner: &Scanner) -> PyResult<()> {
 /// projections : ndarray [view, v, u], float32
 ///     Line integrals, scene units of length times density.
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians, or vectors of poses: as of `project`.
 /// iterations : int
 ///     Passes over all views.
 /// relaxation : float
@@ -393,7 +402,7 @@ pub(crate) fn os_sart<'py>(
     (part.non_negative, part.tolerance) = (non_negative, tolerance);
     config.validate().map_err(raise)?;
     let sart = config.sart();
-    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, scanner, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, sart, &projector, &measured, &sart, observe))
 }
@@ -465,7 +474,7 @@ pub(crate) fn asd_pocs<'py>(
     (part.r_max, part.epsilon) = (r_max, epsilon);
     config.validate().map_err(raise)?;
     let settings = config.asd_pocs();
-    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, scanner, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, asd_pocs, &projector, &measured, &settings, observe))
 }
@@ -502,7 +511,7 @@ pub(crate) fn cgls<'py>(
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     check_run(iterations, scanner)?;
-    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, scanner, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, cgls, &projector, &measured, iterations, observe))
 }
@@ -554,7 +563,7 @@ pub(crate) fn tv<'py>(
     (config.tv.weight, config.tv.tolerance, config.tv.steps) = (Auto::Fixed(weight), tolerance, steps);
     config.validate().map_err(raise)?;
     let settings = config.tv();
-    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, angles)?);
+    let (projector, measured) = (projector(scanner, rays)?, to_reconstruct(projections, scanner, angles)?);
     let precision = single(dtype)?;
     iterate(py, callback, |observe| in_precision!(precision, tv, &projector, &measured, &settings, None, observe))
 }

@@ -1,6 +1,7 @@
 //! Grids and scanners.
 
 use crate::arrays::{Axes, named, numbers, wrong_value};
+use crate::views::scanner_of;
 use crate::work::{fits, raise, try_run};
 use glam::DVec3;
 use pyo3::exceptions::PyTypeError;
@@ -194,6 +195,36 @@ impl Scanner {
     )]
     fn parallel(detector: Pair<usize>, pitch: Pair<f64>, grid: Space, offset: Pair<f64>) -> PyResult<Self> {
         made(Beam::Parallel { dso: 5.0 }, detector, pitch, offset, grid)
+    }
+
+    /// The scanner of poses: distances, pixel sizes and shifts are those of the first.
+    ///
+    /// Functions take the vectors as `angles`.
+    ///
+    /// Parameters
+    /// ----------
+    /// vectors : array [view, 12]
+    ///     Source, centre of the detector, u from a pixel to the next of its row, v from a row to the next: three numbers
+    ///     each, scene units. This is the order of ASTRA's `cone_vec`. u × v points away from the source.
+    /// detector : tuple of int
+    ///     Rows and columns [v, u].
+    /// grid : Grid
+    ///     The volume.
+    ///
+    /// Returns
+    /// -------
+    /// Scanner
+    ///     Of a cone beam.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For another shape, axes that are not perpendicular, sizes of pixels that differ, and a source in the volume.
+    #[staticmethod]
+    #[pyo3(signature = (vectors, *, detector, grid))]
+    fn from_vectors(vectors: &Bound<'_, PyAny>, detector: Pair<usize>, grid: Space) -> PyResult<Self> {
+        let Axes([rows, columns]) = detector;
+        scanner_of(vectors, rows, columns, grid.0)
     }
 
     /// The scanner of R²-Gaussian's synthetic scans: a cone beam that sees the cube from -1 to 1.

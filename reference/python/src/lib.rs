@@ -14,6 +14,7 @@ mod optim;
 mod pages;
 mod projector;
 mod scan;
+mod views;
 mod work;
 
 use pyo3::prelude::*;
@@ -51,8 +52,10 @@ mod _core {
     };
     #[pymodule_export]
     use crate::scan::{
-        Reconstruction, Scan, load_scan, load_volume, phantoms, reconstruct, save_volume, simulate_scan,
+        Reconstruction, Scan, load_scan, load_volume, phantoms, reconstruct, restored_scan, save_volume, simulate_scan,
     };
+    #[pymodule_export]
+    use crate::views::{geometry_of, motion_vjp};
     #[pymodule_export]
     use crate::work::{build, cpu_level, is_fast, set_max_memory, set_threads, threads};
 }

@@ -1,7 +1,8 @@
 //! Models: primitives, and the map between raw and physical parameters.
 
-use crate::arrays::{self, copy, give, give_parameters, numbers, parameters, precision, word, wrong_value};
+use crate::arrays::{copy, give, give_parameters, numbers, parameters, precision, word, wrong_value};
 use crate::geometry::Scanner;
+use crate::views::Views;
 use crate::work::{raise, run, try_run};
 use ndarray::{Array1, Array3};
 use pyo3::prelude::*;
@@ -400,8 +401,8 @@ impl AlphaArgument {
 /// ----------
 /// model : Model
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians, or vectors of poses: as of `project`.
 /// sphere_points : int
 ///     Points on the sphere.
 /// r_max : float
@@ -439,8 +440,8 @@ pub(crate) fn ray_confidence<'py>(
     alpha: AlphaArgument,
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = settings(sphere_points, alpha.value()?, r_max, kappa, 1.0)?;
-    let angles = arrays::angles(angles)?;
-    let found = run(py, || Coverage::new(settings).confidence(&model.0, &scanner.0, &angles))?;
+    let views = Views::of(angles, scanner)?;
+    let found = run(py, || Coverage::new(settings).confidence(&model.0, &scanner.0, views.trajectory()))?;
     Ok(give(py, Array1::from(found)))
 }
 

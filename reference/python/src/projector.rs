@@ -1,9 +1,10 @@
 //! From primitives to projections and volumes, and the gradients back.
 
 use crate::arrays::wrong_value;
-use crate::arrays::{self, Number, check_shape, dispatch, give, give_parameters, precision, read_float, word};
+use crate::arrays::{Number, check_shape, dispatch, give, give_parameters, precision, read_float, word};
 use crate::geometry::{Scanner, grid_of};
 use crate::model::Model;
+use crate::views::Views;
 use crate::work::{fits, run};
 use ndarray::{Array2, Array3, Ix3};
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
@@ -14,9 +15,9 @@ use trgs::projector::{self, Field, Projection};
 const PROJECTIONS: [(&str, Projection); 2] = [("exact", Projection::Exact), ("affine", Projection::Affine)];
 
 /// How a cone beam's rays are taken through primitives, and where primitives end.
-struct Rays {
-    projection: Projection,
-    cutoff: f64,
+pub(crate) struct Rays {
+    pub(crate) projection: Projection,
+    pub(crate) cutoff: f64,
 }
 
 fn check_cutoff(cutoff: f64) -> PyResult<()> {
@@ -26,7 +27,7 @@ fn check_cutoff(cutoff: f64) -> PyResult<()> {
     Err(wrong_value("cutoff", cutoff, "a number from 0 to below 1", "give 0.0 for no cutoff"))
 }
 
-fn how(projection: &str, cutoff: f64) -> PyResult<Rays> {
+pub(crate) fn how(projection: &str, cutoff: f64) -> PyResult<Rays> {
     check_cutoff(cutoff)?;
     Ok(Rays { projection: word("projection", projection, &PROJECTIONS)?, cutoff })
 }
@@ -37,8 +38,9 @@ fn how(projection: &str, cutoff: f64) -> PyResult<Rays> {
 /// ----------
 /// model : Model
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians. Poses instead are source, centre of the detector, and u and v from a pixel to the next, as in
+///     ASTRA's `cone_vec`, in scene units: see `Scanner.from_vectors`.
 /// projection : {"exact", "affine"}
 ///     The line integral along every pixel's own ray, or the paper's: all rays parallel to the one through the centre.
 /// cutoff : float
@@ -67,10 +69,10 @@ pub(crate) fn project<'py>(
     cutoff: f64,
     dtype: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
+    let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
     match precision(dtype)? {
-        Precision::F32 => project_in::<f32>(py, model, scanner, &angles, &how),
-        Precision::F64 => project_in::<f64>(py, model, scanner, &angles, &how),
+        Precision::F32 => project_in::<f32>(py, model, scanner, &views, &how),
+        Precision::F64 => project_in::<f64>(py, model, scanner, &views, &how),
     }
 }
 
@@ -78,17 +80,18 @@ fn project_in<'py, R: Number>(
     py: Python<'py>,
     model: &Model,
     scanner: &Scanner,
-    angles: &[f64],
+    views: &Views,
     how: &Rays,
 ) -> PyResult<Bound<'py, PyAny>> {
     let detector = scanner.0.detector;
-    fits("projections", &[angles.len(), detector.rows, detector.columns], 2 * size_of::<R>())?;
-    let images = run(py, || projector::forward::<R>(&model.0, &scanner.0, angles, how.projection, how.cutoff))?;
+    fits("projections", &[views.len(), detector.rows, detector.columns], 2 * size_of::<R>())?;
+    let images =
+        run(py, || projector::forward::<R>(&model.0, &scanner.0, views.trajectory(), how.projection, how.cutoff))?;
     Ok(give(py, images))
 }
 
-fn check_images(what: &str, got: &[usize], scanner: &Scanner, angles: &[f64]) -> PyResult<()> {
-    let expected = [angles.len(), scanner.0.detector.rows, scanner.0.detector.columns];
+pub(crate) fn check_images(what: &str, got: &[usize], scanner: &Scanner, views: &Views) -> PyResult<()> {
+    let expected = [views.len(), scanner.0.detector.rows, scanner.0.detector.columns];
     check_shape(what, got, &expected, "give one image [v, u] of the scanner's detector per angle")
 }
 
@@ -98,8 +101,8 @@ fn check_images(what: &str, got: &[usize], scanner: &Scanner, angles: &[f64]) ->
 /// ----------
 /// model : Model
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, as of `project`.
 /// cotangent : ndarray [view, v, u], float32 or float64
 ///     Its type is the arithmetic.
 /// projection, cutoff
@@ -127,23 +130,24 @@ pub(crate) fn project_vjp<'py>(
     projection: &str,
     cutoff: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
+    let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
     let cotangent = read_float(cotangent, "cotangent", "[view, v, u]")?;
-    dispatch!(cotangent, |cotangent| project_vjp_in(py, model, scanner, &angles, &cotangent, &how))
+    dispatch!(cotangent, |cotangent| project_vjp_in(py, model, scanner, &views, &cotangent, &how))
 }
 
 fn project_vjp_in<'py, R: Number>(
     py: Python<'py>,
     model: &Model,
     scanner: &Scanner,
-    angles: &[f64],
+    views: &Views,
     cotangent: &PyReadonlyArray3<'py, R>,
     how: &Rays,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_images("cotangent", cotangent.shape(), scanner, angles)?;
+    check_images("cotangent", cotangent.shape(), scanner, views)?;
     let cotangent = cotangent.as_array();
-    let gradient =
-        run(py, || projector::vjp(&model.0, &scanner.0, angles, how.projection, how.cutoff, cotangent.view()))?;
+    let gradient = run(py, || {
+        projector::vjp(&model.0, &scanner.0, views.trajectory(), how.projection, how.cutoff, cotangent.view())
+    })?;
     give_parameters(py, gradient)
 }
 
@@ -174,26 +178,26 @@ pub(crate) fn footprint_gradient<'py>(
     projection: &str,
     cutoff: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
+    let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
     let cotangent = read_float(cotangent, "cotangent", "[view, v, u]")?;
-    dispatch!(cotangent, |cotangent| footprints_in(py, model, scanner, &angles, &cotangent, &how))
+    dispatch!(cotangent, |cotangent| footprints_in(py, model, scanner, &views, &cotangent, &how))
 }
 
 fn footprints_in<'py, R: Number>(
     py: Python<'py>,
     model: &Model,
     scanner: &Scanner,
-    angles: &[f64],
+    views: &Views,
     cotangent: &PyReadonlyArray3<'py, R>,
     how: &Rays,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_images("cotangent", cotangent.shape(), scanner, angles)?;
+    check_images("cotangent", cotangent.shape(), scanner, views)?;
     let cotangent = cotangent.as_array();
     let shifts: Vec<[f64; 2]> = run(py, || {
         let field = Field::<R>::new(&model.0, how.cutoff);
         let mut gradient = field.zero_gradient();
-        for (cotangent, &angle) in cotangent.outer_iter().zip(angles) {
-            field.view(&scanner.0, angle, how.projection).vjp(cotangent, &mut gradient);
+        for (cotangent, view) in cotangent.outer_iter().zip(views.trajectory().views(&scanner.0)) {
+            field.seen_in(&view, how.projection).vjp(cotangent, &mut gradient);
         }
         gradient.mean2d_gradients().collect()
     })?;
@@ -226,13 +230,13 @@ pub(crate) fn support<'py>(
     projection: &str,
     cutoff: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
-    fits("extents", &[angles.len(), model.0.len(), 4], size_of::<f64>())?;
+    let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
+    fits("extents", &[views.len(), model.0.len(), 4], size_of::<f64>())?;
     let boxes = run(py, || {
         let field = Field::<f64>::new(&model.0, how.cutoff);
-        let mut boxes = Array3::zeros((angles.len(), model.0.len(), 4));
-        for (view, &angle) in angles.iter().enumerate() {
-            for (i, sides) in field.view(&scanner.0, angle, how.projection).support_boxes().into_iter().enumerate() {
+        let mut boxes = Array3::zeros((views.len(), model.0.len(), 4));
+        for (view, seen) in views.trajectory().views(&scanner.0).iter().enumerate() {
+            for (i, sides) in field.seen_in(seen, how.projection).support_boxes().into_iter().enumerate() {
                 sides.into_iter().enumerate().for_each(|(k, side)| boxes[[view, i, k]] = side);
             }
         }
@@ -267,14 +271,14 @@ pub(crate) fn truncation_bound<'py>(
     projection: &str,
     cutoff: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (how, angles) = (how(projection, cutoff)?, arrays::angles(angles)?);
+    let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
     let detector = scanner.0.detector;
-    fits("projections", &[angles.len(), detector.rows, detector.columns], size_of::<f64>())?;
+    fits("projections", &[views.len(), detector.rows, detector.columns], size_of::<f64>())?;
     let bounds = run(py, || {
         let field = Field::<f64>::new(&model.0, how.cutoff);
-        let mut bounds = Array3::zeros((angles.len(), detector.rows, detector.columns));
-        for (mut bound, &angle) in bounds.outer_iter_mut().zip(&angles) {
-            bound.assign(&field.view(&scanner.0, angle, how.projection).truncation_bound());
+        let mut bounds = Array3::zeros((views.len(), detector.rows, detector.columns));
+        for (mut bound, view) in bounds.outer_iter_mut().zip(views.trajectory().views(&scanner.0)) {
+            bound.assign(&field.seen_in(&view, how.projection).truncation_bound());
         }
         bounds
     })?;

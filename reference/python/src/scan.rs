@@ -4,7 +4,9 @@ use crate::arrays::{self, copy, give, named, read, word, wrong_type, wrong_value
 use crate::classical::{measured, pass_event};
 use crate::geometry::{Grid, Scanner};
 use crate::model::Model;
+use crate::views::vectors;
 use crate::work::{Event, Watch, python, raise, run, try_run};
+use glam::DMat3;
 use ndarray::{Array1, Ix2, Ix3};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -34,13 +36,13 @@ const SIMULATED_RAYS: [(&str, Option<RayModel>); 3] =
 /// Parameters
 /// ----------
 /// scanner : Scanner
-/// angles : sequence of float
-///     Of the views, radians.
+/// angles : sequence of float, or array [view, 12]
+///     Of the views, radians, or vectors of poses: as of `project`.
 /// projections : ndarray [view, v, u], float32
 ///     Line integrals, scene units of length times density.
 /// truth : ndarray [x, y, z], float32, optional
 ///     The true volume, attenuation per scene unit.
-/// test_angles : sequence of float, optional
+/// test_angles : sequence of float, or array [view, 12], optional
 /// test_projections : ndarray [view, v, u], float32, optional
 ///     Views to judge by.
 /// name : str
@@ -55,7 +57,7 @@ const SIMULATED_RAYS: [(&str, Option<RayModel>); 3] =
 pub(crate) struct Scan(pub(crate) Dataset);
 
 fn views(scanner: &Scanner, projections: &Bound<'_, PyAny>, angles: &Bound<'_, PyAny>) -> PyResult<Projections> {
-    let measured = measured(projections, angles)?;
+    let measured = measured(projections, scanner, angles)?;
     let expected = [measured.angles.len(), scanner.0.detector.rows, scanner.0.detector.columns];
     let remedy = "give one image [v, u] of the scanner's detector per angle";
     arrays::check_shape("projections", measured.images.shape(), &expected, remedy)?;
@@ -140,10 +142,23 @@ impl Scan {
         (spacing.to_array(), origin.to_array(), self.0.frame.directions.to_cols_array_2d())
     }
 
-    /// Of the training views, radians: float64 [view].
+    /// Of the training views, radians: float64 [view]. With `poses` they are labels.
     #[getter]
     fn angles<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         copy(py, Array1::from(self.0.train.angles.clone()))
+    }
+
+    /// Poses of the training views as `Scanner.from_vectors` takes them: float64 [view, 12], or None of a circle. Where they
+    /// are not None, functions need them instead of the angles.
+    #[getter]
+    fn poses<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
+        vectors(py, &self.0.scanner, self.0.train.trajectory())
+    }
+
+    /// Poses of the test views: float64 [view, 12], or None.
+    #[getter]
+    fn test_poses<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
+        vectors(py, &self.0.scanner, self.0.test.as_ref()?.trajectory())
     }
 
     /// Training views: float32 [view, v, u], scene units of length times density.
@@ -294,6 +309,25 @@ impl Scan {
         Ok(found)
     }
 
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Parts<'py>)> {
+        let Dataset { name, scale, frame, noise, initial_points, notes, oddities, .. } = &self.0;
+        let Frame { unit, scale: frame_scale, origin, directions } = frame;
+        let train = (self.poses(py).unwrap_or_else(|| self.angles(py)), self.projections(py));
+        let test = self.test_angles(py).zip(self.test_projections(py));
+        let test = test.map(|(angles, images)| (self.test_poses(py).unwrap_or(angles), images));
+        let arrays = (train, test, self.truth(py), initial_points.clone().map(|points| copy(py, points)));
+        let place = (
+            unit.map(|unit| PyString::new(py, unit.symbol())),
+            *frame_scale,
+            origin.to_array(),
+            directions.to_cols_array_2d(),
+        );
+        let labels = (self.0.train.angles.clone(), self.0.test.as_ref().map(|test| test.angles.clone()));
+        let words = (name.clone(), *scale, noise.to_string(), notes.clone(), oddities.clone());
+        let restore = py.import("trgs._core")?.getattr("restored_scan")?;
+        Ok((restore, (self.scanner(), arrays, labels, place, words)))
+    }
+
     fn __len__(&self) -> usize {
         self.0.train.len()
     }
@@ -307,6 +341,50 @@ impl Scan {
             scanner.grid.shape
         )
     }
+}
+
+/// Parts of a pickled scan: its scanner, arrays, angles, place and words.
+type Parts<'py> = (Scanner, Arrays<'py>, Labels, Place<'py>, Words);
+type Pair<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
+/// Views or vectors and images, the same of test views, truth, initial points.
+type Arrays<'py> = (Pair<'py>, Option<Pair<'py>>, Option<Bound<'py, PyAny>>, Option<Bound<'py, PyAny>>);
+/// Angles of training and test views, which poses only label.
+type Labels = (Vec<f64>, Option<Vec<f64>>);
+/// Unit, scene units per unit, origin and directions.
+type Place<'py> = (Option<Bound<'py, PyString>>, f64, [f64; 3], [[f64; 3]; 3]);
+/// Name, scale, noise, notes, oddities.
+type Words = (String, f64, String, Vec<String>, Vec<String>);
+
+/// A pickled `trgs.Scan`.
+#[pyfunction]
+pub(crate) fn restored_scan(
+    scanner: &Scanner,
+    arrays: Arrays<'_>,
+    labels: Labels,
+    place: Place<'_>,
+    words: Words,
+) -> PyResult<Scan> {
+    let ((angles, images), test, truth, points) = arrays;
+    let (unit, scale, origin, directions) = place;
+    let unit = unit.map(|unit| unit.to_string().parse()).transpose().map_err(raise)?;
+    let frame = Frame { unit, scale, origin: origin.into(), directions: DMat3::from_cols_array_2d(&directions) };
+    let (name, scale, noise, notes, oddities) = words;
+    let test = test.map(|(angles, images)| views(scanner, &images, &angles)).transpose()?;
+    let test = test.zip(labels.1).map(|(test, angles)| Projections { angles, ..test });
+    let points = points.map(|points| read::<f64, Ix2>(&points, "initial_points", "[M, 4]")).transpose()?;
+    Ok(Scan(Dataset {
+        name,
+        scanner: scanner.0,
+        scale,
+        frame,
+        noise: noise.parse().map_err(raise)?,
+        train: Projections { angles: labels.0, ..views(scanner, &images, &angles)? },
+        test,
+        truth: truth.map(|truth| volume(scanner.0.grid, &truth, "truth")).transpose()?,
+        initial_points: points.map(|points| points.as_array().to_owned()),
+        notes,
+        oddities,
+    }))
 }
 
 /// Reads a scan. Every oddity of its files, and every remark on its values, is a warning.
@@ -624,7 +702,9 @@ fn event(progress: Progress<'_>) -> Option<Event> {
 ///     Gets a `Progress` with every report. What it raises ends the run and is raised here.
 /// checkpoint : str or os.PathLike, optional
 ///     A file that keeps the state of the run. If it exists, the run goes on from there, to the same bits.
-/// **settings
+/// settings : dict, optional
+///     Keys of the configuration, as `**more` takes them: for settings that are kept in a variable.
+/// **more
 ///     Keys of the configuration, `iterations=2000`; those of a table as a dict, `model={"points": 5000}`. `settings` of a
 ///     result has all keys with their documentation.
 ///
@@ -644,15 +724,17 @@ fn event(progress: Progress<'_>) -> Option<Event> {
 /// KeyboardInterrupt
 ///     After Ctrl-C.
 #[pyfunction]
-#[pyo3(signature = (scan, method = "tr-gs", *, progress = false, callback = None, checkpoint = None, **settings))]
+#[pyo3(signature = (scan, method = "tr-gs", settings = None, *, progress = false, callback = None, checkpoint = None, **more))]
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn reconstruct(
     py: Python<'_>,
     scan: &Scan,
     method: &str,
+    settings: Option<&Bound<'_, PyAny>>,
     progress: bool,
     callback: Option<Py<PyAny>>,
     checkpoint: Option<PathBuf>,
-    settings: Option<&Bound<'_, PyDict>>,
+    more: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Reconstruction> {
     const METHODS: [(&str, Method); 11] = [
         ("tr-gs", Method::TrGs),
@@ -671,7 +753,11 @@ pub(crate) fn reconstruct(
     let name = METHODS.iter().find(|(_, one)| *one == kind).expect("it was found").0;
     let mut config = Config::of(kind);
     if let Some(settings) = settings {
-        configure(&mut config, "", settings)?;
+        let wrong = |_| wrong_type("settings", settings, "a dict of keys", "give {\"iterations\": 2000}, for example");
+        configure(&mut config, "", settings.cast::<PyDict>().map_err(wrong)?)?;
+    }
+    if let Some(more) = more {
+        configure(&mut config, "", more)?;
     }
     let printer = progress.then(|| named(py, "Printer")?.call0().map(Bound::unbind)).transpose()?;
     let callbacks: Vec<_> = printer.into_iter().chain(callback).collect();

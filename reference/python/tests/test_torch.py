@@ -94,3 +94,14 @@ def test_twenty_lines_train():
         optimiser.step()
         losses.append(loss.item())
     assert np.mean(losses[-8:]) < 0.5 * np.mean(losses[:8])
+
+
+@pytest.mark.parametrize("projection", ["exact", "affine"])
+def test_angles_pass_gradcheck(scanner, projection):
+    parameters = [tensor.detach() for tensor in tensors(model_of(3))]
+    run = lambda angles: tt.project(*parameters, scanner, angles, projection=projection)
+    angles = torch.tensor(ANGLES, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(run, [angles], eps=1e-6, atol=1e-7, rtol=1e-6)
+    assert torch.equal(run(angles), run(ANGLES))
+    with pytest.raises(TypeError, match=r"angles: got shape \[2, 12\] with a gradient, expected \[view\]"):
+        tt.project(*parameters, scanner, torch.zeros(2, 12, requires_grad=True))

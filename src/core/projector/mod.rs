@@ -37,7 +37,7 @@ mod whitened;
 pub use contributions::{Contribution, rank};
 #[doc(hidden)]
 pub use field::bytes;
-pub use field::{Field, forward, forward_seen, vjp, voxelize, voxelize_vjp};
+pub use field::{Field, forward, forward_seen, motion_vjp, vjp, voxelize, voxelize_vjp};
 pub use image::kernels::ImageKernels;
 pub use image::profile::profile;
 pub use image::view::ViewField;

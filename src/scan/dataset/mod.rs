@@ -42,6 +42,7 @@ mod poses;
 mod subsample;
 
 pub use info::DatasetInfo;
+pub use poses::{of_vector as pose_of_vector, to_vector as vector_of_pose};
 
 use super::frame::Frame;
 use super::noise::Noise;

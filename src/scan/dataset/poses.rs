@@ -208,7 +208,7 @@ pub(super) fn angles_differ(angles: &[f64], poses: &[Pose]) -> Option<String> {
 ///
 /// # Errors
 /// When there are not twelve finite numbers, or u and v are not perpendicular and of the pixel's size.
-pub(super) fn of_vector(scanner: &Scanner, values: &[f64], scale: f64) -> Result<Pose> {
+pub fn of_vector(scanner: &Scanner, values: &[f64], scale: f64) -> Result<Pose> {
     let values: [f64; 12] = values.try_into().map_err(|_| {
         let expected = "12 numbers: source, centre of the detector, u and v, three each";
         Error::invalid("vector of a view", counted(values.len(), "number"), expected, "give 12 numbers")
@@ -243,7 +243,7 @@ pub(super) fn of_vector(scanner: &Scanner, values: &[f64], scale: f64) -> Result
 }
 
 /// The vector of a pose in scene units, with the direction of the rays first in a parallel beam.
-pub(super) fn to_vector(scanner: &Scanner, pose: &Pose) -> Vec<f64> {
+pub fn to_vector(scanner: &Scanner, pose: &Pose) -> Vec<f64> {
     let mut vector = pose.vector(&scanner.detector).to_vec();
     if matches!(scanner.beam, Beam::Parallel { .. }) {
         vector[..3].copy_from_slice(&pose.u.cross(pose.v).to_array());

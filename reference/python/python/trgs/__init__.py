@@ -41,6 +41,7 @@ from ._core import (
     kernel,
     load_scan,
     load_volume,
+    motion_vjp,
     nu_target,
     os_sart,
     phantoms,
@@ -63,11 +64,13 @@ from ._core import (
     wavelet_loss,
     wavelet_routing,
 )
+from ._geometries import Geometry, from_astra, from_tigre
 from ._types import Metric, Parameters, Population, Progress, WaveletLoss
 
 __version__ = dict(build())["version"]
 
 __all__ = [
+    "Geometry",
     "Grid",
     "Metric",
     "Model",
@@ -89,12 +92,15 @@ __all__ = [
     "fdk_filter",
     "footprint_gradient",
     "forward_project",
+    "from_astra",
+    "from_tigre",
     "haar",
     "haar_inverse",
     "integral_factor",
     "kernel",
     "load_scan",
     "load_volume",
+    "motion_vjp",
     "nu_target",
     "os_sart",
     "phantoms",

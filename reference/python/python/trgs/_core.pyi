@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, Literal, TypeAlias, final, overload
+from typing import Any, Literal, Protocol, TypeAlias, final, overload, type_check_only
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -38,6 +38,7 @@ __all__ = [
     "fdk_filter",
     "footprint_gradient",
     "forward_project",
+    "geometry_of",
     "gate",
     "haar",
     "haar_inverse",
@@ -49,6 +50,7 @@ __all__ = [
     "learning_rate",
     "load_scan",
     "load_volume",
+    "motion_vjp",
     "nu_loss",
     "nu_target",
     "os_sart",
@@ -58,6 +60,7 @@ __all__ = [
     "psnr_2d",
     "psnr_3d",
     "reconstruct",
+    "restored_scan",
     "sart",
     "save_page",
     "save_volume",
@@ -80,7 +83,14 @@ __all__ = [
     "wavelet_routing",
 ]
 
+@type_check_only
+class SupportsArray(Protocol):
+    """An array or tensor of another library."""
+
+    def __array__(self) -> NDArray[Any]: ...
+
 _Array: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
+_Views: TypeAlias = NDArray[Any] | Sequence[float] | SupportsArray
 _Numbers: TypeAlias = NDArray[np.float64] | Sequence[float]
 _Path: TypeAlias = str | PathLike[str]
 _Projection: TypeAlias = Literal["exact", "affine"]
@@ -126,6 +136,8 @@ class Scanner:
     def parallel(
         *, detector: tuple[int, int], pitch: tuple[float, float], grid: Grid, offset: tuple[float, float] = ...
     ) -> Scanner: ...
+    @staticmethod
+    def from_vectors(vectors: _Views, *, detector: tuple[int, int], grid: Grid) -> Scanner: ...
     @staticmethod
     def synthetic(voxels: int, pixels: int) -> Scanner: ...
     @staticmethod
@@ -177,11 +189,11 @@ class Scan:
     def __new__(
         cls,
         scanner: Scanner,
-        angles: _Numbers,
+        angles: _Views,
         projections: NDArray[np.float32],
         *,
         truth: NDArray[np.float32] | None = None,
-        test_angles: _Numbers | None = None,
+        test_angles: _Views | None = None,
         test_projections: NDArray[np.float32] | None = None,
         name: str = "scan",
     ) -> Scan: ...
@@ -197,6 +209,10 @@ class Scan:
     def place(self) -> tuple[list[float], list[float], list[list[float]]]: ...
     @property
     def angles(self) -> NDArray[np.float64]: ...
+    @property
+    def poses(self) -> NDArray[np.float64] | None: ...
+    @property
+    def test_poses(self) -> NDArray[np.float64] | None: ...
     @property
     def projections(self) -> NDArray[np.float32]: ...
     @property
@@ -286,7 +302,7 @@ def integral_factor(nu: _Numbers) -> tuple[NDArray[np.float64], NDArray[np.float
 def confidence(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     sphere_points: int = 512,
     r_max: float = 0.5,
@@ -306,7 +322,7 @@ def nu_loss(
 def project(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     projection: _Projection = "exact",
     cutoff: float = 0.0,
@@ -315,16 +331,27 @@ def project(
 def project_vjp(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     cotangent: _Array,
     *,
     projection: _Projection = "exact",
     cutoff: float = 0.0,
 ) -> Parameters: ...
+def motion_vjp(
+    model: Model,
+    scanner: Scanner,
+    angles: _Views,
+    cotangent: _Array,
+    *,
+    projection: _Projection = "exact",
+    cutoff: float = 0.0,
+) -> NDArray[np.float64]: ...
+def geometry_of(text: str, angles: _Views) -> tuple[Scanner, NDArray[np.float64], float]: ...
+def restored_scan(scanner: Scanner, arrays: Any, labels: Any, place: Any, words: Any) -> Scan: ...
 def footprint_gradient(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     cotangent: _Array,
     *,
     projection: _Projection = "exact",
@@ -333,7 +360,7 @@ def footprint_gradient(
 def support(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     projection: _Projection = "exact",
     cutoff: float = 0.0,
@@ -341,7 +368,7 @@ def support(
 def truncation_bound(
     model: Model,
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     projection: _Projection = "exact",
     cutoff: float = 1e-3,
@@ -405,14 +432,14 @@ def adc(
     low: _Numbers,
     high: _Numbers,
 ) -> Population: ...
-def forward_project(volume: _Array, scanner: Scanner, angles: _Numbers, *, rays: _Rays = "joseph") -> _Array: ...
-def back_project(projections: _Array, scanner: Scanner, angles: _Numbers, *, rays: _Rays = "joseph") -> _Array: ...
-def fdk_filter(projections: _Array, scanner: Scanner, angles: _Numbers, *, window: _Window = "ram-lak") -> _Array: ...
-def fdk_backproject(filtered: _Array, scanner: Scanner, angles: _Numbers) -> _Array: ...
+def forward_project(volume: _Array, scanner: Scanner, angles: _Views, *, rays: _Rays = "joseph") -> _Array: ...
+def back_project(projections: _Array, scanner: Scanner, angles: _Views, *, rays: _Rays = "joseph") -> _Array: ...
+def fdk_filter(projections: _Array, scanner: Scanner, angles: _Views, *, window: _Window = "ram-lak") -> _Array: ...
+def fdk_backproject(filtered: _Array, scanner: Scanner, angles: _Views) -> _Array: ...
 def fdk(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     window: _Window = "ram-lak",
     turn: Literal["measured", "full"] = "measured",
@@ -420,7 +447,7 @@ def fdk(
 def sart(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     iterations: int = 20,
     relaxation: float = 1.0,
@@ -436,7 +463,7 @@ def sart(
 def os_sart(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     subset: int = 10,
     iterations: int = 20,
@@ -453,7 +480,7 @@ def os_sart(
 def asd_pocs(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     iterations: int = 10,
     tv_steps: int = 20,
@@ -471,7 +498,7 @@ def asd_pocs(
 def cgls(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     iterations: int = 20,
     rays: _Rays = "joseph",
@@ -481,7 +508,7 @@ def cgls(
 def tv(
     projections: NDArray[np.float32],
     scanner: Scanner,
-    angles: _Numbers,
+    angles: _Views,
     *,
     weight: float = 1e-3,
     iterations: int = 40,
@@ -537,11 +564,12 @@ def save_page(
 def reconstruct(
     scan: Scan,
     method: _Method = "tr-gs",
+    settings: dict[str, Any] | None = None,
     *,
     progress: bool = False,
     callback: _Callback | None = None,
     checkpoint: _Path | None = None,
-    **settings: object,
+    **more: object,
 ) -> Reconstruction: ...
 def conformance_cases(stages: Sequence[str], level: str) -> str: ...
 def conformance_input(id: str, role: str) -> Any: ...

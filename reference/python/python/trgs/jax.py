@@ -88,7 +88,7 @@ def project(
     mean, scale, quaternion, density, nu : Array [M, 3], [M, 3], [M, 4], [M], [M]
         As of `trgs.Model`.
     scanner, angles, projection, cutoff
-        As of `trgs.project`; constants.
+        As of `trgs.project`; constants. `trgs.motion_vjp` has the gradient to them.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def project(
     TypeError, ValueError
         For arrays of another type or shape.
     """
-    views = [float(angle) for angle in angles]
+    views = np.asarray(angles, dtype=np.float64)
 
     def value(model: _core.Model, dtype: Any) -> Any:
         return _core.project(model, scanner, views, projection=projection, cutoff=cutoff, dtype=dtype)

@@ -68,17 +68,26 @@ class _Field(Function):
         quaternion: Tensor,
         density: Tensor,
         nu: Tensor,
+        angles: Tensor | None,
         value: Callable[[_core.Model, Any], Any],
         vjp: Callable[[_core.Model, Any], Any],
+        motion: Callable[[_core.Model, Any], Any] | None,
     ) -> Tensor:
-        ctx.model, ctx.vjp = _model((mean, scale, quaternion, density, nu)), vjp
+        ctx.model, ctx.vjp, ctx.motion = _model((mean, scale, quaternion, density, nu)), vjp, motion
+        ctx.angles = angles
         return torch.from_numpy(value(ctx.model, np.float32 if mean.dtype == torch.float32 else np.float64))
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
-        gradients = ctx.vjp(ctx.model, _array("cotangent", cotangent.contiguous()))
-        return (*_given(gradients, ctx, cotangent.dtype), None, None)
+        array = _array("cotangent", cotangent.contiguous())
+        to_model: list[Tensor | None] = [None] * 5
+        if any(ctx.needs_input_grad[:5]):
+            to_model = _given(ctx.vjp(ctx.model, array), ctx, cotangent.dtype)
+        to_angles = None
+        if ctx.needs_input_grad[5]:
+            to_angles = torch.from_numpy(ctx.motion(ctx.model, array)[:, 5].copy()).to(ctx.angles.dtype)
+        return (*to_model, to_angles, None, None, None)
 
 
 class _Loss(Function):
@@ -103,18 +112,21 @@ def project(
     density: Tensor,
     nu: Tensor,
     scanner: _core.Scanner,
-    angles: Sequence[float],
+    angles: Sequence[float] | Tensor,
     *,
     projection: Projection = "exact",
     cutoff: float = 0.0,
 ) -> Tensor:
-    """Projections [view, v, u] of primitives, differentiable to their five parameters.
+    """Projections [view, v, u] of primitives, differentiable to their five parameters and to the angles.
 
     Parameters
     ----------
     mean, scale, quaternion, density, nu : Tensor [M, 3], [M, 3], [M, 4], [M], [M]
         As of `trgs.Model`.
-    scanner, angles, projection, cutoff
+    angles : sequence of float, or Tensor [view]
+        Radians. A tensor that requires a gradient gets the exact one. Vectors [view, 12] of poses are constants: their
+        gradients to motions are those of `trgs.motion_vjp`.
+    scanner, projection, cutoff
         As of `trgs.project`.
 
     Returns
@@ -130,13 +142,22 @@ def project(
         As `trgs.Model` and `trgs.project`.
     """
 
+    tensor = angles if isinstance(angles, Tensor) and angles.requires_grad else None
+    if tensor is not None and tensor.ndim != 1:
+        shape = list(tensor.shape)
+        raise TypeError(f"angles: got shape {shape} with a gradient, expected [view]; give angles.detach(), see trgs.motion_vjp")
+    views = angles.detach().cpu().numpy() if isinstance(angles, Tensor) else angles
+
     def value(model: _core.Model, dtype: Any) -> Any:
-        return _core.project(model, scanner, angles, projection=projection, cutoff=cutoff, dtype=dtype)
+        return _core.project(model, scanner, views, projection=projection, cutoff=cutoff, dtype=dtype)
 
     def vjp(model: _core.Model, cotangent: Any) -> Any:
-        return _core.project_vjp(model, scanner, angles, cotangent, projection=projection, cutoff=cutoff)
+        return _core.project_vjp(model, scanner, views, cotangent, projection=projection, cutoff=cutoff)
 
-    return _Field.apply(mean, scale, quaternion, density, nu, value, vjp)
+    def motion(model: _core.Model, cotangent: Any) -> Any:
+        return _core.motion_vjp(model, scanner, views, cotangent, projection=projection, cutoff=cutoff)
+
+    return _Field.apply(mean, scale, quaternion, density, nu, tensor, value, vjp, motion)
 
 
 def voxelize(
@@ -177,7 +198,7 @@ def voxelize(
     def vjp(model: _core.Model, cotangent: Any) -> Any:
         return _core.voxelize_vjp(model, grid, cotangent, cutoff=cutoff)
 
-    return _Field.apply(mean, scale, quaternion, density, nu, value, vjp)
+    return _Field.apply(mean, scale, quaternion, density, nu, None, value, vjp, None)
 
 
 def _constant(what: str, constant: Tensor, argument: Tensor) -> np.ndarray[Any, Any]:
