@@ -1,5 +1,7 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
+mod hunt;
+
 use super::arguments::{Replace, choice, word};
 use super::messages::moved;
 use super::{Output, interrupt};
@@ -10,7 +12,7 @@ use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::Precision;
 use trgs::oracle::check::{check, select};
-use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, report, waivers};
+use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, fresh, report, waivers};
 use trgs::output::{Destination, Kind, stage_folder};
 
 /// Check values, gradients and optimiser steps of another implementation
@@ -30,6 +32,9 @@ enum Command {
     Export(Export),
     Answer(AnswerArgs),
     Check(Check),
+    Make(hunt::Make),
+    Hunt(hunt::Hunt),
+    Replay(hunt::Replay),
 }
 
 /// Selection of cases.
@@ -132,6 +137,9 @@ impl Oracle {
             Command::Export(command) => command.run(),
             Command::Answer(command) => command.run(),
             Command::Check(command) => command.run(),
+            Command::Make(command) => command.run(),
+            Command::Hunt(command) => command.run(),
+            Command::Replay(command) => command.run(),
         }
     }
 }
@@ -201,7 +209,7 @@ impl AnswerArgs {
 
 impl Check {
     fn run(&self) -> Result<Output> {
-        let vectors = self.source.vectors()?;
+        let vectors = fresh::with_truth(self.source.vectors()?, self.precision)?;
         let waivers = match &self.waivers {
             Some(path) => waivers::read(path, &vectors.manifest.cases)?,
             None => Vec::new(),
@@ -214,7 +222,9 @@ impl Check {
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let report = check(&vectors, &Tolerances::embedded()?, &self.folder, &options)?;
+        let tolerances = Tolerances::embedded()?;
+        let tolerances = if fresh::is_generated(&vectors) { tolerances.for_fresh() } else { tolerances };
+        let report = check(&vectors, &tolerances, &self.folder, &options)?;
         if let Some(path) = &self.report {
             interrupt::shielded(|| report::write(&report, path))?;
         }

@@ -21,6 +21,8 @@
 //! | [`check`](mod@check) | the comparison |
 //! | [`diagnosis`] | the mistake that explains an error |
 //! | [`compare`](mod@compare) | the comparison of two files outside the vectors |
+//! | [`fresh`] | questions that are generated, and their truth |
+//! | [`hunt`] | failures of a backend, found and shrunk |
 //! | [`report`] | Markdown, JSON, JUnit |
 
 #![forbid(unsafe_code)]
@@ -36,6 +38,8 @@ pub mod compare;
 pub mod diagnosis;
 pub mod difference;
 pub mod format;
+pub mod fresh;
+pub mod hunt;
 pub mod limits;
 pub mod manifest;
 mod networks;

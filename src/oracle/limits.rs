@@ -122,6 +122,14 @@ impl Tolerances {
         }
     }
 
+    /// The limits for generated questions, whose allowances hold the condition of each element: norms that know no
+    /// allowances are not judged.
+    #[must_use]
+    pub fn for_fresh(mut self) -> Self {
+        self.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()).for_each(|limits| limits.cosine = None);
+        self
+    }
+
     /// The rule for one array of a case's output.
     pub fn rule(&self, case: &Case, part: &str, format: Format) -> Option<&Rule> {
         self.rules.iter().rev().find(|rule| rule.fits(case, part) && rule.limits.contains_key(&format))

@@ -11,7 +11,7 @@ use trgs_core::described;
 use trgs_core::error::{Error, Result};
 use trgs_scan::digest::digest_bytes;
 use trgs_scan::npy;
-use trgs_scan::npz::Npz;
+use trgs_scan::npz::{self, Entry, Npz};
 use trgs_scan::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
 
 /// The version of the manifest format that this program supports.
@@ -110,6 +110,8 @@ pub struct Vectors {
     /// SHA-256 of the manifest, which holds all other digests.
     pub digest: String,
     root: Option<PathBuf>,
+    /// Files in memory, which come before those in the folder.
+    pub(super) files: BTreeMap<String, Vec<u8>>,
 }
 
 impl Vectors {
@@ -127,6 +129,12 @@ impl Vectors {
     /// [`Error::Read`], or [`Error::Format`] for a manifest of another version or with paths outside the folder.
     pub fn open(folder: impl AsRef<Path>) -> Result<Self> {
         Self::new(Some(folder.as_ref().into()))
+    }
+
+    /// Vectors in memory.
+    pub(super) fn of(manifest: Manifest, files: BTreeMap<String, Vec<u8>>) -> Self {
+        let text = serde_json::to_vec(&manifest).expect("a manifest is JSON");
+        Self { manifest, digest: digest_bytes(&text), root: None, files }
     }
 
     fn new(root: Option<PathBuf>) -> Result<Self> {
@@ -148,7 +156,7 @@ impl Vectors {
                 return Err(wrong(format!("the file {file:?} of {}, which is not below the folder", case.id)));
             }
         }
-        Ok(Self { manifest, digest: digest_bytes(&bytes), root })
+        Ok(Self { manifest, digest: digest_bytes(&bytes), root, files: BTreeMap::new() })
     }
 
     /// The bytes of a file, verified against its digest if there is one.
@@ -156,7 +164,10 @@ impl Vectors {
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] if the digest differs.
     pub fn bytes(&self, file: &FileRef) -> Result<Cow<'static, [u8]>> {
-        let bytes = bytes(self.root.as_deref(), &file.file)?;
+        let bytes = match self.files.get(&file.file) {
+            Some(bytes) => bytes.clone().into(),
+            None => bytes(self.root.as_deref(), &file.file)?,
+        };
         match &file.sha256 {
             Some(expected) if *expected != digest_bytes(&bytes) => Err(Error::format(
                 &self.path(file),
@@ -228,6 +239,20 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Arrays> {
     }
     let array = npy::parse(bytes, path)?.numbers.into_f64();
     Ok([(String::new(), array)].into())
+}
+
+/// The bytes of a `.npy` file for a single array, otherwise of a `.npz` file.
+pub(super) fn encode(arrays: &Arrays) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    match arrays.get("") {
+        Some(array) => npy::encode(&mut bytes, array.view()),
+        None => {
+            let entries: Vec<_> = arrays.iter().map(|(key, array)| (key.as_str(), Entry::F64(array.view()))).collect();
+            npz::encode(&mut bytes, &entries)
+        }
+    }
+    .expect("memory can be written to");
+    bytes.into_inner()
 }
 
 fn bytes(root: Option<&Path>, file: &str) -> Result<Cow<'static, [u8]>> {

@@ -40,6 +40,22 @@ impl Question {
         Ok(Self { id, stage, settings, scanner, arrays })
     }
 
+    /// A question from its parts.
+    pub(super) fn of(
+        id: String,
+        stage: String,
+        settings: Map<String, Value>,
+        scanner: Option<Scanner>,
+        arrays: BTreeMap<String, Arrays>,
+    ) -> Self {
+        Self { id, stage, settings, scanner, arrays }
+    }
+
+    /// The arrays of all inputs, by role.
+    pub(super) fn arrays_mut(&mut self) -> &mut BTreeMap<String, Arrays> {
+        &mut self.arrays
+    }
+
     fn missing(&self, what: &str) -> Error {
         Error::invalid(
             format!("case {}", self.id),

@@ -140,8 +140,11 @@ impl Element for f64 {
     const DESCRIPTION: &'static str = "<f8";
 }
 
-/// Writes header and values.
-pub(crate) fn encode<T: Element, D: Dimension>(file: impl Write, array: ArrayView<'_, T, D>) -> io::Result<()> {
+/// Writes header and values to a stream.
+///
+/// # Errors
+/// That of the stream.
+pub fn encode<T: Element, D: Dimension>(file: impl Write, array: ArrayView<'_, T, D>) -> io::Result<()> {
     let shape: Vec<u64> = array.shape().iter().map(|&n| n as u64).collect();
     let description = DType::Plain(T::DESCRIPTION.parse().map_err(io::Error::other)?);
     let mut writer = WriteOptions::new().dtype(description).shape(&shape).writer(file).begin_nd()?;

@@ -7,7 +7,7 @@ use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayViewD, Dimension};
 use std::collections::BTreeMap;
-use std::io::{self, BufReader, Cursor, Read, Seek};
+use std::io::{self, BufReader, Cursor, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use trgs_core::error::{Error, Result};
 use zip::result::ZipError;
@@ -138,36 +138,40 @@ pub enum Entry<'a> {
 /// # Errors
 /// [`Error::Write`] with the error of the operating system.
 pub fn write(path: impl AsRef<Path>, arrays: &[(&str, Entry<'_>)]) -> Result<()> {
-    let path = path.as_ref();
-    write_atomically(path, |file| {
-        let mut archive = ZipWriter::new(file);
-        for (key, array) in arrays {
-            let values = match array {
-                Entry::F32(values) => values.len() / 2,
-                Entry::F64(values) => values.len(),
-            };
-            let options = SimpleFileOptions::default()
-                .compression_method(CompressionMethod::Stored)
-                .last_modified_time(DateTime::default())
-                .unix_permissions(0o644)
-                // Sizes from 4 GiB need the longer records of zip64; the threshold leaves a margin.
-                .large_file(values >= 500_000_000);
-            archive.start_file(format!("{key}.npy"), options)?;
-            match array {
-                Entry::F32(values) => npy::encode(&mut archive, values.view())?,
-                Entry::F64(values) => npy::encode(&mut archive, values.view())?,
-            }
+    write_atomically(path.as_ref(), |file| encode(file, arrays))
+}
+
+/// Writes named arrays to a stream.
+///
+/// # Errors
+/// That of the stream.
+pub fn encode(file: impl Write + Seek, arrays: &[(&str, Entry<'_>)]) -> io::Result<()> {
+    let mut archive = ZipWriter::new(file);
+    for (key, array) in arrays {
+        let values = match array {
+            Entry::F32(values) => values.len() / 2,
+            Entry::F64(values) => values.len(),
+        };
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default())
+            .unix_permissions(0o644)
+            // Sizes from 4 GiB need the longer records of zip64; the threshold leaves a margin.
+            .large_file(values >= 500_000_000);
+        archive.start_file(format!("{key}.npy"), options)?;
+        match array {
+            Entry::F32(values) => npy::encode(&mut archive, values.view())?,
+            Entry::F64(values) => npy::encode(&mut archive, values.view())?,
         }
-        archive.finish()?;
-        Ok(())
-    })
+    }
+    archive.finish()?;
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use ndarray::{Array1, Array2, Ix1, Ix2};
-    use std::io::Write;
 
     fn sample() -> (Array2<f32>, Array1<f64>) {
         (

@@ -7,7 +7,17 @@ use trgs::scan::npy;
 #[test]
 fn help_has_examples() {
     let sandbox = Sandbox::new();
-    for command in ["oracle", "oracle list", "oracle export", "oracle answer", "oracle check", "compare"] {
+    for command in [
+        "oracle",
+        "oracle list",
+        "oracle export",
+        "oracle answer",
+        "oracle check",
+        "oracle make",
+        "oracle hunt",
+        "oracle replay",
+        "compare",
+    ] {
         let help = String::from_utf8(sandbox.run(&format!("{command} --help")).stdout).unwrap();
         assert!(help.contains("Example") && help.contains("trgs "), "{command}: {help}");
     }
@@ -51,6 +61,41 @@ fn a_stranger_exports_answers_and_checks() {
     assert!(count("") < count(" --level optional"));
     // Single-precision answers must fail as double precision.
     assert_eq!(sandbox.run("oracle check f32 --precision f64").status.code(), Some(1));
+}
+
+#[test]
+fn generated_questions_are_made_answered_and_checked() {
+    let sandbox = Sandbox::new();
+    let made = sandbox.done("oracle make questions --stage covariance,kernel --seed 3 --count 4");
+    assert_eq!(made["cases"], 8);
+    assert_eq!(sandbox.names_in("questions"), [".trgs.json", "PROTOCOL.md", "inputs", "manifest.json"]);
+    sandbox.done("oracle answer own --vectors questions");
+    let report = sandbox.done("oracle check own --vectors questions --precision f64");
+    assert_eq!(report["results"].as_array().unwrap().len(), 8);
+    let message = sandbox.refused("oracle make more --stage metrics");
+    assert!(message.contains("metrics") && message.contains("image-exact"), "{message}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_hunt_starts_the_backend_and_its_finding_is_replayed() {
+    let sandbox = Sandbox::new();
+    // Single precision is wrong as double precision.
+    let program = env!("CARGO_BIN_EXE_trgs");
+    for precision in ["f32", "f64"] {
+        let text = format!("{program} oracle answer \"$2\" --vectors \"$1\" --precision {precision} > log\n");
+        sandbox.write(&format!("{precision}.sh"), text);
+    }
+    let hunt = "oracle hunt --stage haar --cases 8 --precision f64 --out";
+    let found = sandbox.run(&format!("{hunt} found --json -- sh f32.sh"));
+    assert_eq!(found.status.code(), Some(1), "{}", stderr(&found));
+    let found: serde_json::Value = serde_json::from_slice(&found.stdout).unwrap();
+    let case = format!("found/{}", found["findings"][0]["case"].as_str().unwrap());
+    assert_eq!(sandbox.run(&format!("oracle replay {case} -- sh f32.sh")).status.code(), Some(1));
+    assert_eq!(sandbox.run(&format!("oracle replay {case} -- sh f64.sh")).status.code(), Some(0));
+    assert_eq!(sandbox.run(&format!("{hunt} none -- sh f64.sh")).status.code(), Some(0));
+    assert!(sandbox.refused(&format!("{hunt} found --seed 2 -- sh f32.sh")).contains("other settings"));
+    assert!(sandbox.refused(&format!("{hunt} nobody -- no-such-backend")).contains("no-such-backend"));
 }
 
 #[test]

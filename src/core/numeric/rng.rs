@@ -42,6 +42,10 @@ pub enum Purpose {
     Damage = 15,
     /// Error of a simulated flat field; id = pixel.
     FlatField = 16,
+    /// Generated conformance questions; step = stage, id = question.
+    Questions = 17,
+    /// Small changes of a question's inputs; step = sample.
+    Perturbation = 18,
 }
 
 /// The generator for one (seed, purpose, step, id); its successive draws are the components.

@@ -1,0 +1,168 @@
+//! The dimensions of each stage's questions: what can be left out, reordered, and counted.
+
+/// What the elements of a dimension are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Of {
+    Primitives,
+    /// The setting `angles`.
+    Views,
+    Rows,
+    Columns,
+    /// An axis of the volume.
+    Voxels(usize),
+    /// Elements of arrays.
+    Elements,
+}
+
+/// A dimension that several arrays share.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Dimension {
+    pub(crate) of: Of,
+    /// Role and axis of each input that has it.
+    pub(crate) inputs: Vec<(&'static str, usize)>,
+    /// Role and axis of each output that has it.
+    pub(crate) outputs: Vec<(&'static str, usize)>,
+    /// Elements that stay together.
+    pub(crate) step: usize,
+    /// Whether the reversed question has the same answer, reversed along the same dimension.
+    pub(crate) reversible: bool,
+}
+
+/// The stages for which questions are generated.
+pub const STAGES: [&str; 29] = [
+    "covariance",
+    "kernel",
+    "integral-factor",
+    "density",
+    "projected-kernel-affine",
+    "projected-kernel-exact",
+    "image-affine",
+    "image-exact",
+    "gradient-density",
+    "gradient-image-affine",
+    "gradient-image-exact",
+    "activation",
+    "gradient-raw",
+    "image-cutoff",
+    "density-cutoff",
+    "loss-l1",
+    "loss-ssim",
+    "loss-tv",
+    "loss-image",
+    "nu-target",
+    "loss-nu",
+    "haar",
+    "wavelet-loss",
+    "gradient-wavelet",
+    "schedule",
+    "adam",
+    "sghmc-gate",
+    "sghmc",
+    "gradient-shadow",
+];
+
+/// The outputs of a stage.
+pub(crate) fn outputs(stage: &str) -> &'static [&'static str] {
+    match stage {
+        "covariance" => &["covariance"],
+        "kernel" => &["kernel"],
+        "integral-factor" => &["factor", "slope"],
+        "density" | "density-cutoff" => &["volume"],
+        "projected-kernel-affine" | "projected-kernel-exact" => &["kernels"],
+        "image-affine" | "image-exact" | "image-cutoff" => &["image"],
+        "activation" => &["physical"],
+        "loss-l1" | "loss-ssim" | "loss-tv" | "loss-image" | "loss-nu" => &["gradient", "value"],
+        "nu-target" => &["nu_target"],
+        "haar" => &["bands", "coefficients"],
+        "wavelet-loss" => &["enhancement", "gradient", "suppression", "value"],
+        "schedule" => &["rate"],
+        "adam" | "sghmc" => &["trajectory"],
+        "sghmc-gate" => &["gate"],
+        "gradient-shadow" => &["shadow"],
+        _ => &["grad"],
+    }
+}
+
+/// The dimensions of a stage, the most telling first.
+pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
+    let of = |of, inputs: &[(&'static str, usize)], outputs: &[(&'static str, usize)], step, reversible| Dimension {
+        of,
+        inputs: inputs.to_vec(),
+        outputs: outputs.to_vec(),
+        step,
+        reversible,
+    };
+    let primitives =
+        |role: &'static str, outputs: &[(&'static str, usize)]| of(Of::Primitives, &[(role, 0)], outputs, 1, true);
+    let elements = |inputs: &[(&'static str, usize)], outputs: &[(&'static str, usize)]| {
+        of(Of::Elements, inputs, outputs, 1, true)
+    };
+    // Views, rows and columns, of an output or of a cotangent.
+    let images = |inputs: Option<&'static str>, outputs: Option<(&'static str, usize)>| {
+        [Of::Views, Of::Rows, Of::Columns].into_iter().enumerate().map(move |(axis, kind)| {
+            let inputs: Vec<_> = inputs.iter().map(|role| (*role, axis)).collect();
+            let outputs: Vec<_> = outputs.iter().map(|(role, first)| (*role, first + axis)).collect();
+            of(kind, &inputs, &outputs, 1, kind == Of::Views)
+        })
+    };
+    let voxels = |inputs: Option<&'static str>, outputs: Option<&'static str>| {
+        (0..3).map(move |axis| {
+            let inputs: Vec<_> = inputs.iter().map(|role| (*role, axis)).collect();
+            let outputs: Vec<_> = outputs.iter().map(|role| (*role, axis)).collect();
+            of(Of::Voxels(axis), &inputs, &outputs, 1, false)
+        })
+    };
+    let block =
+        |step| move |axis| of(Of::Elements, &[("block", axis), ("high", axis)], &[("gradient", axis)], step, step != 2);
+    match stage {
+        "covariance" => vec![primitives("model", &[("covariance", 0)])],
+        "kernel" => vec![elements(&[("delta", 0), ("nu", 0)], &[("kernel", 0)])],
+        "integral-factor" => vec![elements(&[("nu", 0)], &[("factor", 0), ("slope", 0)])],
+        "density" | "density-cutoff" => {
+            [primitives("model", &[])].into_iter().chain(voxels(None, Some("volume"))).collect()
+        }
+        "projected-kernel-affine" | "projected-kernel-exact" => {
+            [primitives("model", &[("kernels", 0)])].into_iter().chain(images(None, Some(("kernels", 1)))).collect()
+        }
+        "image-affine" | "image-exact" | "image-cutoff" => {
+            [primitives("model", &[])].into_iter().chain(images(None, Some(("image", 0)))).collect()
+        }
+        "gradient-density" => {
+            [primitives("model", &[("grad", 0)])].into_iter().chain(voxels(Some("cotangent"), None)).collect()
+        }
+        "gradient-image-affine" | "gradient-image-exact" => {
+            [primitives("model", &[("grad", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
+        }
+        "gradient-shadow" => {
+            [primitives("model", &[("shadow", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
+        }
+        "gradient-raw" => {
+            [primitives("raw", &[("grad", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
+        }
+        "activation" => vec![primitives("raw", &[("physical", 0)])],
+        "loss-l1" | "loss-ssim" | "loss-image" => {
+            let along = |axis| elements(&[("prediction", axis), ("target", axis)], &[("gradient", axis)]);
+            vec![along(0), along(1)]
+        }
+        "loss-tv" => (0..3).map(block(1)).collect(),
+        "haar" => (0..3).map(block(2)).collect(),
+        "wavelet-loss" => (0..3).map(block(4)).collect(),
+        "gradient-wavelet" => vec![primitives("model", &[("grad", 0)])],
+        "nu-target" => vec![elements(&[("c", 0)], &[("nu_target", 0)])],
+        "loss-nu" => vec![elements(&[("nu", 0), ("target", 0), ("confidence", 0)], &[("gradient", 0)])],
+        "schedule" => vec![elements(&[("steps", 0)], &[("rate", 0)])],
+        "sghmc-gate" => vec![elements(&[("density", 0)], &[("gate", 0)])],
+        "adam" => vec![
+            elements(&[("start", 0), ("gradients", 1)], &[("trajectory", 1)]),
+            of(Of::Elements, &[("gradients", 0), ("rates", 0)], &[("trajectory", 0)], 1, false),
+        ],
+        "sghmc" => vec![
+            elements(
+                &[("start", 0), ("directions", 1), ("noise", 1), ("gates", 0), ("covariance", 0)],
+                &[("trajectory", 1)],
+            ),
+            of(Of::Elements, &[("directions", 0), ("noise", 0), ("rates", 0)], &[("trajectory", 0)], 1, false),
+        ],
+        _ => Vec::new(),
+    }
+}

@@ -1,0 +1,328 @@
+//! A hunt: fresh questions to a backend until it fails, and the failure shrunk to a question that can be replayed.
+//!
+//! A hunt is a function of its seed and of the backend. After each batch `hunt.json` has what was asked and found, so a hunt
+//! that was killed goes on where it stopped.
+
+mod shrink;
+
+use crate::check::{CaseResult, Options, Status, check};
+use crate::format::Format;
+use crate::fresh::draft::{self, Draft};
+use crate::fresh::{self, truth};
+use crate::limits::Tolerances;
+use crate::manifest::{Level, Vectors};
+use crate::outputs::Outputs;
+use crate::waivers;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use shrink::{Judge, shrink};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use trgs_core::error::{Error, Result};
+use trgs_scan::output::{Destination, Kind, write_atomically};
+
+/// File of the state and the results of a hunt.
+pub const STATE: &str = "hunt.json";
+/// Questions of one stage in the first batch; later ones are larger.
+const FIRST: usize = 24;
+const LATER: usize = 96;
+
+/// An implementation that answers questions: the folder of the questions, and the folder for its answers.
+///
+/// The result is the reason why it ended before its time, if it did.
+pub type Backend<'a> = dyn FnMut(&Vectors, &Path, &Path) -> Result<Option<String>> + 'a;
+
+/// The range of a hunt.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Stages to ask.
+    pub stages: Vec<String>,
+    /// Seed of the questions.
+    pub seed: u64,
+    /// Questions of each stage.
+    pub cases: usize,
+    /// The backend's arithmetic.
+    pub precision: Format,
+    /// How demanding the questions are.
+    pub level: Level,
+}
+
+/// A failure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finding {
+    /// The stage that fails.
+    pub stage: String,
+    /// The first question that failed.
+    pub first: String,
+    /// The number of questions of the stage that were asked, and of those that failed.
+    pub asked: usize,
+    /// Failures among them.
+    pub failed: usize,
+    /// The mistake that the most of them look like.
+    pub looks_like: Option<String>,
+    /// What is wrong with the shrunk question.
+    pub error: String,
+    /// Primitives of the shrunk question.
+    pub primitives: usize,
+    /// Its pixels, voxels or elements.
+    pub elements: usize,
+    /// The folder of the shrunk question, below that of the hunt.
+    pub case: String,
+}
+
+/// State and result of a hunt.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hunt {
+    /// The range.
+    pub settings: Settings,
+    /// Number of questions asked by stage, and the number of the next one.
+    pub asked: BTreeMap<String, (usize, u64)>,
+    /// Stages without any answer.
+    pub unanswered: Vec<String>,
+    /// One for each stage that failed.
+    pub findings: Vec<Finding>,
+}
+
+impl Hunt {
+    /// Begins a hunt in a folder, or goes on with the one that is there.
+    ///
+    /// # Errors
+    /// For an unknown stage, a folder with other content, or a hunt with other settings.
+    pub fn open(folder: &Path, settings: Settings) -> Result<Self> {
+        if let Some(unknown) = settings.stages.iter().find(|stage| !fresh::STAGES.contains(&stage.as_str())) {
+            return Err(draft::unknown_stage(unknown));
+        }
+        let new = Self { settings, asked: BTreeMap::new(), unanswered: Vec::new(), findings: Vec::new() };
+        let path = folder.join(STATE);
+        let refuse = |got: &str, expected: &str| {
+            let remedy = "name another folder, or delete this one";
+            Err(Error::invalid(format!("folder {}", folder.display()), got, expected, remedy))
+        };
+        match trgs_scan::input::read(&path) {
+            Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
+                Ok(old) if old.settings == new.settings => Ok(old),
+                _ => refuse("a hunt with other settings", "a new folder, or a hunt with the same settings"),
+            },
+            Err(_) if folder.read_dir().is_ok_and(|mut entries| entries.next().is_some()) => {
+                refuse("other content", "a new or empty folder, or an unfinished hunt")
+            }
+            Err(_) => Ok(new),
+        }
+    }
+
+    /// Asks until each stage has failed or has answered all its questions, or the time is over.
+    ///
+    /// # Errors
+    /// Those of files, and of a backend that cannot be started.
+    pub fn run(&mut self, folder: &Path, limit: Option<Duration>, backend: &mut Backend<'_>) -> Result<()> {
+        let begin = Instant::now();
+        while limit.is_none_or(|limit| begin.elapsed() < limit) {
+            let mut batch = Vec::new();
+            for stage in self.open_stages() {
+                let (asked, next) = self.asked.get(&stage).copied().unwrap_or_default();
+                let size = if asked == 0 { FIRST } else { LATER }.min(self.settings.cases - asked);
+                let (drafts, next) = fresh::drafts(&stage, self.settings.seed, next, size, self.settings.level);
+                batch.extend(drafts);
+                self.asked.insert(stage, (asked + size, next));
+            }
+            if batch.is_empty() {
+                break;
+            }
+            let mut asker = Asker { settings: &self.settings, backend: &mut *backend };
+            let results: Vec<CaseResult> = asker.ask(&batch)?.into_iter().flatten().collect();
+            for stage in self.open_stages_of(&batch) {
+                let of = |result: &&CaseResult| result.stage == stage;
+                let answered = results.iter().filter(of).any(|result| result.status != Status::Missing);
+                let failed: Vec<&CaseResult> = results.iter().filter(of).filter(|r| is_failure(r, answered)).collect();
+                if !answered && failed.is_empty() {
+                    self.unanswered.push(stage);
+                } else if let Some(first) = failed.first() {
+                    let start = batch.iter().find(|draft| draft.id == first.id).expect("the question that was asked");
+                    let finding = self.finding(folder, start, &failed, backend)?;
+                    self.findings.push(finding);
+                }
+            }
+            self.write(folder)?;
+        }
+        self.write(folder)
+    }
+
+    fn is_open(&self, stage: &str) -> bool {
+        let asked = self.asked.get(stage).map_or(0, |(asked, _)| *asked);
+        let closed = self.findings.iter().map(|finding| &finding.stage).chain(&self.unanswered);
+        asked < self.settings.cases && !closed.into_iter().any(|closed| closed == stage)
+    }
+
+    fn open_stages(&self) -> Vec<String> {
+        self.settings.stages.iter().filter(|stage| self.is_open(stage)).cloned().collect()
+    }
+
+    fn open_stages_of(&self, batch: &[Draft]) -> Vec<String> {
+        let mut stages: Vec<String> = batch.iter().map(|draft| draft.stage.clone()).collect();
+        stages.dedup();
+        stages
+    }
+
+    /// Shrinks a failure and writes it.
+    fn finding(
+        &self,
+        folder: &Path,
+        start: &Draft,
+        failed: &[&CaseResult],
+        backend: &mut Backend<'_>,
+    ) -> Result<Finding> {
+        let mut asker = Asker { settings: &self.settings, backend };
+        let small = shrink(start.clone(), &mut asker)?;
+        let result = asker.ask(std::slice::from_ref(&small))?.remove(0);
+        let error = result.as_ref().map_or_else(String::new, describe);
+        let case = format!("{}-{}", small.stage, small.id.rsplit('-').next().unwrap_or_default());
+        let vectors = question(small.clone(), &self.settings)?;
+        let cases: Vec<_> = vectors.manifest.cases.iter().collect();
+        let destination = Destination::new(folder.join(&case), Kind::Vectors, "oracle hunt").overwrite(true);
+        vectors.export(destination, true, &cases)?;
+        let [primitives, elements] = small.size();
+        Ok(Finding {
+            stage: small.stage.clone(),
+            first: start.id.clone(),
+            asked: self.asked[&small.stage].0,
+            failed: failed.len(),
+            looks_like: most_frequent(failed),
+            error,
+            primitives,
+            elements,
+            case,
+        })
+    }
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        trgs_scan::output::create_folder(folder)?;
+        write_atomically(&folder.join(STATE), |out| Ok(serde_json::to_writer_pretty(out, self)?))
+    }
+}
+
+/// A shrunk question as vectors that can be replayed.
+fn question(small: Draft, settings: &Settings) -> Result<Vectors> {
+    Ok(draft::vectors(&[small], &[("precision", json!(settings.precision)), ("seed", json!(settings.seed))]))
+}
+
+/// Asks a backend generated questions again, such as a shrunk one, and judges the answers.
+///
+/// # Errors
+/// Those of files, and of a backend that cannot be started.
+pub fn replay(vectors: &Vectors, precision: Format, backend: &mut Backend<'_>) -> Result<Vec<CaseResult>> {
+    let settings = Settings { stages: Vec::new(), seed: 0, cases: 0, precision, level: Level::Stress };
+    let drafts = vectors.manifest.cases.iter().map(|case| Draft::read(vectors, case)).collect::<Result<Vec<_>>>()?;
+    Ok(Asker { settings: &settings, backend }.ask(&drafts)?.into_iter().flatten().collect())
+}
+
+/// The precision that generated questions were asked in, if they say so.
+pub fn precision(vectors: &Vectors) -> Option<Format> {
+    vectors.manifest.generator.get("precision").and_then(|value| serde_json::from_value(value.clone()).ok())
+}
+
+/// Whether a result is a failure. No answer is one where other questions of the stage are answered.
+fn is_failure(result: &CaseResult, answered: bool) -> bool {
+    result.status == Status::Failed || (result.status == Status::Missing && answered)
+}
+
+/// The names of most failures.
+fn most_frequent(failed: &[&CaseResult]) -> Option<String> {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for name in failed.iter().flat_map(|result| &result.parts).filter_map(|part| part.looks_like.as_deref()) {
+        *counts.entry(name).or_default() += 1;
+    }
+    let most = counts.values().copied().max()?;
+    counts.iter().find(|(_, count)| **count == most).map(|(name, _)| (*name).to_owned())
+}
+
+/// The worst array of a result in words.
+pub fn describe(result: &CaseResult) -> String {
+    let part = result.parts.iter().max_by_key(|part| part.status);
+    let Some(part) = part else { return "no array".into() };
+    if let Some(message) = &part.message {
+        return format!("{}: {message}", part.output);
+    }
+    match part.difference.as_ref().and_then(|difference| difference.worst.as_ref()) {
+        Some(worst) => format!("{}{:?}: got {}, expected {}", part.output, worst.index, worst.got, worst.expected),
+        None => format!("{}: equal", part.output),
+    }
+}
+
+/// A backend with the judge of its answers.
+struct Asker<'a, 'b> {
+    settings: &'a Settings,
+    backend: &'a mut Backend<'b>,
+}
+
+/// A question with its truth.
+type Known<'a> = (&'a Draft, (Outputs, Outputs));
+
+impl Asker<'_, '_> {
+    /// Results in the order of the questions; none for a question without a finite answer, which is not asked.
+    fn ask(&mut self, drafts: &[Draft]) -> Result<Vec<Option<CaseResult>>> {
+        let format = self.settings.precision;
+        let known: Vec<Option<Known<'_>>> =
+            drafts.iter().map(|draft| Some((draft, truth::truth(draft, format).ok()?))).collect();
+        let valid: Vec<bool> = known.iter().map(Option::is_some).collect();
+        let mut results = self.judge(&known.into_iter().flatten().collect::<Vec<_>>())?.into_iter();
+        Ok(valid.into_iter().map(|valid| if valid { results.next() } else { None }).collect())
+    }
+
+    /// Questions that ended the backend before its time are found by halves.
+    fn judge(&mut self, known: &[Known<'_>]) -> Result<Vec<CaseResult>> {
+        if known.is_empty() {
+            return Ok(Vec::new());
+        }
+        let scratch = tempfile::tempdir().map_err(|source| Error::write(&std::env::temp_dir(), source))?;
+        let (questions, answers) = (scratch.path().join("vectors"), scratch.path().join("answers"));
+        let drafts: Vec<Draft> = known.iter().map(|(draft, _)| (*draft).clone()).collect();
+        let mut vectors = draft::vectors(&drafts, &[]);
+        write_plainly(&vectors, &questions)?;
+        trgs_scan::output::create_folder(&answers)?;
+        let ended = (self.backend)(&vectors, &questions, &answers)?;
+        if ended.is_some() && known.len() > 1 {
+            let (first, second) = known.split_at(known.len() / 2);
+            let mut results = self.judge(first)?;
+            results.extend(self.judge(second)?);
+            return Ok(results);
+        }
+        known.iter().enumerate().for_each(|(index, (_, truth))| truth::insert(&mut vectors, index, truth));
+        let format = self.settings.precision;
+        let today = waivers::today();
+        let options = Options { format, level: Level::Stress, stages: &[], waivers: &[], today, commit: None };
+        let mut results = check(&vectors, &Tolerances::embedded()?.for_fresh(), &answers, &options)?.results;
+        if let Some(reason) = ended {
+            for part in results.iter_mut().flat_map(|result| &mut result.parts) {
+                (part.status, part.message) = (Status::Failed, Some(reason.clone()));
+            }
+            results.iter_mut().for_each(|result| result.status = Status::Failed);
+        }
+        Ok(results)
+    }
+}
+
+impl Judge for Asker<'_, '_> {
+    fn fail(&mut self, drafts: &[Draft]) -> Result<Vec<bool>> {
+        let mut asked = drafts.to_vec();
+        asked.iter_mut().enumerate().for_each(|(index, draft)| draft.id = format!("{}/try-{index}", draft.stage));
+        let results = self.ask(&asked)?;
+        Ok(results.iter().map(|result| result.as_ref().is_some_and(|result| is_failure(result, true))).collect())
+    }
+}
+
+/// Writes questions to a scratch folder: without marks, and without waiting for the disk.
+fn write_plainly(vectors: &Vectors, folder: &Path) -> Result<()> {
+    let write = |path: PathBuf, bytes: &[u8]| {
+        trgs_scan::output::create_folder(path.parent().expect("a file is in a folder"))?;
+        std::fs::write(&path, bytes).map_err(|source| Error::write(&path, source))
+    };
+    for (name, bytes) in &vectors.files {
+        write(folder.join(name), bytes)?;
+    }
+    let manifest = serde_json::to_vec(&vectors.manifest).expect("a manifest is JSON");
+    write(folder.join("manifest.json"), &manifest)
+}
+
+#[cfg(test)]
+mod tests;
