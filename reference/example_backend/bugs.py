@@ -168,22 +168,29 @@ def verdict(name, right):
     return "described" if observed else "wrong"
 
 
-def judge(trgs, precision, bug, text, vectors, folder):
-    name, stages, right, changes = bug
+def mutated(bug, text, folder):
+    """Writes the backend with one bug, for the stages of the bug alone."""
+    name, stages, _, changes = bug
     for old, new in changes:
         assert old in text, f"{name}: {old!r} is not in the backend"
     for k, (old, _) in enumerate(changes):
         text = text.replace(old, f"\0{k}\0")
     for k, (_, new) in enumerate(changes):
         text = text.replace(f"\0{k}\0", new)
-    backend, answers, report = folder / "backend.py", folder / "answers", folder / "report.json"
     folder.mkdir()
+    backend = folder / "backend.py"
     loop = next(line for line in text.splitlines() if line.endswith('["cases"]:'))
     indent = " " * (len(loop) - len(loop.lstrip()) + 4)
     text = text.replace(loop, f'{loop}\n{indent}if case["stage"] not in {stages.split(",")}: continue', 1)
     # A bug may compute in double precision what the rest computes in single precision.
     text = text.replace("assert all(array.dtype == REAL", "assert all(array.dtype")
     backend.write_text(text)
+    return backend
+
+
+def judge(trgs, precision, bug, text, vectors, folder):
+    name, stages, right, _ = bug
+    backend, answers, report = mutated(bug, text, folder), folder / "answers", folder / "report.json"
     word = {"f64": "float64", "f32": "float32"}[precision]
     done = subprocess.run([sys.executable, "-W", "ignore", str(backend), str(vectors), str(answers), word], capture_output=True, text=True)
     assert done.returncode == 0, f"{name}: {done.stderr}"

@@ -87,7 +87,7 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
             raise(&mut condition, &base, &answer(&moved(&smooth, sample)?, Precision::F64)?, 1.0 / STEP);
         }
     }
-    for_slopes_to_nu(&question, &mut condition)?;
+    for_what_cancels(&question, &mut condition)?;
     let unit = match format {
         Format::F64 => Format::F64.ulp(1.0),
         Format::F32 | Format::F16 | Format::Bf16 => Format::F32.ulp(1.0),
@@ -220,9 +220,13 @@ fn gamma(nu: f64) -> f64 {
     if nu.is_finite() { libm::lgamma(0.5 * nu.abs() + 1.5).abs() } else { 0.0 }
 }
 
-/// Adds to the condition of ∂/∂ν, and of the integral factor, what cancels: logarithms of Γ and ψ.
-fn for_slopes_to_nu(question: &Question, condition: &mut Outputs) -> Result<()> {
+/// Adds what cancels to the condition: logarithms of Γ and ψ in ∂/∂ν and in the integral factor, and 1 - SSIM.
+fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> {
     let cancelled = |nu: f64| if nu.is_finite() { 1.0 + libm::log(1.0 + nu) } else { 0.0 };
+    if let ("loss-image", Some(value)) = (question.stage.as_str(), condition.get_mut("value")) {
+        // 1 - SSIM of images that are almost equal: SSIM itself is rounded at 1.
+        value.get_mut("").expect("an array")[[0]] += question.setting("weight")?;
+    }
     if question.stage == "integral-factor" {
         for (index, nu) in question.numbers("nu")?.into_iter().enumerate() {
             let factor = student_t::line_integral(nu).0;
