@@ -9,8 +9,9 @@ use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::OnceLock;
+use std::time::Duration;
 use trgs::oracle::manifest::{Arrays, Case, FileRef};
-use trgs::oracle::{Format, Level, Options, Outputs, Tolerances, Vectors, answers, check, waivers};
+use trgs::oracle::{Format, Level, Options, Outputs, Tolerances, Vectors, answers, check, fresh, hunt, waivers};
 
 const LEVELS: [(&str, Level); 3] = [("core", Level::Core), ("optional", Level::Optional), ("stress", Level::Stress)];
 const FORMATS: [(&str, Format); 4] =
@@ -79,15 +80,23 @@ pub(crate) fn conformance_truth<'py>(py: Python<'py>, id: &str, role: &str) -> P
 }
 
 /// Judges the answers of a case, `{role: {name: array}}`; returns the result as JSON.
+///
+/// `folder` has generated questions, if the case is one of them.
 #[pyfunction]
 pub(crate) fn conformance_check<'py>(
     py: Python<'py>,
     id: &str,
     outputs: BTreeMap<String, BTreeMap<String, PyReadonlyArrayDyn<'py, f64>>>,
     precision: &str,
+    folder: Option<PathBuf>,
 ) -> PyResult<String> {
     let format = word("precision", precision, &FORMATS)?;
-    let case = case(vectors()?, id)?;
+    let generated = folder.map(Vectors::open).transpose().map_err(raise)?;
+    let all = match &generated {
+        Some(vectors) => vectors,
+        None => vectors()?,
+    };
+    let case = case(all, id)?;
     let owned = |array: PyReadonlyArray<'py, f64, IxDyn>| array.as_array().to_owned();
     let outputs: Outputs = outputs
         .into_iter()
@@ -96,7 +105,7 @@ pub(crate) fn conformance_check<'py>(
             (role, arrays)
         })
         .collect();
-    let mut one = vectors()?.clone();
+    let mut one = all.clone();
     one.manifest.cases = vec![case.clone()];
     try_run(py, || {
         let folder = tempfile::tempdir().map_err(|source| trgs::Error::write(&std::env::temp_dir(), source))?;
@@ -109,7 +118,9 @@ pub(crate) fn conformance_check<'py>(
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let report = check::check(&one, &Tolerances::embedded()?, folder.path(), &options)?;
+        let tolerances = Tolerances::embedded()?;
+        let tolerances = if fresh::is_generated(&one) { tolerances.for_fresh() } else { tolerances };
+        let report = check::check(&fresh::with_truth(one, format)?, &tolerances, folder.path(), &options)?;
         Ok(serde_json::to_string(&report.results[0]).expect("a result is JSON"))
     })
 }
@@ -126,4 +137,53 @@ pub(crate) fn conformance_export(
     let vectors = vectors()?;
     let selected = check::select(vectors, word("level", level, &LEVELS)?, &stages).map_err(raise)?;
     try_run(py, || vectors.export(&folder, blind, &selected))
+}
+
+/// Writes generated questions to a folder.
+#[pyfunction]
+pub(crate) fn conformance_make(
+    py: Python<'_>,
+    folder: PathBuf,
+    stages: Vec<String>,
+    seed: u64,
+    count: usize,
+    level: &str,
+) -> PyResult<usize> {
+    let level = word("level", level, &LEVELS)?;
+    try_run(py, || {
+        let vectors = fresh::make(&stages, seed, count, level)?;
+        vectors.export(&folder, true, &vectors.manifest.cases.iter().collect::<Vec<_>>())
+    })
+}
+
+/// Hunts with `backend(questions, answers)`, a function of two folders that returns why it ended or None.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "the arguments of the Python function")]
+pub(crate) fn conformance_hunt(
+    py: Python<'_>,
+    backend: Py<PyAny>,
+    folder: PathBuf,
+    stages: Vec<String>,
+    seed: u64,
+    cases: usize,
+    seconds: Option<f64>,
+    precision: &str,
+    level: &str,
+) -> PyResult<String> {
+    let (precision, level) = (word("precision", precision, &FORMATS)?, word("level", level, &LEVELS)?);
+    let settings = hunt::Settings { stages, seed, cases, precision, level };
+    let mut raised = None;
+    let found = try_run(py, || {
+        let mut hunt = hunt::Hunt::open(&folder, settings)?;
+        let limit = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+        hunt.run(&folder, limit, &mut |_, questions, answers| {
+            let ended = Python::attach(|py| backend.call1(py, (questions, answers))?.extract::<Option<String>>(py));
+            ended.map_err(|error| {
+                raised = Some(error);
+                trgs::Error::Interrupted { step: 0, remedy: "call the function again to go on".into() }
+            })
+        })?;
+        Ok(serde_json::to_string(&hunt).expect("a hunt is JSON"))
+    });
+    raised.map_or(found, Err)
 }

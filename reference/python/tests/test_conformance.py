@@ -290,6 +290,35 @@ def test_a_gradient_is_a_mapping_or_five_arrays():
         case.check(grad=found._replace(mean=2 * found.mean), precision="f64")
 
 
+@conformance.cases(stage=["image-exact", "gradient-density", "kernel"], fresh=4, seed=3)
+def test_generated_questions_are_judged(case):
+    case.check(precision="f64", **answers(case, STAGES[case.stage](case, np.float64)))
+    with pytest.raises(conformance.Failure, match="shape|missing"):
+        case.check(precision="f64", **{case.output_names[0]: np.zeros((1, 1, 1, 1))})
+    with pytest.raises(ValueError, match="generated question"):
+        _ = case.truth
+
+
+def test_a_hunt_shrinks_what_a_function_fails(tmp_path):
+    def mirrored(case):
+        return images(case, np.float64)[..., ::-1]
+
+    (finding,) = conformance.hunt(mirrored, stage="image-exact", cases=50, precision="f64", out=tmp_path / "found")
+    assert finding["primitives"] == 1 and finding["elements"] <= 2
+    assert finding["looks_like"] == "mirrored along u"
+    assert (tmp_path / "found" / finding["case"] / "manifest.json").exists()
+    right = conformance.hunt(lambda case: images(case, np.float64), stage="image-exact", cases=20, precision="f64", out=tmp_path / "none")
+    assert right == []
+
+    def raises(case):
+        raise RuntimeError("not yet")
+
+    (finding,) = conformance.hunt(raises, stage="kernel", cases=4, out=tmp_path / "raises")
+    assert "RuntimeError: not yet" in finding["error"]
+    with pytest.raises(ValueError, match="other settings"):
+        conformance.hunt(raises, stage="kernel", cases=5, out=tmp_path / "raises")
+
+
 def test_truth_and_inputs_are_those_of_an_export(tmp_path):
     folder = tmp_path / "vectors"
     assert conformance.export(folder, stage="image-exact") > 10

@@ -29,7 +29,9 @@ __all__ = [
     "conformance_cases",
     "conformance_check",
     "conformance_export",
+    "conformance_hunt",
     "conformance_input",
+    "conformance_make",
     "conformance_open",
     "conformance_truth",
     "cpu_level",
@@ -575,5 +577,18 @@ def conformance_cases(stages: Sequence[str], level: str) -> str: ...
 def conformance_input(id: str, role: str) -> Any: ...
 def conformance_open(folder: _Path) -> None: ...
 def conformance_truth(id: str, role: str) -> Any: ...
-def conformance_check(id: str, outputs: dict[str, dict[str, NDArray[np.float64]]], precision: str) -> str: ...
+def conformance_check(
+    id: str, outputs: dict[str, dict[str, NDArray[np.float64]]], precision: str, folder: _Path | None
+) -> str: ...
+def conformance_make(folder: _Path, stages: Sequence[str], seed: int, count: int, level: str) -> int: ...
+def conformance_hunt(
+    backend: Callable[[Any, Any], str | None],
+    folder: _Path,
+    stages: Sequence[str],
+    seed: int,
+    cases: int,
+    seconds: float | None,
+    precision: str,
+    level: str,
+) -> str: ...
 def conformance_export(folder: _Path, stages: Sequence[str], level: str, blind: bool) -> int: ...

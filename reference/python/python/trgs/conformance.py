@@ -8,12 +8,16 @@ A backend's test with pytest, in which `image` is the backend's own function::
     def test_image(case):
         case.check(image=image(case.inputs["model"], case.inputs["scanner"], case.settings["angles"]), precision="f32")
 
-`export` writes the page that defines every stage beside the vectors.
+`export` writes the page that defines every stage beside the vectors. `cases(stage=…, fresh=200, seed=1)` asks generated questions
+instead of those of the vectors, and `hunt` shrinks the questions that a function fails.
 """
 
 from __future__ import annotations
 
+import atexit
 import json
+import shutil
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,7 +33,9 @@ from ._core import (
     conformance_cases,
     conformance_check,
     conformance_export,
+    conformance_hunt,
     conformance_input,
+    conformance_make,
     conformance_open,
     conformance_truth,
 )
@@ -45,7 +51,7 @@ if _FOLDER.is_dir():
 
 _GROUPS = ("mean", "scale", "quaternion", "density", "nu")
 
-__all__ = ["Case", "Failure", "cases", "export", "find"]
+__all__ = ["Case", "Failure", "cases", "export", "find", "hunt"]
 
 
 class Failure(AssertionError):
@@ -71,6 +77,8 @@ class Case:
     """Numbers and words that are not arrays; angles are in radians."""
     input_names: tuple[str, ...] = field(repr=False)
     output_names: tuple[str, ...] = field(repr=False)
+    folder: str | None = field(default=None, repr=False)
+    """The folder of a generated question."""
 
     @cached_property
     def inputs(self) -> dict[str, Any]:
@@ -78,17 +86,23 @@ class Case:
         return {role: self._input(role) for role in self.input_names}
 
     def _input(self, role: str) -> Any:
+        if self.folder is not None:
+            return _load(_file(self.folder, self.id, role))
         value = conformance_input(self.id, role)
         return json.loads(value)["scanner"] if isinstance(value, str) else value
 
     @property
     def scanner(self) -> Scanner:
         """The scanner as trgs has it."""
+        if self.folder is not None:
+            return Scanner.parse(_file(self.folder, self.id, "scanner").read_text(encoding="utf-8"))
         return Scanner.parse(conformance_input(self.id, "scanner"))
 
     @property
     def truth(self) -> dict[str, Any]:
-        """Role → what is expected, computed with 50 digits: a float64 array or a dict of arrays."""
+        """Role → what is expected, computed with 50 digits: a float64 array or a dict of arrays. Not of generated questions."""
+        if self.folder is not None:
+            raise ValueError("truth: got a generated question, expected one of the vectors; call check, which computes it")
         return {role: conformance_truth(self.id, role) for role in self.output_names}
 
     def check(self, *, precision: Precision = "f32", **answers: Answer) -> dict[str, Any]:
@@ -120,7 +134,7 @@ class Case:
                 f"give case.check({self.output_names[0]}=…)"
             )
         arrays = {role: self._arrays(answer) for role, answer in answers.items()}
-        result: dict[str, Any] = json.loads(conformance_check(self.id, arrays, precision))
+        result: dict[str, Any] = json.loads(conformance_check(self.id, arrays, precision, self.folder))
         if result["status"] not in ("passed", "skipped"):
             raise Failure(_message(result, precision), result)
         return result
@@ -131,6 +145,30 @@ class Case:
             answer = dict(zip(_GROUPS, answer))
         named: Mapping[str, Any] = answer if isinstance(answer, Mapping) else {"": answer}
         return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in named.items()}
+
+
+def _entries(folder: str) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = json.loads(Path(folder, "manifest.json").read_text(encoding="utf-8"))["cases"]
+    return entries
+
+
+def _file(folder: str, id: str, role: str) -> Path:
+    (entry,) = (entry for entry in _entries(folder) if entry["id"] == id)
+    return Path(folder, entry["inputs"][role]["file"])
+
+
+def _load(path: Path) -> Any:
+    if path.suffix == ".json":
+        return json.loads(path.read_text(encoding="utf-8"))["scanner"]
+    if path.suffix == ".npy":
+        return np.load(path)
+    with np.load(path) as arrays:
+        return dict(arrays)
+
+
+def _case(entry: dict[str, Any], folder: str | None = None) -> Case:
+    names = ("id", "stage", "title", "level", "settings")
+    return Case(*(entry[name] for name in names), tuple(entry["inputs"]), tuple(entry["outputs"]), folder)
 
 
 def _message(result: dict[str, Any], precision: str) -> str:
@@ -167,27 +205,29 @@ def find(*, stage: str | Sequence[str] | None = None, level: Level = "core") -> 
         For an unknown stage or level, or when no case is left.
     """
     entries = json.loads(conformance_cases(_stages(stage), level))
-    return [
-        Case(
-            entry["id"],
-            entry["stage"],
-            entry["title"],
-            entry["level"],
-            entry["settings"],
-            tuple(entry["inputs"]),
-            tuple(entry["outputs"]),
-        )
-        for entry in entries
-    ]
+    return [_case(entry) for entry in entries]
 
 
-def cases(*, stage: str | Sequence[str] | None = None, level: Level = "core") -> Callable[..., Any]:
+def _fresh(stage: str | Sequence[str] | None, level: Level, count: int, seed: int) -> list[Case]:
+    folder = tempfile.mkdtemp(prefix="trgs-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    conformance_make(folder, _stages(stage), seed, count, level)
+    return [_case(entry, folder) for entry in _entries(folder)]
+
+
+def cases(
+    *, stage: str | Sequence[str] | None = None, level: Level = "core", fresh: int = 0, seed: int = 0
+) -> Callable[..., Any]:
     """Parametrises a test with the argument `case`. Needs pytest.
 
     Parameters
     ----------
     stage, level
         As of `find`.
+    fresh : int
+        Generated questions of each stage, instead of those of the vectors. `stage` must be given.
+    seed : int
+        Seed of the generated questions.
 
     Returns
     -------
@@ -201,7 +241,68 @@ def cases(*, stage: str | Sequence[str] | None = None, level: Level = "core") ->
     """
     import pytest
 
-    return pytest.mark.parametrize("case", [pytest.param(case, id=case.id) for case in find(stage=stage, level=level)])
+    found = _fresh(stage, level, fresh, seed) if fresh else find(stage=stage, level=level)
+    return pytest.mark.parametrize("case", [pytest.param(case, id=case.id) for case in found])
+
+
+def hunt(
+    function: Callable[[Case], Answer | Mapping[str, Answer]],
+    *,
+    stage: str | Sequence[str],
+    out: str | PathLike[str],
+    seed: int = 0,
+    cases: int = 1000,
+    seconds: float | None = None,
+    precision: Precision = "f32",
+    level: Level = "core",
+) -> list[dict[str, Any]]:
+    """Asks a function generated questions until it fails, and shrinks each failure.
+
+    Parameters
+    ----------
+    function : callable
+        Gets a `Case`; returns the only output, or a mapping of all outputs by role. An exception of it is a failure.
+    stage : str or sequence of str
+    out : str or os.PathLike
+        Folder for the shrunk questions, which `trgs oracle replay` asks again: new, empty, or of the same hunt.
+    seed : int
+    cases : int
+        Questions of each stage.
+    seconds : float, optional
+        Stops after this time.
+    precision, level
+        As of `Case.check` and `find`.
+
+    Returns
+    -------
+    list of dict
+        One for each stage that fails: `looks_like`, `error`, `primitives`, `elements`, `case` (the folder below `out`).
+
+    Raises
+    ------
+    ValueError
+        For an unknown stage, or a folder with other content.
+    """
+
+    def backend(questions: Any, answers: Any) -> str | None:
+        for entry in _entries(questions):
+            try:
+                found = function(_case(entry, str(questions)))
+            except Exception as error:
+                return f"{type(error).__name__}: {error}"
+            roles = tuple(entry["outputs"])
+            if not (isinstance(found, Mapping) and set(found) == set(roles)):
+                found = {roles[0]: found}
+            for role, answer in found.items():
+                path = Path(answers, entry["outputs"][role]["file"])
+                path.parent.mkdir(parents=True, exist_ok=True)
+                arrays = Case._arrays(answer)
+                np.save(path, arrays[""]) if "" in arrays else np.savez(path, **arrays)
+        return None
+
+    found = conformance_hunt(backend, out, _stages(stage), seed, cases, seconds, precision, level)
+    findings: list[dict[str, Any]] = json.loads(found)["findings"]
+    return findings
 
 
 def export(
