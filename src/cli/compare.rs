@@ -56,6 +56,7 @@ fn describe(array: &Comparison) -> Vec<String> {
             lines.push(format!("  worst at {:?}: expected {:e}, got {:e}", worst.index, worst.expected, worst.got));
         }
     }
+    lines.extend(array.place.as_ref().map(|place| format!("  differs at {place}")));
     lines.extend(array.looks_like.as_ref().map(|name| format!("  looks like {name}")));
     lines
 }

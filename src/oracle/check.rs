@@ -1,10 +1,12 @@
 //! Checks a backend's answers against the truth.
 
+use super::condition::{self, Conditions};
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
-use super::limits::{Excess, Tolerances};
+use super::limits::{Element, Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
+use super::place::Errors;
 use super::question::Question;
 use super::waivers::Waiver;
 use ndarray::ArrayD;
@@ -63,6 +65,9 @@ pub struct PartResult {
     /// The errors, if the arrays could be compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference: Option<Difference>,
+    /// The element that is nearest to its own limit, or beyond it, where its condition is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub element: Option<Element>,
     /// The norms above their limits.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub exceeded: Vec<Excess>,
@@ -72,6 +77,9 @@ pub struct PartResult {
     /// The mistake that explains the error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub looks_like: Option<String>,
+    /// The rows, views, primitives or tiles that are wrong, if the rest is right.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
 }
 
 /// One case.
@@ -213,14 +221,25 @@ fn check_case(
     case: &Case,
 ) -> Result<CaseResult> {
     let mut parts = Vec::new();
+    let conditions = condition::of(vectors, case)?;
     for (role, file) in &case.outputs {
         let expected = vectors.arrays(file)?;
         let allowance = case.allowances.get(role).map(|file| vectors.arrays(file)).transpose()?;
         let got = read_answer(folder, file);
         for (name, expected) in &expected {
             let allowance = allowance.as_ref().and_then(|arrays| arrays.get(name));
-            let part =
-                Part { vectors, tolerances, case, role, file, name, expected, allowance, format: options.format };
+            let part = Part {
+                vectors,
+                tolerances,
+                case,
+                role,
+                file,
+                name,
+                expected,
+                allowance,
+                conditions: &conditions,
+                format: options.format,
+            };
             parts.push(part.judge(&got)?);
         }
     }
@@ -260,6 +279,7 @@ struct Part<'a> {
     name: &'a str,
     expected: &'a ArrayD<f64>,
     allowance: Option<&'a ArrayD<f64>>,
+    conditions: &'a Conditions,
     format: Format,
 }
 
@@ -271,9 +291,11 @@ impl Part<'_> {
             file: self.file.file.clone(),
             status: Status::Passed,
             difference: None,
+            element: None,
             exceeded: Vec::new(),
             message: None,
             looks_like: None,
+            place: None,
         };
         let finite = self.expected.iter().filter(|x| x.is_finite());
         if finite.fold(0.0_f64, |peak, x| peak.max(x.abs())) > self.format.largest() {
@@ -310,11 +332,17 @@ impl Part<'_> {
         })?;
         let difference = Difference::new(self.expected, got, self.allowance, self.format);
         result.exceeded = rule.limits[&self.format].exceeded(&difference);
+        if let (Some(k), Some(condition)) = (self.tolerances.factor(self.case, part), self.conditions.get(self.name)) {
+            result.element = Element::worst(self.expected, got, self.allowance, condition, self.format);
+            let beyond = result.element.as_ref().filter(|element| element.ratio > k);
+            result.exceeded.extend(beyond.map(|element| Excess { norm: "element", value: element.ratio, limit: k }));
+        }
         if !result.exceeded.is_empty() {
             result.status = Status::Failed;
             if got.iter().any(|x| x.is_nan()) {
                 result.message = Some("NaN".into());
             }
+            result.place = self.place(got, part, rule.limits[&self.format].peak.unwrap_or(0.0));
             let question = Question::new(self.vectors, self.case)?;
             let limit = rule.limits[&self.format].peak.unwrap_or(0.0);
             let names = (self.role, self.name);
@@ -322,5 +350,23 @@ impl Part<'_> {
         }
         result.difference = Some(difference);
         Ok(result)
+    }
+
+    /// The place of the error, by the limit of each element, or by the limit of the peak.
+    fn place(&self, got: &ArrayD<f64>, part: &str, limit: f64) -> Option<String> {
+        let finite = self.expected.iter().filter(|e| e.is_finite());
+        let norm = limit * finite.fold(0.0_f64, |peak, e| peak.max(e.abs()));
+        let factor = self.tolerances.factor(self.case, part).unwrap_or(0.0) * self.format.ulp(1.0) / 2.0;
+        let condition = self.conditions.get(self.name).filter(|_| factor > 0.0);
+        let allowed = |index: &[usize]| self.allowance.map_or(0.0, |allowance| allowance[index]);
+        let limit = |index: &[usize], _: f64| {
+            let own = condition.map_or(norm, |condition| factor * condition[index]);
+            own + allowed(index) + self.format.smallest_normal()
+        };
+        let axes = match (diagnosis::axes(self.role), self.role) {
+            ([], "grad" | "model" | "physical" | "covariance" | "shadow" | "confidence") => &["primitive", "component"],
+            (axes, _) => axes,
+        };
+        Errors::new(self.expected, got, limit).place(axes)
     }
 }

@@ -4,6 +4,7 @@ use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
 use super::manifest::{Arrays, decode};
+use super::place::Errors;
 use serde::Serialize;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
@@ -24,6 +25,9 @@ pub struct Comparison {
     /// The mistake that would turn the first array into the second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub looks_like: Option<String>,
+    /// The rows, views, primitives or tiles that differ, if the rest does not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
 }
 
 impl Comparison {
@@ -53,6 +57,7 @@ pub fn compare(
             difference: None,
             message: None,
             looks_like: None,
+            place: None,
         };
         match answer.get(name) {
             None => result.message = Some("only in the first file".into()),
@@ -64,6 +69,10 @@ pub fn compare(
                 let difference = Difference::new(e, g, None, format);
                 if difference.peak > 0.0 {
                     result.looks_like = diagnosis::of_array(e, g, axes, format);
+                    let largest = difference.worst.as_ref().map_or(0.0, |worst| (worst.got - worst.expected).abs());
+                    // Rounding is below a millionth of an error that has a place.
+                    let limit = |_: &[usize], e: f64| (16.0 * format.ulp(e)).max(1e-6 * largest);
+                    result.place = Errors::new(e, g, limit).place(axes);
                 }
                 result.difference = Some(difference);
             }
@@ -74,7 +83,7 @@ pub fn compare(
     for (name, g) in answer.iter().filter(|(name, _)| !truth.contains_key(*name)) {
         let message = Some("only in the second file".into());
         let (array, shape) = (name.clone(), g.shape().to_vec());
-        all.push(Comparison { array, shape, difference: None, message, looks_like: None });
+        all.push(Comparison { array, shape, difference: None, message, looks_like: None, place: None });
     }
     Ok(all)
 }

@@ -16,6 +16,8 @@
 //! | [`answers`] | this program's answers, in f32 and f64 |
 //! | [`format`](mod@format) | f64, f32, f16, bf16: units in the last place |
 //! | [`difference`] | the norms of an error |
+//! | `condition` | the error of each element that rounding causes |
+//! | `place` | the rows, views, primitives or tiles that are wrong |
 //! | [`limits`] | `reference/tolerances.toml` |
 //! | [`waivers`] | failures that are accepted until a date |
 //! | [`check`](mod@check) | the comparison |
@@ -35,6 +37,7 @@ mod tolerances;
 pub mod answers;
 pub mod check;
 pub mod compare;
+mod condition;
 pub mod diagnosis;
 pub mod difference;
 pub mod format;
@@ -44,6 +47,7 @@ pub mod limits;
 pub mod manifest;
 mod networks;
 mod outputs;
+mod place;
 mod population;
 pub mod question;
 pub mod report;

@@ -3,6 +3,7 @@
 use super::difference::Difference;
 use super::format::Format;
 use super::manifest::Case;
+use ndarray::{ArrayD, Dimension};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,6 +19,74 @@ pub struct Tolerances {
     /// Rules in order: the last rule that matches an array applies.
     #[serde(rename = "rule")]
     pub rules: Vec<Rule>,
+    /// Limits of single elements, which hold beside the rules; the last one that matches an array applies.
+    #[serde(rename = "element", default)]
+    pub elements: Vec<ElementRule>,
+}
+
+/// The limit of an element: `factor`·u·condition, u half a unit in the last place of 1 in the format.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ElementRule {
+    /// Stages that it applies to.
+    pub stages: Vec<String>,
+    /// Arrays that it applies to, by their names in the archive or the output's role; empty means all.
+    #[serde(default)]
+    pub parts: Vec<String>,
+    /// The factor; without one the norms alone judge these stages.
+    pub factor: Option<f64>,
+    /// The largest error in units of u·condition of correct backends in single precision throughout.
+    pub measured: Option<f64>,
+    /// The reason for the factor, or for its absence.
+    pub reason: String,
+}
+
+/// The element with the largest error in units of u·condition.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Element {
+    /// Its error in units of u·condition.
+    #[serde(serialize_with = "super::difference::as_number_or_text")]
+    pub ratio: f64,
+    /// Its index.
+    pub index: Vec<usize>,
+    /// The truth.
+    pub expected: f64,
+    /// The backend's value.
+    #[serde(serialize_with = "super::difference::as_number_or_text")]
+    pub got: f64,
+    /// Its condition.
+    pub condition: f64,
+}
+
+impl Element {
+    /// Finds it; `None` if no error counts: those below u³ of the peak do not. Elements without a finite condition are left to the norms.
+    pub fn worst(
+        expected: &ArrayD<f64>,
+        got: &ArrayD<f64>,
+        allowance: Option<&ArrayD<f64>>,
+        condition: &ArrayD<f64>,
+        format: Format,
+    ) -> Option<Self> {
+        let unit = format.ulp(1.0) / 2.0;
+        let finite = expected.iter().filter(|e| e.is_finite());
+        // A fast exponential may be zero there.
+        let floor =
+            format.smallest_normal().max(unit * unit * unit * finite.fold(0.0_f64, |peak, e| peak.max(e.abs())));
+        let mut worst: Option<Self> = None;
+        for ((index, &expected), (&got, &condition)) in expected.indexed_iter().zip(got.iter().zip(condition)) {
+            let allowed = allowance.map_or(0.0, |allowance| allowance[index.clone()]);
+            let error = (got - expected).abs() - allowed - floor;
+            if !(error > 0.0 && condition.is_finite()) {
+                continue;
+            }
+            let ratio = error / (unit * condition);
+            if worst.as_ref().is_none_or(|worst| ratio > worst.ratio) {
+                let index = index.as_array_view().to_vec();
+                worst = Some(Self { ratio, index, expected, got, condition });
+            }
+        }
+        worst
+    }
 }
 
 /// One rule.
@@ -123,16 +192,25 @@ impl Tolerances {
     }
 
     /// The limits for generated questions, whose allowances hold the condition of each element: norms that know no
-    /// allowances are not judged.
+    /// allowances are not judged, and elements have no second limit.
     #[must_use]
     pub fn for_fresh(mut self) -> Self {
         self.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()).for_each(|limits| limits.cosine = None);
+        self.elements.clear();
         self
     }
 
     /// The rule for one array of a case's output.
     pub fn rule(&self, case: &Case, part: &str, format: Format) -> Option<&Rule> {
         self.rules.iter().rev().find(|rule| rule.fits(case, part) && rule.limits.contains_key(&format))
+    }
+
+    /// The factor of u·condition that limits each element of an array, if its condition is known.
+    pub fn factor(&self, case: &Case, part: &str) -> Option<f64> {
+        let fits = |rule: &&ElementRule| {
+            rule.stages.contains(&case.stage) && (rule.parts.is_empty() || rule.parts.iter().any(|p| p == part))
+        };
+        self.elements.iter().rev().find(fits)?.factor
     }
 }
 

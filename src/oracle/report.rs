@@ -1,6 +1,7 @@
 //! The report of a check as Markdown for readers, JSON for programs and JUnit for CI servers.
 
 use super::check::{CaseResult, PartResult, Report, Status};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -56,8 +57,10 @@ pub fn markdown(report: &Report) -> String {
     let parts = failed().flat_map(|r| r.parts.iter().filter(|p| p.status == Status::Failed).map(move |p| (r, p)));
     let rows: Vec<_> = parts.map(|(result, part)| failure_row(result, part)).collect();
     if !rows.is_empty() {
+        text += "\n## Causes\n\n";
+        text += &table(&["cause", "explains", "stages"], causes(report));
         text += "\n## Failed\n\n";
-        text += &table(&["case", "output", "what", "at", "expected", "got", "ulp", "looks like"], rows);
+        text += &table(&["case", "output", "what", "at", "expected", "got", "ulp", "wrong at", "looks like"], rows);
     }
     let rows: Vec<_> = stages(report).into_iter().filter_map(|stage| missing_row(stage, failed())).collect();
     if !rows.is_empty() {
@@ -108,7 +111,29 @@ pub fn ulps(ulp: f64) -> String {
     if ulp < 1e4 { format!("{ulp:.1}") } else { format!("{ulp:.1e}") }
 }
 
-fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
+/// Each cause, or place, of failures once: the number of failed cases with it, and their stages.
+fn causes(report: &Report) -> Vec<[String; 3]> {
+    let mut causes: BTreeMap<String, (BTreeSet<&str>, BTreeSet<&str>)> = BTreeMap::new();
+    let failed = || report.results.iter().filter(|result| result.status == Status::Failed);
+    for result in failed() {
+        for part in result.parts.iter().filter(|part| part.status == Status::Failed) {
+            let place = part.place.as_ref().map(|place| format!("wrong at {place}"));
+            let cause = part.looks_like.as_ref().map(|name| format!("looks like {name}")).or(place);
+            let (cases, stages) = causes.entry(cause.unwrap_or_else(|| "unknown".into())).or_default();
+            cases.insert(&result.id);
+            stages.insert(&result.stage);
+        }
+    }
+    let mut causes: Vec<_> = causes.into_iter().collect();
+    causes.sort_by_key(|(_, (cases, _))| std::cmp::Reverse(cases.len()));
+    let all = failed().count();
+    let row = |(cause, (cases, stages)): (String, (BTreeSet<&str>, BTreeSet<&str>))| {
+        [cause, format!("{} of {all}", cases.len()), stages.into_iter().collect::<Vec<_>>().join(", ")]
+    };
+    causes.into_iter().map(row).collect()
+}
+
+fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 9] {
     let worst = part.difference.as_ref().and_then(|d| d.worst.as_ref());
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.9e}"));
     [
@@ -119,6 +144,7 @@ fn failure_row(result: &CaseResult, part: &PartResult) -> [String; 8] {
         number(worst.map(|w| w.expected)),
         number(worst.map(|w| w.got)),
         worst.map_or_else(String::new, |w| ulps(w.ulp)),
+        part.place.clone().unwrap_or_default(),
         part.looks_like.clone().unwrap_or_default(),
     ]
 }
@@ -143,7 +169,9 @@ fn missing_row<'a>(stage: &str, failed: impl Iterator<Item = &'a CaseResult>) ->
 /// The defect of an array in a few words.
 fn what(part: &PartResult) -> String {
     let norms = part.exceeded.iter().map(|e| format!("{} {:.1e} > {:.1e}", e.norm, e.value, e.limit));
-    part.message.iter().cloned().chain(norms).collect::<Vec<_>>().join("; ")
+    let beyond = part.element.as_ref().filter(|_| part.exceeded.iter().any(|e| e.norm == "element"));
+    let element = beyond.map(|e| format!("element {:?} is {:e}, expected {:e}", e.index, e.got, e.expected));
+    part.message.iter().cloned().chain(norms).chain(element).collect::<Vec<_>>().join("; ")
 }
 
 /// A Markdown table, with columns aligned for plain text.
@@ -206,4 +234,40 @@ fn attribute(text: &str) -> String {
     let text: String = text.chars().filter(|c| *c == '\n' || !c.is_control()).collect();
     let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;");
     text.replace('\n', "&#10;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check::{Options, check};
+    use crate::{Format, Level, Tolerances, Vectors, answers};
+
+    #[test]
+    fn one_cause_is_stated_once_with_the_number_of_cases() {
+        let (vectors, folder) = (Vectors::embedded().unwrap(), tempfile::tempdir().unwrap());
+        let stages = ["image-affine".to_owned(), "image-exact".to_owned()];
+        let cases = vectors.manifest.cases.iter().filter(|c| stages.contains(&c.stage) && c.level == Level::Core);
+        let mut wrong = 0;
+        for case in cases {
+            let mut image = vectors.arrays(&case.outputs["image"]).unwrap();
+            let array = image.get_mut("").unwrap();
+            let dropped = array.indexed_iter_mut().filter(|(index, x)| index[2] >= 5 && **x != 0.0);
+            wrong += usize::from(dropped.map(|(_, x)| *x = 0.0).count() > 0);
+            answers::write(folder.path(), case, &[("image".to_owned(), image)].into()).unwrap();
+        }
+        let today = crate::waivers::today();
+        let options =
+            Options { format: Format::F32, level: Level::Core, stages: &stages, waivers: &[], today, commit: None };
+        let report = check(&vectors, &Tolerances::embedded().unwrap(), folder.path(), &options).unwrap();
+        assert_eq!(report.count(Status::Failed), wrong);
+        let places = report.results.iter().flat_map(|result| &result.parts).filter_map(|part| part.place.as_ref());
+        let named = places.filter(|place| place.starts_with("columns 5-")).count();
+        assert!(named > 10 && 10 * named >= 8 * wrong, "{named} of {wrong}");
+        let text = markdown(&report);
+        let rows: Vec<_> = text.lines().skip_while(|line| *line != "## Causes").collect();
+        assert!(
+            rows.iter().any(|row| row.contains("wrong at columns 5-") && row.contains(&format!("of {wrong}"))),
+            "{text}"
+        );
+    }
 }
