@@ -13,7 +13,7 @@ pub(super) const STEP_IN_VIEWS: f64 = 3.0;
 const ITERATIONS: [usize; 2] = [10, 40];
 const STEPS: [usize; 2] = [1, 5];
 /// Steps of the choice of a finish for each sampling: two or three weights of some 65 steps.
-const CHOICE: f64 = 160.0;
+const CHOICE: f64 = 120.0;
 /// Iterations of a finish before they are known.
 const FINISH: usize = 20;
 /// Iterations on primitives that take as long as the evaluation of a test view.
@@ -152,11 +152,11 @@ mod tests {
         let steps: Vec<Option<f64>> = (1..=40).map(|i| pace.step(5.0 + 0.1 * f64::from(i))).collect();
         assert!(steps[..39].iter().all(Option::is_none) && pace.asks_for_a_step());
         let (seconds, text) = pace.duration(9.0, steps[39].unwrap(), 0.03).unwrap();
-        // 5 before, 60, half of it, 320 steps with 5/6 of the views, 20 with all, 40 test views of half an iteration.
-        assert_eq!(format!("{seconds:.1}"), "105.6", "{text}");
+        // 5 before, 60, half of it, 240 steps with 5/6 of the views, 20 with all, 40 test views of half an iteration.
+        assert_eq!(format!("{seconds:.1}"), "103.6", "{text}");
         assert_eq!(
             text,
-            "about 2 min in all: training 60 s, the pilot run 30 s, the choice of the finish 8 s, evaluation 2 s"
+            "about 2 min in all: training 60 s, the pilot run 30 s, the choice of the finish 6 s, evaluation 2 s"
         );
     }
 

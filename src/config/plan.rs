@@ -120,7 +120,7 @@ impl Config {
         config.density_control.gradient = Auto::Fixed(config.density_control.gradient.or(GRADIENT));
         fill(&mut config.wavelet.every, WAVELET_EVERY);
         fill(&mut config.wavelet.block, BLOCK);
-        fill(&mut config.loss.tv_block, BLOCK);
+        fill(&mut config.loss.tv_block, (side as usize / 4).clamp(BLOCK / 2, BLOCK));
         config.loss.tv = Auto::Fixed(config.loss.tv.or(TOTAL_VARIATION * side / SIDE));
         config.wavelet.enabled &= scanner.grid.shape.into_iter().all(|n| n >= 1 << config.wavelet.levels);
         config

@@ -1,9 +1,8 @@
 //! The pilot run: a shorter training without some of the views, on which sampling and finish are chosen. Not in the paper.
 //!
-//! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is sampled and finished as that
-//! of the run is (`super::finish`), with weights of the total variation a factor of four apart. The run takes the weight
-//! with the least error in the views held out, and the first number of iterations that comes near that error. Where the
-//! sampling is open, both are tried, and the one with the smaller error is taken:
+//! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is sampled and finished as
+//! that of the run is (`super::finish`), with weights of the total variation a factor of four apart. The run takes the
+//! weight with the least error in the views held out, and the fewest iterations within its standard error. Where the sampling is open, both are tried, and the one with the smaller error is taken:
 //!
 //! ```text
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
@@ -34,9 +33,8 @@ pub const PILOT_PART: f64 = 0.5;
 /// The smallest weight that is tried for an interpolant: below it the error of held-out views still falls while the volume
 /// becomes worse.
 const FIRST: f64 = 4e-4;
-/// How near the least error the first iterations are that are taken: of an interpolant, and where the projections are
-/// corrected. There the error still falls a little while edges are smoothed.
-const NEAR: f64 = 0.005;
+/// Where the projections are corrected, fewer iterations are taken for this fraction of the error: it still falls a little
+/// while edges are smoothed, which the views held out do not see.
 const NEAR_CORRECTED: f64 = 0.02;
 
 /// What a pilot run found.
@@ -115,7 +113,7 @@ fn finish_of<R: Real>(
     let (start, first, fewest, near) = match sampling {
         Sampling::Interpolant => {
             interpolated = interpolant(&pilot.volume);
-            (&interpolated, FIRST, 0, NEAR)
+            (&interpolated, FIRST, 0, 0.0)
         }
         _ => (&pilot.volume, LEAST, SHORTEST, NEAR_CORRECTED),
     };

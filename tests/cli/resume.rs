@@ -85,7 +85,7 @@ fn a_run_killed_at_ten_moments_ends_with_the_bits_of_an_undisturbed_one() {
 #[test]
 fn total_variation_that_is_killed_ends_with_the_bits_of_an_undisturbed_run() {
     const RUN: &str =
-        "reconstruct scan --method tv --iterations 600 --set tv.tolerance=0 --set checkpoint_every=3 --out";
+        "reconstruct scan --method tv --iterations 240 --set tv.tolerance=0 --set checkpoint_every=3 --out";
     let sandbox = Sandbox::with_scan();
     let began = Instant::now();
     sandbox.done(&format!("{RUN} calm"));
@@ -102,7 +102,7 @@ fn total_variation_that_is_killed_ends_with_the_bits_of_an_undisturbed_run() {
     sandbox.done(&storm);
     assert!(results("storm") == results("calm"));
     let [storm, calm] = ["storm", "calm"].map(|run| log(&sandbox, run, true));
-    assert!(storm == calm && calm.len() == 600);
+    assert!(storm == calm && calm.len() == 240);
     assert!(sandbox.text("calm/metrics.json").contains("tv.weight"));
     assert!(sandbox.text("calm/report.html").contains("Choice of tv.weight"));
 }

@@ -6,6 +6,16 @@
 //!
 //! Views are sorted by angle, and every k-th view belongs to one fold. Parallel views from opposite sides stay
 //! together, because each determines the other. The procedure is deterministic.
+//!
+//! Of the numbers of iterations whose error is within one standard error of the least, the smallest is taken, and of the
+//! weights of a finish the smallest, because more views ask for less:
+//!
+//! ```text
+//! Σ_t d_t ≤ √(n/(n-1)·Σ_t (d_t - Σ d/n)²)     d_t = ‖A x - p‖² - ‖A x' - p‖² over tile t of n, x' of least error
+//! ```
+//!
+//! The differences are paired: noise of the views held out is in both terms and cancels. Rays of a tile share the error of
+//! the volume, so tiles are counted, not rays.
 
 use super::{CglsRun, SartRun, SartSettings, System, TvRun, TvSettings, VoxelRun, dot};
 use crate::classical::VoxelProjector;
@@ -14,7 +24,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Beam, Projections, View, Volume};
+use trgs_core::geometry::{Beam, Detector, Projections, View, Volume};
 use trgs_core::numeric::Real;
 use trgs_core::numeric::elementary::{log, pow};
 
@@ -34,7 +44,9 @@ const PASS_FOLDS: usize = 4;
 const PILOT_FOLDS: usize = 6;
 /// A finish is judged after every so many iterations, and ends so many iterations after its least error.
 const JUDGED_EVERY: usize = 5;
-const IN_VAIN: usize = 40;
+const IN_VAIN: usize = 20;
+/// Tiles along each side of a view held out.
+const TILES: usize = 8;
 /// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
 
@@ -130,7 +142,7 @@ pub fn choose_weight<R: Real>(
             let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
             let judged = judged(&mut run, TvRun::values, &held, &|_| false, &|_| usize::MAX, &mut see)?;
             work += judged.iterations * train.len();
-            let error = judged.errors[judged.errors.len() - 1].1;
+            let error = judged.errors[judged.errors.len() - 1].1.sums;
             if number == 0 {
                 go_on(observe(KEY, Some(&Trial { value: weight(power), error: relative(error) })))?;
             }
@@ -159,7 +171,7 @@ pub fn choose_weight<R: Real>(
     })
 }
 
-/// The number of passes with the least error on held-out views, a quarter of all views.
+/// The fewest passes within one standard error of the least error on held-out views, a quarter of all views.
 ///
 /// Not in the paper. The search ends when the error exceeds the best by a fifth, so it costs about as much as the
 /// passes that it finds. With two views or fewer, the given number is returned.
@@ -199,9 +211,10 @@ pub fn choose_passes<R: Real>(
             judged(&mut run, CglsRun::values, &held, &when, &last, &mut see)?.errors
         }
     };
-    let trial = |&(iteration, error): &(usize, [f64; 2])| Trial { value: iteration as f64, error: relative(error) };
-    let curve: Vec<Trial> = errors.iter().map(trial).collect();
-    let best = curve.iter().min_by(|a, b| a.error.total_cmp(&b.error)).map_or(1.0, |best| best.value);
+    let curve: Vec<Trial> = (errors.iter())
+        .map(|(iteration, error)| Trial { value: *iteration as f64, error: relative(error.sums) })
+        .collect();
+    let best = near(&errors, 0.0).map_or(1.0, |passes| passes as f64);
     let cost = curve.len() as f64 * share;
     Ok(Choice { key: KEY.into(), value: best, curve, folds: 1, cost, iterations: None })
 }
@@ -217,11 +230,12 @@ pub struct FinishSearch {
     pub range: [usize; 2],
     /// The smallest weight that is tried otherwise.
     pub first: f64,
-    /// Of the iterations whose error is above the least by no more than this fraction, the first are chosen.
+    /// Numbers of iterations whose error exceeds the least by no more than this fraction are near it, too.
     pub near: f64,
 }
 
-/// Weight and number of iterations of [`super::tv()`] from the volume `start` with the least error of the held-out views.
+/// The smallest weight of [`super::tv()`] from the volume `start` whose error of the held-out views is within one standard
+/// error of the least, and the fewest iterations within one of its own.
 ///
 /// `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
 /// until the error rises. The curve has the least error of each weight.
@@ -240,7 +254,7 @@ pub fn choose_finish<R: Real>(
     let [train, held] = views;
     let held = Held::<R>::new(projector, held)?;
     let mut steps = 0;
-    // The least error with a weight, and the fewest iterations that come near it.
+    // The least error with a weight, and the fewest iterations within one standard error of it.
     let mut least = |weight: f64| {
         let [fewest, most] = search.iterations.map_or(search.range, |iterations| [iterations; 2]);
         let settings = TvSettings { weight, iterations: most, ..*settings };
@@ -251,27 +265,27 @@ pub fn choose_finish<R: Real>(
         let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
         let judged = judged(&mut run, TvRun::values, &held, &when, &last, &mut see)?;
         steps += judged.iterations;
-        let errors = || judged.errors.iter().map(|&(iteration, error)| (iteration, relative(error)));
-        let best = errors().min_by(|a, b| a.1.total_cmp(&b.1)).expect("the last iteration is judged");
-        go_on(observe(KEY, Some(&Trial { value: weight, error: best.1 })))?;
-        let near = errors().find(|(_, error)| *error <= (1.0 + search.near) * best.1).unwrap_or(best);
-        Ok((weight, near.0, best.1))
+        let best = least_of(&judged.errors).expect("the last iteration is judged").clone();
+        go_on(observe(KEY, Some(&Trial { value: weight, error: relative(best.sums) })))?;
+        Ok((weight, near(&judged.errors, search.near).expect("the last iteration is judged"), best))
     };
     let first = search.weight.unwrap_or(search.first);
     let sides: &[i32] = if search.weight.is_none() { &[1] } else { &[] };
     let mut of = |power: i32| least(first * pow(FACTOR, f64::from(power)));
-    let tried = until_it_rises(sides, &mut of, |before, after| after.2 >= before.2)?;
-    let (value, iterations, _) =
-        tried.values().copied().min_by(|a, b| a.2.total_cmp(&b.2)).expect("the first weight was tried");
-    let curve = tried.values().map(|&(value, _, error)| Trial { value, error }).collect();
+    let tried = until_it_rises(sides, &mut of, |before, after| after.2.sums[0] >= before.2.sums[0])?;
+    let best = tried.values().map(|(.., error)| error).min_by(|a, b| a.sums[0].total_cmp(&b.sums[0]));
+    let best = best.expect("the first weight was tried");
+    let &(value, iterations, _) =
+        tried.values().find(|(.., error)| error.is_near(best)).expect("the best is near itself");
+    let curve = tried.values().map(|(value, _, error)| Trial { value: *value, error: relative(error.sums) }).collect();
     let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.trajectory.len()) as f64;
     Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
 }
 
 /// What held-out views say about a run.
 struct Judged {
-    /// Iterations, with `‖A x - p‖²` and `‖p‖²` after each.
-    errors: Vec<(usize, [f64; 2])>,
+    /// Iterations, with the error after each.
+    errors: Vec<(usize, Squares)>,
     /// Iterations of the run.
     iterations: usize,
 }
@@ -292,7 +306,7 @@ fn judged<R: Real, T: VoxelRun>(
         let ends = run.is_finished();
         if when(iterations) || ends {
             errors.push((iterations, held.error(values(run))));
-            let error = relative(errors[errors.len() - 1].1);
+            let error = relative(errors[errors.len() - 1].1.sums);
             if error < best.1 {
                 best = (iterations, error);
             }
@@ -306,23 +320,37 @@ fn judged<R: Real, T: VoxelRun>(
     }
 }
 
+/// The least error.
+fn least_of(errors: &[(usize, Squares)]) -> Option<&Squares> {
+    errors.iter().map(|(_, error)| error).min_by(|a, b| a.sums[0].total_cmp(&b.sums[0]))
+}
+
+/// The fewest iterations whose error is within one standard error, or this fraction, of the least.
+fn near(errors: &[(usize, Squares)], fraction: f64) -> Option<usize> {
+    let least = least_of(errors)?;
+    let most = (1.0 + fraction) * relative(least.sums);
+    let is_near = |error: &Squares| relative(error.sums) <= most || error.is_near(least);
+    errors.iter().find(|(_, error)| is_near(error)).map(|&(iteration, _)| iteration)
+}
+
 /// `‖A x - p‖/‖p‖` from the squares.
 fn relative([error, size]: [f64; 2]) -> f64 {
     (error / size).sqrt()
 }
 
 /// Trials of the powers from 0 to each of `sides` until the error rises.
-fn until_it_rises<T: Copy>(
+fn until_it_rises<T>(
     sides: &[i32],
     trial: &mut dyn FnMut(i32) -> Result<T>,
-    rises: fn(T, T) -> bool,
+    rises: fn(&T, &T) -> bool,
 ) -> Result<BTreeMap<i32, T>> {
     let mut tried = BTreeMap::from([(0, trial(0)?)]);
     for side in sides {
         for power in (1..=MOST_NEIGHBOURS).map(|k| side * k) {
-            let (before, after) = (tried[&(power - side)], trial(power)?);
+            let after = trial(power)?;
+            let ends = rises(&tried[&(power - side)], &after);
             tried.insert(power, after);
-            if rises(before, after) {
+            if ends {
                 break;
             }
         }
@@ -345,23 +373,42 @@ pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
     }
 }
 
+/// Squared errors of the held-out views, over the rays that are used.
+#[derive(Clone)]
+struct Squares {
+    /// `‖A x - p‖²` and `‖p‖²`.
+    sums: [f64; 2],
+    /// `‖A x - p‖²` of each tile of each view.
+    tiles: Vec<f64>,
+}
+
+impl Squares {
+    /// Whether the error exceeds another one by no more than the standard error of their difference.
+    fn is_near(&self, other: &Self) -> bool {
+        let differences = || self.tiles.iter().zip(&other.tiles).map(|(a, b)| a - b);
+        let n = self.tiles.len() as f64;
+        let sum: f64 = differences().sum();
+        let scatter: f64 = differences().map(|difference| (difference - sum / n) * (difference - sum / n)).sum();
+        sum <= (n / (n - 1.0) * scatter).sqrt()
+    }
+}
+
 /// The held-out views.
-pub(super) struct Held<'a, R> {
+struct Held<'a, R> {
     system: System<'a, R>,
     views: Vec<View>,
     idle: Vec<bool>,
 }
 
 impl<'a, R: Real> Held<'a, R> {
-    pub(super) fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
+    fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
         let views = projector.views(system.trajectory)?;
         let idle = system.idle(&views);
         Ok(Self { system, views, idle })
     }
 
-    /// `‖A x - p‖²` and `‖p‖²` over the rays that are used.
-    pub(super) fn error(&self, x: &[R]) -> [f64; 2] {
+    fn error(&self, x: &[R]) -> Squares {
         let seen = self.system.projector.project(&self.views, x).values;
         let counted = |values: &mut Vec<R>| {
             values.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
@@ -370,7 +417,17 @@ impl<'a, R: Real> Held<'a, R> {
         let mut residual: Vec<R> = seen.iter().zip(&measured).map(|(&seen, &p)| seen - p).collect();
         counted(&mut residual);
         counted(&mut measured);
-        [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)]
+        let sums = [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)];
+        let Detector { rows, columns, .. } = self.system.projector.scanner().detector;
+        let mut tiles = vec![0.0; self.views.len() * TILES * TILES];
+        for (at, values) in residual.chunks_exact(rows).enumerate() {
+            let (view, column) = (at / columns, at % columns);
+            for (row, value) in values.iter().enumerate() {
+                let value = value.to_f64();
+                tiles[(view * TILES + column * TILES / columns) * TILES + row * TILES / rows] += value * value;
+            }
+        }
+        Squares { sums, tiles }
     }
 }
 
@@ -423,7 +480,7 @@ mod tests {
     use crate::classical::RayModel;
     use crate::classical::algebraic::{Pass, sart, tv};
     use crate::evaluation::psnr_3d;
-    use trgs_core::geometry::{Detector, Grid, Scanner};
+    use trgs_core::geometry::{Grid, Scanner};
     use trgs_scan::simulate::{Object, Plan, simulate};
     use trgs_scan::{Dataset, Noise, Phantom};
 
@@ -502,7 +559,7 @@ mod tests {
             let volume = tv::<f32>(&projector, &fitted, &settings, Some(&start), &mut quiet).unwrap();
             psnr_3d(truth, volume.values.view()).value
         };
-        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4, near: 0.005 };
+        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4, near: 0.0 };
         let choose = |search: &FinishSearch| {
             let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
             let views = [&fitted, &held];
@@ -523,6 +580,19 @@ mod tests {
         assert_eq!((fixed.value, fixed.iterations, fixed.curve.len()), (0.01, Some(7), 1));
         let most = choose(&FinishSearch { range: [10, 60], first: 2e-3, ..free });
         assert!(most.curve[0].value == 2e-3 && most.iterations.unwrap() >= 10);
+    }
+
+    #[test]
+    fn the_fewest_iterations_within_a_standard_error_are_taken() {
+        let of = |tiles: [f64; 4]| Squares { sums: [tiles.iter().sum(), 1.0], tiles: tiles.to_vec() };
+        let noise = [3.0, 5.0, 4.0, 8.0];
+        let with = |more: [f64; 4]| of([0, 1, 2, 3].map(|tile| noise[tile] + more[tile]));
+        // What all tiles have in common is no chance, however small it is beside the noise; what some gain and others lose is.
+        let (worse, unsure) = (with([0.01, 0.011, 0.012, 0.01]), with([0.4, -0.3, 0.1, -0.1]));
+        let errors = vec![(0, worse), (5, unsure), (10, of(noise)), (15, of(noise))];
+        assert_eq!((near(&errors, 0.0), near(&errors[..1], 0.0), near(&[], 0.0)), (Some(5), Some(0), None));
+        assert!(!errors[0].1.is_near(&errors[2].1) && errors[2].1.is_near(&errors[0].1));
+        assert_eq!(near(&errors, 0.002), Some(0));
     }
 
     #[test]
