@@ -313,7 +313,8 @@ mod tests {
         let (role, file) = case.outputs.first_key_value().unwrap();
         let mut array = vectors.arrays(file).unwrap().remove("").unwrap().mapv(|x| Format::F32.round(x));
         let peak = array.iter().fold(0.0_f64, |peak, x| peak.max(x.abs()));
-        let seen = array.iter_mut().filter(|x| x.abs() > 1e-18 * peak);
+        const FAINT: f64 = 1e-18;
+        let seen = array.iter_mut().filter(|x| x.abs() > FAINT * peak);
         let faintest = seen.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
         let share = faintest.abs() / peak;
         *faintest *= factor;

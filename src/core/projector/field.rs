@@ -183,7 +183,7 @@ pub fn vjp<'a, R: Kernels>(
 /// Gradient of `Σ cotangent·projection` to a motion of source and detector together `[motion]`: for each view of a shift
 /// along x, y and z, and of a turn about these axes (radians). The last entry is the gradient to an angle of the circle.
 ///
-/// The opposite motion of the primitives has the same images, so it follows from the gradient to them.
+/// The opposite motion of the primitives has the same images, so it follows from the gradient to them. Not in the paper.
 pub fn motion_vjp<'a, R: Kernels>(
     primitives: &Primitives,
     scanner: &Scanner,

@@ -5,20 +5,14 @@
 //! ```
 //!
 //! Views are sorted by angle, and every k-th view belongs to one fold. Parallel views from opposite sides stay
-//! together, because each determines the other. The procedure is deterministic.
-//!
-//! Of the numbers of iterations whose error is within one standard error of the least, the smallest is taken, and of the
-//! weights of a finish the smallest, because more views ask for less:
-//!
-//! ```text
-//! Σ_t d_t ≤ √(n/(n-1)·Σ_t (d_t - Σ d/n)²)     d_t = ‖A x - p‖² - ‖A x' - p‖² over tile t of n, x' of least error
-//! ```
-//!
-//! The differences are paired: noise of the views held out is in both terms and cancels. Rays of a tile share the error of
-//! the volume, so tiles are counted, not rays.
+//! together, because each determines the other. The procedure is deterministic. Of values with nearly the least error the
+//! simplest is taken: see [`mod@near`].
+
+mod near;
 
 use super::{CglsRun, SartRun, SartSettings, System, TvRun, TvSettings, VoxelRun, dot};
 use crate::classical::VoxelProjector;
+use near::{Squares, least_of, near, relative};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -320,24 +314,6 @@ fn judged<R: Real, T: VoxelRun>(
     }
 }
 
-/// The least error.
-fn least_of(errors: &[(usize, Squares)]) -> Option<&Squares> {
-    errors.iter().map(|(_, error)| error).min_by(|a, b| a.sums[0].total_cmp(&b.sums[0]))
-}
-
-/// The fewest iterations whose error is within one standard error, or this fraction, of the least.
-fn near(errors: &[(usize, Squares)], fraction: f64) -> Option<usize> {
-    let least = least_of(errors)?;
-    let most = (1.0 + fraction) * relative(least.sums);
-    let is_near = |error: &Squares| relative(error.sums) <= most || error.is_near(least);
-    errors.iter().find(|(_, error)| is_near(error)).map(|&(iteration, _)| iteration)
-}
-
-/// `‖A x - p‖/‖p‖` from the squares.
-fn relative([error, size]: [f64; 2]) -> f64 {
-    (error / size).sqrt()
-}
-
 /// Trials of the powers from 0 to each of `sides` until the error rises.
 fn until_it_rises<T>(
     sides: &[i32],
@@ -370,26 +346,6 @@ pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
         ControlFlow::Break(()) => {
             Err(Error::Interrupted { step: 0, remedy: "nothing was written; run the same command again".into() })
         }
-    }
-}
-
-/// Squared errors of the held-out views, over the rays that are used.
-#[derive(Clone)]
-struct Squares {
-    /// `‖A x - p‖²` and `‖p‖²`.
-    sums: [f64; 2],
-    /// `‖A x - p‖²` of each tile of each view.
-    tiles: Vec<f64>,
-}
-
-impl Squares {
-    /// Whether the error exceeds another one by no more than the standard error of their difference.
-    fn is_near(&self, other: &Self) -> bool {
-        let differences = || self.tiles.iter().zip(&other.tiles).map(|(a, b)| a - b);
-        let n = self.tiles.len() as f64;
-        let sum: f64 = differences().sum();
-        let scatter: f64 = differences().map(|difference| (difference - sum / n) * (difference - sum / n)).sum();
-        sum <= (n / (n - 1.0) * scatter).sqrt()
     }
 }
 
@@ -580,19 +536,6 @@ mod tests {
         assert_eq!((fixed.value, fixed.iterations, fixed.curve.len()), (0.01, Some(7), 1));
         let most = choose(&FinishSearch { range: [10, 60], first: 2e-3, ..free });
         assert!(most.curve[0].value == 2e-3 && most.iterations.unwrap() >= 10);
-    }
-
-    #[test]
-    fn the_fewest_iterations_within_a_standard_error_are_taken() {
-        let of = |tiles: [f64; 4]| Squares { sums: [tiles.iter().sum(), 1.0], tiles: tiles.to_vec() };
-        let noise = [3.0, 5.0, 4.0, 8.0];
-        let with = |more: [f64; 4]| of([0, 1, 2, 3].map(|tile| noise[tile] + more[tile]));
-        // What all tiles have in common is no chance, however small it is beside the noise; what some gain and others lose is.
-        let (worse, unsure) = (with([0.01, 0.011, 0.012, 0.01]), with([0.4, -0.3, 0.1, -0.1]));
-        let errors = vec![(0, worse), (5, unsure), (10, of(noise)), (15, of(noise))];
-        assert_eq!((near(&errors, 0.0), near(&errors[..1], 0.0), near(&[], 0.0)), (Some(5), Some(0), None));
-        assert!(!errors[0].1.is_near(&errors[2].1) && errors[2].1.is_near(&errors[0].1));
-        assert_eq!(near(&errors, 0.002), Some(0));
     }
 
     #[test]
