@@ -50,7 +50,7 @@ fn the_own_answers_pass_in_both_precisions() {
 fn the_stated_error_of_the_truth_covers_the_plain_equations() {
     use trgs_core::projector::naive;
     for stage in ["image-exact", "image-affine", "density"] {
-        for draft in drafts(stage, 3, 0, 40, Level::Core).0 {
+        for draft in drafts(stage, 3, 0, 16, Level::Core).0 {
             let (truth, allowance) = truth::truth(&draft, Format::F64).unwrap();
             let q = draft.question().unwrap();
             let (primitives, scanner) = (q.primitives().unwrap(), q.scanner().unwrap());
