@@ -222,9 +222,7 @@ impl Check {
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let tolerances = Tolerances::embedded()?;
-        let tolerances = if fresh::is_generated(&vectors) { tolerances.for_fresh() } else { tolerances };
-        let report = check(&vectors, &tolerances, &self.folder, &options)?;
+        let report = check(&vectors, &Tolerances::of(&vectors)?, &self.folder, &options)?;
         if let Some(path) = &self.report {
             interrupt::shielded(|| report::write(&report, path))?;
         }

@@ -2,7 +2,7 @@
 
 use super::difference::Difference;
 use super::format::Format;
-use super::manifest::Case;
+use super::manifest::{Case, Vectors};
 use ndarray::{ArrayD, Dimension};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -191,13 +191,20 @@ impl Tolerances {
         }
     }
 
-    /// The limits for generated questions, whose allowances hold the condition of each element: norms that know no
-    /// allowances are not judged, and elements have no second limit.
-    #[must_use]
-    pub fn for_fresh(mut self) -> Self {
-        self.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()).for_each(|limits| limits.cosine = None);
-        self.elements.clear();
-        self
+    /// The limits for the questions of these vectors.
+    ///
+    /// Allowances of generated questions hold the condition of each element: there norms that know no allowances are not
+    /// judged, and elements have no second limit.
+    ///
+    /// # Errors
+    /// As [`Self::embedded`].
+    pub fn of(vectors: &Vectors) -> Result<Self> {
+        let mut table = Self::embedded()?;
+        if crate::fresh::is_generated(vectors) {
+            table.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()).for_each(|limits| limits.cosine = None);
+            table.elements.clear();
+        }
+        Ok(table)
     }
 
     /// The rule for one array of a case's output.

@@ -2,7 +2,8 @@
 //!
 //! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is sampled and finished as
 //! that of the run is (`super::finish`), with weights of the total variation a factor of four apart. The run takes the
-//! weight with the least error in the views held out, and the fewest iterations within its standard error. Where the sampling is open, both are tried, and the one with the smaller error is taken:
+//! smallest weight within one standard error of the least error in the views held out, and the fewest iterations within one
+//! of the weight's own. Where the sampling is open, both are tried, and the one with the smaller error is taken:
 //!
 //! ```text
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
@@ -100,7 +101,7 @@ fn choose_as<R: Real>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_
     Ok(Some(found))
 }
 
-/// The finish of the pilot's volume, sampled as `sampling`, with the least error in the second of the `views`.
+/// The finish of the pilot's volume, sampled as `sampling`, that the second of the `views` asks for.
 fn finish_of<R: Real>(
     pilot: &TrainedModel,
     sampling: Sampling,

@@ -118,9 +118,8 @@ pub(crate) fn conformance_check<'py>(
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let tolerances = Tolerances::embedded()?;
-        let tolerances = if fresh::is_generated(&one) { tolerances.for_fresh() } else { tolerances };
-        let report = check::check(&fresh::with_truth(one, format)?, &tolerances, folder.path(), &options)?;
+        let one = fresh::with_truth(one, format)?;
+        let report = check::check(&one, &Tolerances::of(&one)?, folder.path(), &options)?;
         Ok(serde_json::to_string(&report.results[0]).expect("a result is JSON"))
     })
 }

@@ -18,7 +18,7 @@ fn failures(vectors: &Vectors, precision: Precision, format: Format) -> Vec<Stri
     }
     let options =
         Options { format, level: Level::Stress, stages: &[], waivers: &[], today: waivers::today(), commit: None };
-    let tolerances = Tolerances::embedded().unwrap().for_fresh();
+    let tolerances = Tolerances::of(vectors).unwrap();
     let report = check(vectors, &tolerances, folder.path(), &options).unwrap();
     report.results.iter().filter(|result| result.status != Status::Passed).map(|result| format!("{result:?}")).collect()
 }

@@ -291,7 +291,7 @@ impl Asker<'_, '_> {
         let format = self.settings.precision;
         let today = waivers::today();
         let options = Options { format, level: Level::Stress, stages: &[], waivers: &[], today, commit: None };
-        let mut results = check(&vectors, &Tolerances::embedded()?.for_fresh(), &answers, &options)?.results;
+        let mut results = check(&vectors, &Tolerances::of(&vectors)?, &answers, &options)?.results;
         if let Some(reason) = ended {
             for part in results.iter_mut().flat_map(|result| &mut result.parts) {
                 (part.status, part.message) = (Status::Failed, Some(reason.clone()));
