@@ -221,7 +221,8 @@ fn check_case(
     case: &Case,
 ) -> Result<CaseResult> {
     let mut parts = Vec::new();
-    let conditions = condition::of(vectors, case)?;
+    let judges_elements = !tolerances.elements.is_empty();
+    let conditions = if judges_elements { condition::of(vectors, case)? } else { Conditions::new() };
     for (role, file) in &case.outputs {
         let expected = vectors.arrays(file)?;
         let allowance = case.allowances.get(role).map(|file| vectors.arrays(file)).transpose()?;

@@ -34,12 +34,14 @@ described! {
         Optional,
         /// Ill-conditioned scenes, distant kernel tails, subnormal numbers.
         Stress,
+        /// Sizes that break tiles, in generated questions alone.
+        Large,
     }
 }
 
 impl Level {
     /// All levels, from the least.
-    pub const ALL: [Self; 3] = [Self::Core, Self::Optional, Self::Stress];
+    pub const ALL: [Self; 4] = [Self::Core, Self::Optional, Self::Stress, Self::Large];
 }
 
 /// A file of the conformance vectors.

@@ -13,7 +13,8 @@ use std::time::Duration;
 use trgs::oracle::manifest::{Arrays, Case, FileRef};
 use trgs::oracle::{Format, Level, Options, Outputs, Tolerances, Vectors, answers, check, fresh, hunt, waivers};
 
-const LEVELS: [(&str, Level); 3] = [("core", Level::Core), ("optional", Level::Optional), ("stress", Level::Stress)];
+const LEVELS: [(&str, Level); 4] =
+    [("core", Level::Core), ("optional", Level::Optional), ("stress", Level::Stress), ("large", Level::Large)];
 const FORMATS: [(&str, Format); 4] =
     [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
 

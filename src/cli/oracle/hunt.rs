@@ -129,7 +129,8 @@ impl Hunt {
         let row = |finding: &Finding| {
             let size = format!("{} × {}", finding.primitives, finding.elements);
             let folder = self.out.join(&finding.case).display().to_string();
-            let looks_like = finding.looks_like.clone().unwrap_or_default();
+            let place = finding.place.as_ref().map(|place| format!("wrong at {place}"));
+            let looks_like = finding.looks_like.clone().or(place).unwrap_or_default();
             [finding.stage.clone(), looks_like, finding.error.clone(), size, folder]
         };
         let rows = hunt.findings.iter().map(row);

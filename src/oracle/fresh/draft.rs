@@ -16,7 +16,7 @@ use trgs_scan::digest::digest_bytes;
 pub(crate) const COMPUTED: &str = "truth";
 
 /// The words in `flags` of generated questions.
-pub(crate) const FLAGS: [(&str, &str); 17] = [
+pub(crate) const FLAGS: [(&str, &str); 22] = [
     ("random", "numbers drawn from their ranges"),
     ("edge", "numbers at the ends of their ranges"),
     ("spaced", "numbers spaced evenly over the questions"),
@@ -34,6 +34,11 @@ pub(crate) const FLAGS: [(&str, &str); 17] = [
     ("behind-source", "a primitive behind the source, or near its plane"),
     ("ill-conditioned", "a needle or a disc, axes 1:1000"),
     ("zero-image", "zeros, or equal values, throughout"),
+    ("large-arrays", "a detector of 256² or 250×190 pixels, a volume of 65×48×33 voxels"),
+    ("many-primitives", "5,000 primitives, or 1,025 where each has an output"),
+    ("covering-primitive", "a primitive over the whole detector, among small ones"),
+    ("crowded-tile", "300 primitives in one tile"),
+    ("odd-count", "counts that are no multiples of 16, 32 or 256"),
 ];
 
 /// The object `scanner` of `meta_data.json`.

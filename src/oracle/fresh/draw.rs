@@ -32,12 +32,13 @@ pub(crate) struct Draw {
     pub(crate) kind: Kind,
     index: u64,
     calls: u32,
+    large: bool,
 }
 
 impl Draw {
-    pub(crate) fn new(seed: u64, stage: u64, index: u64) -> Self {
+    pub(crate) fn new(seed: u64, stage: u64, index: u64, large: bool) -> Self {
         let kind = Kind::ALL[(index % 4) as usize];
-        Self { rng: Box::new(rng::stream(seed, Purpose::Questions, stage, index)), kind, index, calls: 0 }
+        Self { rng: Box::new(rng::stream(seed, Purpose::Questions, stage, index)), kind, index, calls: 0, large }
     }
 
     /// A number of [0, 1] in single precision.
@@ -68,6 +69,21 @@ impl Draw {
     /// An integer of both ends and between.
     pub(crate) fn count(&mut self, low: usize, high: usize) -> usize {
         low + ((self.unit() * (high - low + 1) as f64) as usize).min(high - low)
+    }
+
+    /// As [`Self::count`]; at level `large` a count that is no multiple of a block.
+    pub(crate) fn size(&mut self, low: usize, high: usize) -> usize {
+        if self.large { self.pick(&[17, 33, 100, 257, 1001]) } else { self.count(low, high) }
+    }
+
+    /// The number of the question, modulo `n`.
+    pub(crate) fn turn(&self, n: u64) -> u64 {
+        self.index % n
+    }
+
+    /// One of the small shapes, or at level `large` one of the others.
+    pub(crate) fn pick_by_level<T: Copy>(&mut self, small: &[T], large: &[T]) -> T {
+        self.pick(if self.large { large } else { small })
     }
 
     pub(crate) fn pick<T: Copy>(&mut self, from: &[T]) -> T {

@@ -7,6 +7,7 @@
 pub(crate) mod dimensions;
 pub(crate) mod draft;
 mod draw;
+mod large;
 mod stages;
 pub(crate) mod truth;
 

@@ -3,6 +3,7 @@
 use super::dimensions::STAGES;
 use super::draft::{Draft, ScannerFile};
 use super::draw::{Draw, Kind, single};
+use super::large::enlarge;
 use crate::manifest::{Arrays, Level};
 use crate::outputs;
 use ndarray::{Array, ArrayD, Dimension, IxDyn};
@@ -13,18 +14,18 @@ use trgs_core::primitives::Parameters;
 
 /// One primitive.
 #[derive(Clone, Copy)]
-struct Row {
-    mean: [f64; 3],
-    scale: [f64; 3],
+pub(super) struct Row {
+    pub(super) mean: [f64; 3],
+    pub(super) scale: [f64; 3],
     quaternion: [f64; 4],
-    density: f64,
+    pub(super) density: f64,
     nu: f64,
 }
 
 /// Question `index` of a stage: a function of its arguments alone.
 pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level) -> Draft {
     let number = STAGES.iter().position(|name| *name == stage).expect("a stage with generated questions") as u64;
-    let mut draw = Draw::new(seed, number, index);
+    let mut draw = Draw::new(seed, number, index, level == Level::Large);
     let mut new = Draft {
         id: format!("{stage}/fresh-{seed}-{index}"),
         stage: stage.into(),
@@ -44,21 +45,24 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
     let stage = new.stage.clone();
     match stage.as_str() {
         "kernel" => {
-            let n = draw.count(1, 12);
+            let n = draw.size(1, 12);
             let delta = (0..n).map(|_| if draw.chance(0.1) { 0.0 } else { draw.magnitude(1e-4, 60.0) }).collect();
             let nu = (0..n).map(|_| nu(draw, new.level)).collect();
             put(new, "delta", numbers(delta));
             put(new, "nu", numbers(nu));
         }
         "integral-factor" => {
-            let n = draw.count(1, 12);
+            let n = draw.size(1, 12);
             let nu = (0..n).map(|_| draw.magnitude(2.0, 100.0)).collect();
             put(new, "nu", numbers(nu));
         }
         "activation" | "gradient-raw" => raw(new, draw),
         "loss-l1" | "loss-ssim" | "loss-image" => images(new, draw),
         "loss-tv" => {
-            let shape = [draw.count(1, 5), draw.count(1, 5), draw.count(1, 5)];
+            let shape = match new.level {
+                Level::Large => draw.pick(&[[65, 48, 33], [17, 33, 5]]),
+                _ => [draw.count(1, 5), draw.count(1, 5), draw.count(1, 5)],
+            };
             let block = steps(new, draw, &shape);
             put(new, "block", block);
         }
@@ -67,13 +71,13 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
             new.settings = settings(
                 json!({"temperature": draw.magnitude(0.05, 1.0), "nu_range": [2.0, 100.0], "sphere_points": 64}),
             );
-            let n = draw.count(1, 10);
+            let n = draw.size(1, 10);
             let c = draw.row(n, 0.0, 1.0);
             put(new, "c", numbers(c));
         }
         "loss-nu" => {
             new.settings = settings(json!({"weight": draw.magnitude(1e-4, 1.0)}));
-            let n = draw.count(1, 10);
+            let n = draw.size(1, 10);
             for role in ["nu", "target"] {
                 let values = (0..n).map(|_| draw.magnitude(2.0, 100.0)).collect();
                 put(new, role, numbers(values));
@@ -85,12 +89,12 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
             let (first, last) = (draw.magnitude(1e-4, 0.1), draw.magnitude(1e-6, 0.1));
             let length = draw.count(1, 1000);
             new.settings = settings(json!({"first": first, "last": last, "length": length}));
-            let n = draw.count(1, 8);
+            let n = draw.size(1, 8);
             let steps = (0..n).map(|_| draw.count(0, length + 10) as f64).collect();
             put(new, "steps", numbers(steps));
         }
         "adam" => {
-            let (n, steps) = (draw.count(1, 5), draw.count(1, 12));
+            let (n, steps) = (draw.size(1, 5), draw.count(1, 12));
             new.settings = settings(
                 json!({"beta1": draw.pick(&[0.9, 0.5, 0.95]), "beta2": draw.pick(&[0.999, 0.99]), "epsilon": 1e-15}),
             );
@@ -106,7 +110,7 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
         }
         "sghmc-gate" => {
             new.settings = settings(json!({"reference": draw.magnitude(0.1, 2.0)}));
-            let n = draw.count(1, 10);
+            let n = draw.size(1, 10);
             let density = (0..n).map(|_| if draw.chance(0.2) { 0.0 } else { draw.magnitude(1e-5, 1.0) }).collect();
             put(new, "density", numbers(density));
         }
@@ -131,7 +135,8 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
             }
             if stage == "gradient-wavelet" {
                 let scanner = new.scanner.as_mut().expect("a scene has one");
-                scanner.n_voxel = [draw.pick(&[2, 4]), 4, draw.pick(&[2, 4])];
+                let side = |draw: &mut Draw| draw.pick_by_level(&[2, 4], &[4, 20, 36]);
+                scanner.n_voxel = [side(draw), 4, side(draw)];
                 let shape = scanner.n_voxel;
                 wavelet_settings(new, draw, 1);
                 high(new, draw, &shape);
@@ -158,7 +163,7 @@ fn shaped(shape: &[usize], values: Vec<f64>) -> ArrayD<f64> {
 
 /// ν of a Student's t primitive.
 fn nu(draw: &mut Draw, level: Level) -> f64 {
-    if level > Level::Core && draw.chance(0.2) {
+    if matches!(level, Level::Optional | Level::Stress) && draw.chance(0.2) {
         return draw.pick(if level == Level::Stress { &[1.0, 1e3, 1e4, 1e6] } else { &[1.0, 1e3] });
     }
     draw.magnitude(2.0, 100.0)
@@ -192,7 +197,13 @@ fn scene(new: &mut Draft, draw: &mut Draw) {
     let gaussian = draw.chance(0.2);
     let count = draw.count(1, 5);
     let mut rows: Vec<Row> = (0..count).map(|_| row(draw, new.level, gaussian)).collect();
-    if draw.kind == Kind::Adversarial {
+    if new.level == Level::Large {
+        // Each primitive has an array or a row of its own in the other outputs.
+        let most = if new.stage.starts_with("image") || new.stage.starts_with("density") { 5000 } else { 1025 };
+        let more = |draw: &mut Draw| row(draw, Level::Large, gaussian);
+        let word = enlarge(draw, most, more, &mut scanner, &mut angles, &mut rows);
+        new.flags.push(word.into());
+    } else if draw.kind == Kind::Adversarial {
         let word = trap(new.level, draw, &mut scanner, &mut angles, &mut rows);
         new.flags.push(word.into());
     }
@@ -201,7 +212,7 @@ fn scene(new: &mut Draft, draw: &mut Draw) {
     new.arrays.extend(outputs::parameters("model", &parameters(&rows)));
 }
 
-fn row(draw: &mut Draw, level: Level, gaussian: bool) -> Row {
+pub(super) fn row(draw: &mut Draw, level: Level, gaussian: bool) -> Row {
     let mut quaternion = [(); 4].map(|()| draw.between(-1.0, 1.0));
     if quaternion.iter().all(|x| x.abs() < 0.05) {
         quaternion = [1.0, 0.0, 0.0, 0.0];
@@ -237,8 +248,12 @@ fn trap(
     rows: &mut Vec<Row>,
 ) -> &'static str {
     let last = rows.len() - 1;
-    let [core, optional, stress] = [9, 11, 14];
-    match draw.count(0, [core, optional, stress][level as usize] - 1) {
+    let traps = match level {
+        Level::Core | Level::Large => 9,
+        Level::Optional => 11,
+        Level::Stress => 14,
+    };
+    match draw.count(0, traps - 1) {
         0 => {
             (scanner.n_detector, scanner.n_voxel) = ([1, draw.count(1, 3)], [1, draw.count(1, 3), 1]);
             "one-pixel"
@@ -360,7 +375,10 @@ fn steps(new: &mut Draft, draw: &mut Draw, shape: &[usize]) -> ArrayD<f64> {
 /// Prediction and target: apart, close together, or partly equal.
 fn images(new: &mut Draft, draw: &mut Draw) {
     let most = if new.stage == "loss-l1" { 8 } else { 14 };
-    let shape = [draw.count(1, most), draw.count(1, most)];
+    let shape = match new.level {
+        Level::Large => draw.pick(&[[200, 200], [250, 190], [33, 65], [17, 31]]),
+        _ => [draw.count(1, most), draw.count(1, most)],
+    };
     let target = steps(new, draw, &shape).mapv(f64::abs);
     let prediction = match draw.count(0, 2) {
         0 => steps(new, draw, &shape).mapv(f64::abs),
@@ -390,9 +408,9 @@ fn high(new: &mut Draft, draw: &mut Draw, shape: &[usize]) {
 
 fn wavelets(new: &mut Draft, draw: &mut Draw) {
     let levels = if new.stage == "haar" { 1 } else { draw.count(1, 2) };
-    let sides: &[usize] = if levels == 1 { &[2, 4, 6] } else { &[4, 8] };
-    let sides: &[usize] = if new.stage == "haar" { sides } else { &[4, 8] };
-    let shape = [draw.pick(sides), draw.pick(sides), draw.pick(sides)];
+    let (small, large): (&[usize], &[usize]) =
+        if new.stage == "haar" { (&[2, 4, 6], &[18, 34, 66]) } else { (&[4, 8], &[20, 36]) };
+    let shape = [(); 3].map(|()| draw.pick_by_level(small, large));
     let values = draw.row(shape.iter().product(), -0.5, 1.5);
     put(new, "block", shaped(&shape, values));
     if new.stage == "wavelet-loss" {
@@ -402,7 +420,7 @@ fn wavelets(new: &mut Draft, draw: &mut Draw) {
 }
 
 fn sghmc(new: &mut Draft, draw: &mut Draw) {
-    let (m, steps) = (draw.count(1, 3), draw.count(1, 6));
+    let (m, steps) = (draw.size(1, 3), draw.count(1, 6));
     new.settings = settings(json!({
         "burn_in": draw.count(0, steps), "burn_in_friction": draw.between(10.0, 60.0), "friction": draw.between(10.0, 60.0),
     }));

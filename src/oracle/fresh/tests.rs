@@ -66,3 +66,45 @@ fn the_stated_error_of_the_truth_covers_the_plain_equations() {
         }
     }
 }
+
+/// An answer to question `index` of level `large` with a change, judged in double precision: status, place and name.
+fn judged(
+    (stage, index): (&str, u64),
+    change: impl Fn(&mut crate::Question),
+    wrong: impl Fn(&mut ndarray::ArrayD<f64>),
+) -> String {
+    let vectors = draft::vectors(&drafts(stage, 7, index, 1, Level::Large).0, &[]);
+    let (vectors, folder) = (with_truth(vectors, Format::F64).unwrap(), tempfile::tempdir().unwrap());
+    let case = &vectors.manifest.cases[0];
+    let mut question = crate::Question::new(&vectors, case).unwrap();
+    change(&mut question);
+    let mut outputs = answers::answer(&question, Precision::F64).unwrap();
+    wrong(outputs.values_mut().next().unwrap().values_mut().next().unwrap());
+    answers::write(folder.path(), case, &outputs).unwrap();
+    let (format, level, today) = (Format::F64, Level::Large, waivers::today());
+    let options = Options { format, level, stages: &[], waivers: &[], today, commit: None };
+    let report = check(&vectors, &Tolerances::of(&vectors).unwrap(), folder.path(), &options).unwrap();
+    let part = &report.results[0].parts[0];
+    format!("{:?} {:?} {:?}", part.status, part.place, part.looks_like)
+}
+
+#[test]
+fn pixels_and_primitives_beyond_a_block_are_seen_in_large_scenes() {
+    let drop = |image: &mut ndarray::ArrayD<f64>| {
+        image.indexed_iter_mut().filter(|(index, _)| index[2] >= 16).for_each(|(_, x)| *x = 0.0);
+    };
+    for index in [0, 4] {
+        let found = judged(("image-affine", index), |_| {}, drop);
+        assert!(found.starts_with("Failed") && found.contains("columns 16-"), "{found}");
+    }
+    let tail = |question: &mut crate::Question| {
+        let mut parameters = question.parameters("model").unwrap();
+        let count = parameters.len();
+        parameters.density[count - count % 32..].fill(0.0);
+        question.set_model(&parameters).unwrap();
+    };
+    let found = judged(("density", 4), tail, |_| {});
+    assert!(found.contains("those beyond a whole number of blocks"), "{found}");
+    let kept = judged(("density", 4), |_| {}, |_| {});
+    assert!(kept.starts_with("Passed"), "{kept}");
+}

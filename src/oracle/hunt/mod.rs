@@ -5,7 +5,7 @@
 
 mod shrink;
 
-use crate::check::{CaseResult, Options, Status, check};
+use crate::check::{CaseResult, Options, PartResult, Status, check};
 use crate::format::Format;
 use crate::fresh::draft::{self, Draft};
 use crate::fresh::{self, truth};
@@ -27,6 +27,8 @@ pub const STATE: &str = "hunt.json";
 /// Questions of one stage in the first batch; later ones are larger.
 const FIRST: usize = 24;
 const LATER: usize = 96;
+/// Questions of one stage in a batch of level `large`: two of each kind of scene.
+const LARGE: usize = 10;
 
 /// An implementation that answers questions: the folder of the questions, and the folder for its answers.
 ///
@@ -61,6 +63,9 @@ pub struct Finding {
     pub failed: usize,
     /// The mistake that the most of them look like.
     pub looks_like: Option<String>,
+    /// The place of the error in the most of them: rows, views, primitives or tiles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
     /// What is wrong with the shrunk question.
     pub error: String,
     /// Primitives of the shrunk question.
@@ -121,7 +126,12 @@ impl Hunt {
             let mut batch = Vec::new();
             for stage in self.open_stages() {
                 let (asked, next) = self.asked.get(&stage).copied().unwrap_or_default();
-                let size = if asked == 0 { FIRST } else { LATER }.min(self.settings.cases - asked);
+                let size = match (self.settings.level, asked) {
+                    (Level::Large, _) => LARGE,
+                    (_, 0) => FIRST,
+                    _ => LATER,
+                };
+                let size = size.min(self.settings.cases - asked);
                 let (drafts, next) = fresh::drafts(&stage, self.settings.seed, next, size, self.settings.level);
                 batch.extend(drafts);
                 self.asked.insert(stage, (asked + size, next));
@@ -187,7 +197,8 @@ impl Hunt {
             first: start.id.clone(),
             asked: self.asked[&small.stage].0,
             failed: failed.len(),
-            looks_like: most_frequent(failed),
+            looks_like: most_frequent(failed, |part| part.looks_like.as_deref()),
+            place: most_frequent(failed, |part| part.place.as_deref()),
             error,
             primitives,
             elements,
@@ -211,7 +222,7 @@ fn question(small: Draft, settings: &Settings) -> Result<Vectors> {
 /// # Errors
 /// Those of files, and of a backend that cannot be started.
 pub fn replay(vectors: &Vectors, precision: Format, backend: &mut Backend<'_>) -> Result<Vec<CaseResult>> {
-    let settings = Settings { stages: Vec::new(), seed: 0, cases: 0, precision, level: Level::Stress };
+    let settings = Settings { stages: Vec::new(), seed: 0, cases: 0, precision, level: Level::Large };
     let drafts = vectors.manifest.cases.iter().map(|case| Draft::read(vectors, case)).collect::<Result<Vec<_>>>()?;
     Ok(Asker { settings: &settings, backend }.ask(&drafts)?.into_iter().flatten().collect())
 }
@@ -226,10 +237,10 @@ fn is_failure(result: &CaseResult, answered: bool) -> bool {
     result.status == Status::Failed || (result.status == Status::Missing && answered)
 }
 
-/// The names of most failures.
-fn most_frequent(failed: &[&CaseResult]) -> Option<String> {
+/// The words that the most failures have.
+fn most_frequent(failed: &[&CaseResult], words: fn(&PartResult) -> Option<&str>) -> Option<String> {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    for name in failed.iter().flat_map(|result| &result.parts).filter_map(|part| part.looks_like.as_deref()) {
+    for name in failed.iter().flat_map(|result| &result.parts).filter_map(words) {
         *counts.entry(name).or_default() += 1;
     }
     let most = counts.values().copied().max()?;
@@ -290,7 +301,7 @@ impl Asker<'_, '_> {
         known.iter().enumerate().for_each(|(index, (_, truth))| truth::insert(&mut vectors, index, truth));
         let format = self.settings.precision;
         let today = waivers::today();
-        let options = Options { format, level: Level::Stress, stages: &[], waivers: &[], today, commit: None };
+        let options = Options { format, level: Level::Large, stages: &[], waivers: &[], today, commit: None };
         let mut results = check(&vectors, &Tolerances::of(&vectors)?, &answers, &options)?.results;
         if let Some(reason) = ended {
             for part in results.iter_mut().flat_map(|result| &mut result.parts) {

@@ -12,6 +12,8 @@ use trgs_core::error::Result;
 const ROUNDS: usize = 12;
 /// Selections of one dimension that are tried in a round.
 const SELECTIONS: usize = 24;
+/// Those of each size, in a dimension with more elements.
+const OF_A_SIZE: usize = 5;
 
 /// A change of a question; none if it changes nothing.
 type Change = Box<dyn Fn(&Draft) -> Option<Draft>>;
@@ -89,12 +91,17 @@ fn selections(draft: &Draft, of: Dimension) -> Vec<Change> {
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     let mut part = 1;
     while part < units {
-        ranges.extend((0..units).step_by(part).map(|start| (start, (start + part).min(units))));
+        let all: Vec<_> = (0..units).step_by(part).map(|start| (start, (start + part).min(units))).collect();
+        match units <= SELECTIONS {
+            true => ranges.extend(all),
+            // The last, the first and some between.
+            false => ranges.extend(all.iter().rev().step_by(all.len().div_ceil(OF_A_SIZE - 1)).chain(all.first())),
+        }
         part *= 2;
     }
     let contiguous = matches!(of.of, Of::Rows | Of::Columns | Of::Voxels(_)) || of.step > 1;
     let mut kept: Vec<Vec<usize>> = ranges.iter().map(|(start, end)| (*start..*end).collect()).collect();
-    kept.truncate(SELECTIONS);
+    kept.truncate(if units <= SELECTIONS { SELECTIONS } else { usize::MAX });
     let drop = units.div_ceil(8);
     for start in (0..units).step_by(drop.max(1)) {
         let rest: Vec<usize> = (0..units).filter(|i| !(start..start + drop).contains(i)).collect();
@@ -189,4 +196,32 @@ fn scanners() -> Vec<Vec<Change>> {
 /// The nearest number with so many significant digits.
 fn rounded(x: f64, digits: usize) -> f64 {
     if x.is_finite() { format!("{x:.*e}", digits - 1).parse().unwrap_or(x) } else { x }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::Level;
+
+    /// Fails where the number of primitives is no multiple of 32, as long as the last is there.
+    struct Tail(Vec<f64>);
+
+    impl Judge for Tail {
+        fn fail(&mut self, drafts: &[Draft]) -> Result<Vec<bool>> {
+            let fails = |draft: &Draft| {
+                let density = &draft.arrays["model"]["density"];
+                !density.len().is_multiple_of(32) && density.iter().last() == self.0.last()
+            };
+            Ok(drafts.iter().map(fails).collect())
+        }
+    }
+
+    #[test]
+    fn a_failure_of_the_last_of_thousands_of_primitives_is_shrunk_to_that_one() {
+        let start = crate::fresh::drafts("image-affine", 7, 1, 1, Level::Large).0.remove(0);
+        let density: Vec<f64> = start.arrays["model"]["density"].iter().copied().collect();
+        assert_eq!(density.len(), 5000);
+        let small = shrink(start, &mut Tail(density)).unwrap();
+        assert_eq!(small.size()[0], 1);
+    }
 }

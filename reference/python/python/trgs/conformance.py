@@ -40,7 +40,7 @@ from ._core import (
     conformance_truth,
 )
 
-Level = Literal["core", "optional", "stress"]
+Level = Literal["core", "optional", "stress", "large"]
 Precision = Literal["f64", "f32", "f16", "bf16"]
 Answer = ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -193,7 +193,7 @@ def find(*, stage: str | Sequence[str] | None = None, level: Level = "core") -> 
     ----------
     stage : str or sequence of str, optional
         All stages if absent.
-    level : {"core", "optional", "stress"}
+    level : {"core", "optional", "stress", "large"}
 
     Returns
     -------
