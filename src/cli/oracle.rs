@@ -209,7 +209,7 @@ impl AnswerArgs {
 
 impl Check {
     fn run(&self) -> Result<Output> {
-        let vectors = fresh::with_truth(self.source.vectors()?, self.precision)?;
+        let vectors = fresh::with_truth(self.source.vectors()?, self.precision, &self.folder)?;
         let waivers = match &self.waivers {
             Some(path) => waivers::read(path, &vectors.manifest.cases)?,
             None => Vec::new(),

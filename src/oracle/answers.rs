@@ -81,8 +81,9 @@ pub const STAGES: [&str; 48] = [
 /// This program's outputs for a question, with pixel kernels and losses in the given precision.
 ///
 /// # Errors
-/// When an input is missing, or the stage is not in [`STAGES`].
+/// When an input is missing or means nothing, or the stage is not in [`STAGES`].
 pub fn answer(question: &Question, precision: Precision) -> Result<Outputs> {
+    question.refuse_nonsense()?;
     match precision {
         Precision::F32 => answer_in::<f32>(question),
         Precision::F64 => answer_in::<f64>(question),

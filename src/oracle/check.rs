@@ -1,9 +1,11 @@
 //! Checks a backend's answers against the truth.
 
+use super::answers::STAGES;
 use super::condition::{self, Conditions};
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
+use super::fresh::{Ask, refusals};
 use super::limits::{Element, Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
 use super::place::Errors;
@@ -80,6 +82,23 @@ pub struct PartResult {
     /// The rows, views, primitives or tiles that are wrong, if the rest is right.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
+}
+
+impl PartResult {
+    /// An array without a fault.
+    fn new(output: String, file: &FileRef) -> Self {
+        Self {
+            output,
+            file: file.file.clone(),
+            status: Status::Passed,
+            difference: None,
+            element: None,
+            exceeded: Vec::new(),
+            message: None,
+            looks_like: None,
+            place: None,
+        }
+    }
 }
 
 /// One case.
@@ -174,10 +193,31 @@ pub fn check(
     folder: impl AsRef<Path>,
     options: &Options<'_>,
 ) -> Result<Report> {
-    let folder = folder.as_ref();
-    let cases = select(vectors, options.level, options.stages)?;
+    report(vectors, tolerances, folder.as_ref(), options, true)
+}
+
+/// A check in which errors have places and names only if `explain`, because those take most of its time.
+pub(crate) fn report(
+    vectors: &Vectors,
+    tolerances: &Tolerances,
+    folder: &Path,
+    options: &Options<'_>,
+    explain: bool,
+) -> Result<Report> {
+    let mut cases = select(vectors, options.level, options.stages)?;
     std::fs::read_dir(folder).map_err(|source| Error::read(folder, source))?;
-    let results = cases.into_iter().map(|case| check_case(vectors, tolerances, folder, options, case));
+    let about = backend(folder)?;
+    if let Some(about) = &about {
+        answered_these(about, vectors, folder)?;
+        if let Some(stages) = declared(about, folder)? {
+            cases.retain(|case| stages.contains(&case.stage));
+        }
+    }
+    let refusals = Ask::of(vectors) == Ask::Refusals;
+    let results = cases.into_iter().map(|case| match refusals {
+        true => Ok(check_refusal(folder, case)),
+        false => check_case(vectors, tolerances, folder, options, case, explain),
+    });
     let results = results.collect::<Result<Vec<CaseResult>>>()?;
     let unused = options
         .waivers
@@ -187,11 +227,43 @@ pub fn check(
         program: format!("trgs {}", env!("CARGO_PKG_VERSION")),
         commit: options.commit.map(Into::into),
         vectors: vectors.digest.clone(),
-        backend: backend(folder)?,
+        backend: about,
         format: options.format,
         level: options.level,
         unused_waivers: unused.map(|waiver| waiver.case.clone()).collect(),
         results,
+    })
+}
+
+/// Whether a backend says that its answers are the same bits whenever it is asked.
+///
+/// # Errors
+/// For an unreadable description.
+pub(crate) fn is_deterministic(folder: &Path) -> Result<bool> {
+    Ok(backend(folder)?.is_some_and(|about| about["deterministic"] == true))
+}
+
+/// Refuses answers to other vectors, if the backend says which it answered.
+fn answered_these(about: &Value, vectors: &Vectors, folder: &Path) -> Result<()> {
+    match about["vectors"].as_str() {
+        Some(digest) if digest != vectors.origin() => {
+            let remedy = "answer the vectors of this program, or check against those that were answered";
+            Err(Error::format(&folder.join(BACKEND), "vectors", digest, vectors.origin(), remedy))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The stages that a backend says it answers.
+fn declared(about: &Value, folder: &Path) -> Result<Option<Vec<String>>> {
+    if about["stages"].is_null() {
+        return Ok(None);
+    }
+    let stages: Option<Vec<String>> = serde_json::from_value(about["stages"].clone()).ok();
+    let known = |stages: &Vec<String>| stages.iter().all(|stage| STAGES.contains(&stage.as_str()));
+    stages.filter(known).map(Some).ok_or_else(|| {
+        let (got, expected) = (&about["stages"], format!("a list of {}", STAGES.join(", ")));
+        Error::format(&folder.join(BACKEND), "stages", got, expected, "correct the names, or leave the list out")
     })
 }
 
@@ -219,6 +291,7 @@ fn check_case(
     folder: &Path,
     options: &Options<'_>,
     case: &Case,
+    explain: bool,
 ) -> Result<CaseResult> {
     let mut parts = Vec::new();
     let judges_elements = !tolerances.elements.is_empty();
@@ -240,6 +313,7 @@ fn check_case(
                 allowance,
                 conditions: &conditions,
                 format: options.format,
+                explain,
             };
             parts.push(part.judge(&got)?);
         }
@@ -258,6 +332,30 @@ fn check_case(
     }
     let (id, stage, equations) = (case.id.clone(), case.stage.clone(), case.equations.clone());
     Ok(CaseResult { id, stage, level: case.level, equations, status, parts, waiver: excuse })
+}
+
+/// Judges an answer to a question that has none, or may have none.
+fn check_refusal(folder: &Path, case: &Case) -> CaseResult {
+    let parts = case.outputs.iter().map(|(role, file)| {
+        let got = read_answer(folder, file);
+        let is_finite = |arrays: &Arrays| arrays.values().flatten().all(|x| x.is_finite());
+        let (finite, broken) = match &got {
+            Ok(arrays) => (Some(is_finite(arrays)), None),
+            Err((Status::Missing, _)) => (None, None),
+            Err((_, message)) => (None, Some(message.clone())),
+        };
+        let fault = broken.or_else(|| refusals::fault(&case.flags, finite).map(Into::into));
+        let status = match (&fault, finite) {
+            (None, _) => Status::Passed,
+            (Some(_), None) if matches!(got, Err((Status::Missing, _))) => Status::Missing,
+            _ => Status::Failed,
+        };
+        PartResult { status, message: fault, ..PartResult::new(role.clone(), file) }
+    });
+    let parts: Vec<PartResult> = parts.collect();
+    let status = parts.iter().map(|part| part.status).max().unwrap_or(Status::Failed);
+    let (id, stage, equations) = (case.id.clone(), case.stage.clone(), case.equations.clone());
+    CaseResult { id, stage, level: case.level, equations, status, parts, waiver: None }
 }
 
 /// The arrays of the backend's file, or an outcome with a message.
@@ -282,22 +380,13 @@ struct Part<'a> {
     allowance: Option<&'a ArrayD<f64>>,
     conditions: &'a Conditions,
     format: Format,
+    explain: bool,
 }
 
 impl Part<'_> {
     fn judge(&self, got: &std::result::Result<Arrays, (Status, String)>) -> Result<PartResult> {
         let output = if self.name.is_empty() { self.role.into() } else { format!("{}.{}", self.role, self.name) };
-        let mut result = PartResult {
-            output,
-            file: self.file.file.clone(),
-            status: Status::Passed,
-            difference: None,
-            element: None,
-            exceeded: Vec::new(),
-            message: None,
-            looks_like: None,
-            place: None,
-        };
+        let mut result = PartResult::new(output, self.file);
         let finite = self.expected.iter().filter(|x| x.is_finite());
         if finite.fold(0.0_f64, |peak, x| peak.max(x.abs())) > self.format.largest() {
             result.status = Status::Skipped;
@@ -343,6 +432,8 @@ impl Part<'_> {
             if got.iter().any(|x| x.is_nan()) {
                 result.message = Some("NaN".into());
             }
+        }
+        if !result.exceeded.is_empty() && self.explain {
             result.place = self.place(got, part, rule.limits[&self.format].peak.unwrap_or(0.0));
             let question = Question::new(self.vectors, self.case)?;
             let limit = rule.limits[&self.format].peak.unwrap_or(0.0);

@@ -2,6 +2,7 @@
 
 use super::difference::Difference;
 use super::format::Format;
+use super::fresh::{Ask, relations};
 use super::manifest::{Case, Vectors};
 use ndarray::{ArrayD, Dimension};
 use serde::{Deserialize, Serialize};
@@ -194,14 +195,21 @@ impl Tolerances {
     /// The limits for the questions of these vectors.
     ///
     /// Allowances of generated questions hold the condition of each element: there norms that know no allowances are not
-    /// judged, and elements have no second limit.
+    /// judged, and elements have no second limit. Answers with relations have the limit of the peak alone.
     ///
     /// # Errors
     /// As [`Self::embedded`].
     pub fn of(vectors: &Vectors) -> Result<Self> {
         let mut table = Self::embedded()?;
         if crate::fresh::is_generated(vectors) {
-            table.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()).for_each(|limits| limits.cosine = None);
+            let ask = Ask::of(vectors);
+            for limits in table.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()) {
+                limits.cosine = None;
+                if ask == Ask::Relations {
+                    let peak = limits.peak.map(|peak| relations::FACTOR * peak);
+                    *limits = Limits { peak, ..Limits::default() };
+                }
+            }
             table.elements.clear();
         }
         Ok(table)

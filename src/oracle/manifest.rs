@@ -16,6 +16,8 @@ use trgs_scan::output::{Destination, Kind, create_folder, stage_folder, write_at
 
 /// The version of the manifest format that this program supports.
 pub const SCHEMA_VERSION: u32 = 2;
+/// The key of the manifest's `generator` with the digest of the vectors that were exported.
+const ORIGIN: &str = "vectors";
 /// The manifest's file name.
 const MANIFEST: &str = "manifest.json";
 /// The definition of every question and answer, for authors of backends.
@@ -133,6 +135,11 @@ impl Vectors {
         Self::new(Some(folder.as_ref().into()))
     }
 
+    /// The digest of the vectors that these were exported from, or their own.
+    pub fn origin(&self) -> &str {
+        self.manifest.generator.get(ORIGIN).and_then(Value::as_str).unwrap_or(&self.digest)
+    }
+
     /// Vectors in memory.
     pub(super) fn of(manifest: Manifest, files: BTreeMap<String, Vec<u8>>) -> Self {
         let text = serde_json::to_vec(&manifest).expect("a manifest is JSON");
@@ -204,6 +211,7 @@ impl Vectors {
     pub fn export(&self, folder: impl Into<Destination>, blind: bool, cases: &[&Case]) -> Result<usize> {
         let mut manifest =
             Manifest { cases: cases.iter().map(|&case| case.clone()).collect(), ..self.manifest.clone() };
+        manifest.generator.entry(ORIGIN).or_insert_with(|| self.digest.clone().into());
         let staged = stage_folder(folder.into().of(Kind::Vectors))?;
         let mut files: BTreeMap<PathBuf, &FileRef> = BTreeMap::new();
         for case in cases {

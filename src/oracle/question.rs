@@ -56,6 +56,26 @@ impl Question {
         &mut self.arrays
     }
 
+    /// Refuses NaN in any input, and degrees of freedom that are not positive.
+    pub(super) fn refuse_nonsense(&self) -> Result<()> {
+        let refuse = |what: &str, got: &str, expected: &str| {
+            let remedy = "such a question has no answer: change the inputs";
+            Err(Error::invalid(format!("{what} of case {}", self.id), got, expected, remedy))
+        };
+        for (role, arrays) in &self.arrays {
+            for (name, array) in arrays {
+                let what = if name.is_empty() { role } else { name };
+                if array.iter().any(|x| x.is_nan()) {
+                    return refuse(what, "NaN", "numbers");
+                }
+                if what == "nu" && role != "raw" && array.iter().any(|x| *x <= 0.0) {
+                    return refuse(what, "numbers that are not positive", "positive numbers");
+                }
+            }
+        }
+        Ok(())
+    }
+
     fn missing(&self, what: &str) -> Error {
         Error::invalid(
             format!("case {}", self.id),

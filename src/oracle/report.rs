@@ -186,7 +186,8 @@ fn table<const N: usize>(header: &[&str; N], rows: Vec<[String; N]>) -> String {
 
 fn one_line(backend: &serde_json::Value) -> String {
     let words = backend.as_object().map(|fields| {
-        fields.values().map(|v| v.as_str().map_or_else(|| v.to_string(), Into::into)).collect::<Vec<String>>().join(" ")
+        let about = fields.iter().filter(|(key, _)| matches!(key.as_str(), "name" | "version" | "device"));
+        about.map(|(_, v)| v.as_str().map_or_else(|| v.to_string(), Into::into)).collect::<Vec<String>>().join(" ")
     });
     words.unwrap_or_else(|| backend.to_string())
 }

@@ -119,7 +119,7 @@ pub(crate) fn conformance_check<'py>(
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let one = fresh::with_truth(one, format)?;
+        let one = fresh::with_truth(one, format, folder.path())?;
         let report = check::check(&one, &Tolerances::of(&one)?, folder.path(), &options)?;
         Ok(serde_json::to_string(&report.results[0]).expect("a result is JSON"))
     })
@@ -151,7 +151,7 @@ pub(crate) fn conformance_make(
 ) -> PyResult<usize> {
     let level = word("level", level, &LEVELS)?;
     try_run(py, || {
-        let vectors = fresh::make(&stages, seed, count, level)?;
+        let vectors = fresh::make(&stages, seed, count, level, fresh::Ask::Values)?;
         vectors.export(&folder, true, &vectors.manifest.cases.iter().collect::<Vec<_>>())
     })
 }
@@ -171,7 +171,8 @@ pub(crate) fn conformance_hunt(
     level: &str,
 ) -> PyResult<String> {
     let (precision, level) = (word("precision", precision, &FORMATS)?, word("level", level, &LEVELS)?);
-    let settings = hunt::Settings { stages, seed, cases, precision, level };
+    let ask = fresh::Ask::Values;
+    let settings = hunt::Settings { stages, seed, cases, precision, level, ask };
     let mut raised = None;
     let found = try_run(py, || {
         let mut hunt = hunt::Hunt::open(&folder, settings)?;

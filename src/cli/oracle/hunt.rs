@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 use trgs::oracle::check::{CaseResult, Status};
+use trgs::oracle::fresh::{self, Ask};
 use trgs::oracle::hunt::{self, Finding};
-use trgs::oracle::{Format, Level, Vectors, fresh};
+use trgs::oracle::{Format, Level, Vectors};
 use trgs::output::{Destination, Kind};
 use trgs::{Error, Result};
 
@@ -45,6 +46,9 @@ struct Range {
     /// How demanding the questions are
     #[arg(long, default_value = "core", value_parser = choice(&Level::ALL))]
     level: Level,
+    /// What the questions ask for
+    #[arg(long, default_value = "values", value_parser = choice(&Ask::ALL))]
+    ask: Ask,
 }
 
 /// Ask a backend generated questions until it fails, and shrink each failure; exit with code 1 if there is one
@@ -92,13 +96,15 @@ pub(super) struct Replay {
 
 impl Range {
     fn stages(&self) -> Vec<String> {
-        if self.stage.is_empty() { fresh::STAGES.map(String::from).into() } else { self.stage.clone() }
+        let all = self.ask.stages().iter().map(|stage| (*stage).to_owned());
+        if self.stage.is_empty() { all.collect() } else { self.stage.clone() }
     }
 }
 
 impl Make {
     pub(super) fn run(&self) -> Result<Output> {
-        let vectors = fresh::make(&self.range.stages(), self.range.seed, self.count, self.range.level)?;
+        let Range { seed, level, ask, .. } = self.range;
+        let vectors = fresh::make(&self.range.stages(), seed, self.count, level, ask)?;
         let cases: Vec<_> = vectors.manifest.cases.iter().collect();
         let destination =
             Destination::new(&self.folder, Kind::Vectors, "oracle make").overwrite(self.replace.overwrite);
@@ -116,6 +122,7 @@ impl Hunt {
             cases: self.cases,
             precision: self.precision,
             level: self.range.level,
+            ask: self.range.ask,
         };
         let mut hunt = hunt::Hunt::open(&self.out, settings)?;
         let limit = self.seconds.map(|seconds| Duration::from_secs(seconds as u64));

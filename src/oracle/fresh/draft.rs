@@ -1,6 +1,7 @@
 //! A question that is not among the vectors: inputs that can be cut and simplified.
 
 use super::dimensions::{Dimension, Of, dimensions};
+use super::{Ask, refusals, relations};
 use crate::manifest::{Arrays, Case, FileRef, Level, Manifest, SCHEMA_VERSION, Vectors, decode, encode};
 use crate::question::Question;
 use ndarray::Axis;
@@ -203,7 +204,12 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
         [("program".to_owned(), json!(concat!("trgs ", env!("CARGO_PKG_VERSION"))))].into_iter().collect();
     about.insert(COMPUTED.into(), json!("the f64 path of this program, when the answers are checked"));
     about.extend(generator.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
-    let flags = FLAGS.iter().map(|(word, text)| ((*word).to_owned(), (*text).to_owned())).collect();
+    let flags = FLAGS
+        .iter()
+        .chain(&relations::FLAGS)
+        .chain(&refusals::FLAGS)
+        .map(|(word, text)| ((*word).to_owned(), (*text).to_owned()))
+        .collect();
     Vectors::of(Manifest { schema_version: SCHEMA_VERSION, generator: about, flags, cases }, files)
 }
 
@@ -212,8 +218,8 @@ fn file_name(role: &str, arrays: &Arrays) -> String {
 }
 
 /// An error about a stage for which no questions are generated.
-pub(crate) fn unknown_stage(stage: &str) -> Error {
+pub(crate) fn unknown_stage(stage: &str, ask: Ask) -> Error {
     use trgs_core::setting::Setting;
-    let known = super::dimensions::STAGES.join(", ");
+    let known = ask.stages().join(", ");
     Error::invalid(Setting::Stage, stage, format!("one of {known}"), "name a stage for which questions are generated")
 }

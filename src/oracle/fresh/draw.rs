@@ -33,12 +33,14 @@ pub(crate) struct Draw {
     index: u64,
     calls: u32,
     large: bool,
+    /// Whether sizes may be larger than any truth is computed for.
+    pub(crate) huge: bool,
 }
 
 impl Draw {
-    pub(crate) fn new(seed: u64, stage: u64, index: u64, large: bool) -> Self {
+    pub(crate) fn new(seed: u64, stage: u64, index: u64, large: bool, huge: bool) -> Self {
         let kind = Kind::ALL[(index % 4) as usize];
-        Self { rng: Box::new(rng::stream(seed, Purpose::Questions, stage, index)), kind, index, calls: 0, large }
+        Self { rng: Box::new(rng::stream(seed, Purpose::Questions, stage, index)), kind, index, calls: 0, large, huge }
     }
 
     /// A number of [0, 1] in single precision.

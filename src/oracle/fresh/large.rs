@@ -25,6 +25,9 @@ pub(super) fn enlarge(
             grow(draw, 3, 1.0);
             scanner.n_detector = draw.pick(&[[256, 256], [250, 190], [190, 250]]);
             scanner.n_voxel = [65, 48, 33];
+            if draw.huge && draw.chance(0.5) {
+                (scanner.n_detector, scanner.n_voxel) = ([512, 512], [256; 3]);
+            }
             "large-arrays"
         }
         1 => {

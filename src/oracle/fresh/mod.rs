@@ -8,54 +8,120 @@ pub(crate) mod dimensions;
 pub(crate) mod draft;
 mod draw;
 mod large;
+pub(crate) mod refusals;
+pub(crate) mod relations;
 mod stages;
 pub(crate) mod truth;
 
 use crate::format::Format;
 use crate::manifest::{Level, Vectors};
 use draft::Draft;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
+use std::path::Path;
+use trgs_core::described;
 use trgs_core::error::Result;
 
 pub use dimensions::STAGES;
 
-/// `count` valid questions of a stage, from the number `first` on, and the number after the last.
-pub(crate) fn drafts(stage: &str, seed: u64, first: u64, count: usize, level: Level) -> (Vec<Draft>, u64) {
-    let mut next = first;
-    let mut found = Vec::new();
-    while found.len() < count {
-        let draft = stages::draft(stage, seed, next, level);
-        next += 1;
-        if draft.question().is_ok() {
-            found.push(draft);
-        }
+described! {
+    /// What generated questions ask for.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Ask {
+        /// Values, with a truth.
+        Values,
+        /// Relations between answers, which need no truth.
+        Relations,
+        /// Refusals of questions without an answer.
+        Refusals,
     }
-    (found, next)
 }
 
-/// Generated questions of a stage, in memory and without truth: a function of the arguments.
+impl Ask {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Values, Self::Relations, Self::Refusals];
+
+    /// The stages for which questions are generated.
+    pub fn stages(self) -> &'static [&'static str] {
+        match self {
+            Self::Values => &STAGES,
+            Self::Relations => &relations::STAGES,
+            Self::Refusals => &refusals::STAGES,
+        }
+    }
+
+    /// The number of questions of a stage that there are.
+    pub(crate) fn most(self, stage: &str) -> usize {
+        if self == Self::Refusals { refusals::count(stage) } else { usize::MAX }
+    }
+
+    /// The questions of these vectors.
+    pub(crate) fn of(vectors: &Vectors) -> Self {
+        let word = vectors.manifest.generator.get("ask");
+        word.and_then(|word| serde_json::from_value(word.clone()).ok()).unwrap_or(Self::Values)
+    }
+
+    /// `count` valid questions of a stage, from the number `first` on, and the number after the last.
+    ///
+    /// Questions to be refused are fewer.
+    pub(crate) fn drafts(self, stage: &str, seed: u64, first: u64, count: usize, level: Level) -> (Vec<Draft>, u64) {
+        if self == Self::Refusals {
+            let found: Vec<_> = (first..).map_while(|index| refusals::draft(stage, seed, index)).take(count).collect();
+            let next = first + found.len() as u64;
+            return (found, next);
+        }
+        // Relations have no condition, so that ill-conditioned scenes have no limit.
+        let level = if self == Self::Relations && level < Level::Large { Level::Core } else { level };
+        let mut next = first;
+        let mut found = Vec::new();
+        while found.len() < count {
+            let mut draft = stages::draft(stage, seed, next, level, self == Self::Relations);
+            if self == Self::Relations {
+                draft.flags.push(relations::choose(stage, next).into());
+            }
+            next += 1;
+            if draft.question().is_ok() {
+                found.push(draft);
+            }
+        }
+        (found, next)
+    }
+
+    /// The forms in which a question is asked.
+    pub(crate) fn forms(self, base: &Draft) -> Vec<Draft> {
+        if self == Self::Relations { relations::forms(base) } else { vec![base.clone()] }
+    }
+}
+
+/// Generated questions of some stages, in memory and without truth: a function of the arguments.
 ///
 /// # Errors
-/// For a stage that is not in [`STAGES`].
-pub fn make(stages: &[String], seed: u64, count: usize, level: Level) -> Result<Vectors> {
+/// For a stage that is not among [`Ask::stages`].
+pub fn make(stages: &[String], seed: u64, count: usize, level: Level, ask: Ask) -> Result<Vectors> {
     let mut all = Vec::new();
     for stage in stages {
-        if !STAGES.contains(&stage.as_str()) {
-            return Err(draft::unknown_stage(stage));
+        if !ask.stages().contains(&stage.as_str()) {
+            return Err(draft::unknown_stage(stage, ask));
         }
-        all.extend(drafts(stage, seed, 0, count, level).0);
+        all.extend(ask.drafts(stage, seed, 0, count, level).0.iter().flat_map(|base| ask.forms(base)));
     }
-    Ok(draft::vectors(&all, &[("seed", json!(seed)), ("count", json!(count))]))
+    Ok(draft::vectors(&all, &[("ask", json!(ask)), ("seed", json!(seed)), ("count", json!(count))]))
 }
 
 /// Adds the truth to generated questions, with the errors that an answer in `format` may have.
 ///
-/// Other vectors have their truth already and stay as they are.
+/// Relations get their expectations from the answers in a folder. Other vectors have their truth already and stay as they
+/// are.
 ///
 /// # Errors
 /// For questions without a finite answer.
-pub fn with_truth(mut vectors: Vectors, format: Format) -> Result<Vectors> {
-    truth::complete(&mut vectors, format)?;
+pub fn with_truth(mut vectors: Vectors, format: Format, answers: &Path) -> Result<Vectors> {
+    match Ask::of(&vectors) {
+        Ask::Values => truth::complete(&mut vectors, format)?,
+        Ask::Relations => relations::complete(&mut vectors, answers)?,
+        Ask::Refusals => {}
+    }
     Ok(vectors)
 }
 

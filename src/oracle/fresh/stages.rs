@@ -22,10 +22,10 @@ pub(super) struct Row {
     nu: f64,
 }
 
-/// Question `index` of a stage: a function of its arguments alone.
-pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level) -> Draft {
+/// Question `index` of a stage: a function of its arguments alone; `huge` allows sizes that have no truth.
+pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level, huge: bool) -> Draft {
     let number = STAGES.iter().position(|name| *name == stage).expect("a stage with generated questions") as u64;
-    let mut draw = Draw::new(seed, number, index, level == Level::Large);
+    let mut draw = Draw::new(seed, number, index, level == Level::Large, huge);
     let mut new = Draft {
         id: format!("{stage}/fresh-{seed}-{index}"),
         stage: stage.into(),

@@ -9,40 +9,114 @@ fn all_stages() -> Vec<String> {
     STAGES.map(String::from).into()
 }
 
-/// The failures of this program's own answers.
-fn failures(vectors: &Vectors, precision: Precision, format: Format) -> Vec<String> {
+/// The failures of this program's own answers, with a change of each question; it refuses by an error or a panic.
+fn failures(vectors: &Vectors, precision: Precision, format: Format, change: fn(&mut crate::Question)) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     for case in &vectors.manifest.cases {
-        let question = crate::Question::new(vectors, case).unwrap();
-        answers::write(folder.path(), case, &answers::answer(&question, precision).unwrap()).unwrap();
+        let answer = || {
+            let mut question = crate::Question::new(vectors, case)?;
+            change(&mut question);
+            answers::answer(&question, precision)
+        };
+        if let Ok(Ok(outputs)) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(answer)) {
+            answers::write(folder.path(), case, &outputs).unwrap();
+        }
     }
+    let vectors = &with_truth(vectors.clone(), format, folder.path()).unwrap();
     let options =
         Options { format, level: Level::Stress, stages: &[], waivers: &[], today: waivers::today(), commit: None };
     let tolerances = Tolerances::of(vectors).unwrap();
     let report = check(vectors, &tolerances, folder.path(), &options).unwrap();
-    report.results.iter().filter(|result| result.status != Status::Passed).map(|result| format!("{result:?}")).collect()
+    report
+        .results
+        .iter()
+        .filter(|result| result.status != Status::Passed)
+        .map(|result| format!("{}: {:?}", result.id, result.parts))
+        .collect()
 }
 
 #[test]
 fn questions_are_those_of_their_seed() {
-    let one = |seed| make(&all_stages(), seed, 3, Level::Stress).unwrap();
+    let one = |seed| make(&all_stages(), seed, 3, Level::Stress, Ask::Values).unwrap();
     assert_eq!(one(1).digest, one(1).digest);
     assert_ne!(one(1).digest, one(2).digest);
-    let some = make(&["kernel".into()], 1, 2, Level::Core).unwrap();
-    let more = make(&["kernel".into()], 1, 5, Level::Core).unwrap();
+    let some = make(&["kernel".into()], 1, 2, Level::Core, Ask::Values).unwrap();
+    let more = make(&["kernel".into()], 1, 5, Level::Core, Ask::Values).unwrap();
     assert_eq!(some.manifest.cases[..], more.manifest.cases[..2]);
-    assert!(make(&["kernels".into()], 1, 2, Level::Core).unwrap_err().to_string().contains("covariance, kernel"));
+    assert!(
+        make(&["kernels".into()], 1, 2, Level::Core, Ask::Values)
+            .unwrap_err()
+            .to_string()
+            .contains("covariance, kernel")
+    );
 }
 
 #[test]
 fn the_own_answers_pass_in_both_precisions() {
-    let vectors = make(&all_stages(), 7, 4, Level::Stress).unwrap();
+    let vectors = make(&all_stages(), 7, 4, Level::Stress, Ask::Values).unwrap();
     for (precision, format) in [(Precision::F64, Format::F64), (Precision::F32, Format::F32)] {
-        let vectors = with_truth(vectors.clone(), format).unwrap();
-        assert_eq!(failures(&vectors, precision, format), Vec::<String>::new());
+        assert_eq!(failures(&vectors, precision, format, |_| {}), Vec::<String>::new());
     }
-    let images = make(&["image-exact".into()], 7, 4, Level::Core).unwrap();
-    assert_eq!(failures(&with_truth(images, Format::F64).unwrap(), Precision::F32, Format::F64).len(), 4);
+    let images = make(&["image-exact".into()], 7, 4, Level::Core, Ask::Values).unwrap();
+    assert_eq!(failures(&images, Precision::F32, Format::F64, |_| {}).len(), 4);
+}
+
+#[test]
+fn relations_hold_for_right_answers_and_not_without_the_last_primitive() {
+    let vectors = make(
+        &Ask::Relations.stages().iter().map(|s| (*s).into()).collect::<Vec<_>>(),
+        7,
+        10,
+        Level::Core,
+        Ask::Relations,
+    )
+    .unwrap();
+    for (precision, format) in [(Precision::F64, Format::F64), (Precision::F32, Format::F32)] {
+        assert_eq!(failures(&vectors, precision, format, |_| {}), Vec::<String>::new());
+    }
+    let without_the_last = |question: &mut crate::Question| {
+        let mut parameters = question.parameters("model").unwrap();
+        *parameters.density.last_mut().unwrap() = 0.0;
+        question.set_model(&parameters).unwrap();
+    };
+    let failed = failures(&vectors, Precision::F32, Format::F32, without_the_last);
+    for word in ["reordered", "linear", "split", "adjoint"] {
+        let of = |case: &&crate::Case| case.flags.iter().any(|flag| flag == word);
+        let mut cases = vectors.manifest.cases.iter().filter(of);
+        assert!(cases.any(|case| failed.iter().any(|failed| failed.contains(&case.id))), "{word}: {failed:?}");
+    }
+    let turned = |question: &mut crate::Question| {
+        let angles: Vec<f64> = question.angles().unwrap_or_default().iter().map(|angle| -angle).collect();
+        question.settings.insert("angles".into(), json!(angles));
+    };
+    let images = make(&["image-exact".into()], 7, 6, Level::Core, Ask::Relations).unwrap();
+    let failed = failures(&images, Precision::F64, Format::F64, turned);
+    let rotated = images.manifest.cases.iter().filter(|case| case.flags.contains(&"rotated".to_owned()));
+    let rotated: Vec<&str> = rotated.map(|case| case.id.as_str()).collect();
+    assert!(
+        !failed.is_empty() && failed.iter().all(|failed| rotated.iter().any(|id| failed.contains(id))),
+        "{failed:?}"
+    );
+}
+
+#[test]
+fn questions_without_an_answer_are_refused_and_others_are_not() {
+    let stages: Vec<String> = Ask::Refusals.stages().iter().map(|s| (*s).into()).collect();
+    let vectors = make(&stages, 7, 100, Level::Core, Ask::Refusals).unwrap();
+    assert!(vectors.manifest.cases.len() >= 40);
+    assert_eq!(failures(&vectors, Precision::F64, Format::F64, |_| {}), Vec::<String>::new());
+    for stage in &stages {
+        let cases = vectors.manifest.cases.iter().filter(|case| case.stage == *stage);
+        assert!(
+            cases.flat_map(|case| &case.flags).any(|flag| flag == "finite"),
+            "{stage}: who answers nothing is seen"
+        );
+    }
+    let of = |word: &str, finite| refusals::fault(&[word.to_owned()], finite).is_some();
+    let outcomes = [Some(true), Some(false), None];
+    assert_eq!(outcomes.map(|finite| of("refuse", finite)), [true, false, false]);
+    assert_eq!(outcomes.map(|finite| of("finite", finite)), [false, true, true]);
+    assert_eq!(outcomes.map(|finite| of("either", finite)), [false, true, false]);
 }
 
 /// The plain equations share no code with the truth.
@@ -50,7 +124,7 @@ fn the_own_answers_pass_in_both_precisions() {
 fn the_stated_error_of_the_truth_covers_the_plain_equations() {
     use trgs_core::projector::naive;
     for stage in ["image-exact", "image-affine", "density"] {
-        for draft in drafts(stage, 3, 0, 16, Level::Core).0 {
+        for draft in Ask::Values.drafts(stage, 3, 0, 16, Level::Core).0 {
             let (truth, allowance) = truth::truth(&draft, Format::F64).unwrap();
             let q = draft.question().unwrap();
             let (primitives, scanner) = (q.primitives().unwrap(), q.scanner().unwrap());
@@ -73,8 +147,9 @@ fn judged(
     change: impl Fn(&mut crate::Question),
     wrong: impl Fn(&mut ndarray::ArrayD<f64>),
 ) -> String {
-    let vectors = draft::vectors(&drafts(stage, 7, index, 1, Level::Large).0, &[]);
-    let (vectors, folder) = (with_truth(vectors, Format::F64).unwrap(), tempfile::tempdir().unwrap());
+    let vectors = draft::vectors(&Ask::Values.drafts(stage, 7, index, 1, Level::Large).0, &[]);
+    let folder = tempfile::tempdir().unwrap();
+    let vectors = with_truth(vectors, Format::F64, folder.path()).unwrap();
     let case = &vectors.manifest.cases[0];
     let mut question = crate::Question::new(&vectors, case).unwrap();
     change(&mut question);

@@ -106,7 +106,7 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
     Ok((truth, allowance))
 }
 
-fn zeros(like: &Outputs) -> Outputs {
+pub(super) fn zeros(like: &Outputs) -> Outputs {
     let mut zeros = like.clone();
     zeros.values_mut().flat_map(|arrays| arrays.values_mut()).for_each(|array| array.fill(0.0));
     zeros

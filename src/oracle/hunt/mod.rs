@@ -5,12 +5,12 @@
 
 mod shrink;
 
-use crate::check::{CaseResult, Options, PartResult, Status, check};
+use crate::check::{self, CaseResult, Options, PartResult, Status};
 use crate::format::Format;
 use crate::fresh::draft::{self, Draft};
-use crate::fresh::{self, truth};
+use crate::fresh::{Ask, refusals, relations, truth};
 use crate::limits::Tolerances;
-use crate::manifest::{Level, Vectors};
+use crate::manifest::{Arrays, Level, Vectors, decode};
 use crate::outputs::Outputs;
 use crate::waivers;
 use serde::{Deserialize, Serialize};
@@ -48,6 +48,8 @@ pub struct Settings {
     pub precision: Format,
     /// How demanding the questions are.
     pub level: Level,
+    /// What they ask for.
+    pub ask: Ask,
 }
 
 /// A failure.
@@ -95,8 +97,9 @@ impl Hunt {
     /// # Errors
     /// For an unknown stage, a folder with other content, or a hunt with other settings.
     pub fn open(folder: &Path, settings: Settings) -> Result<Self> {
-        if let Some(unknown) = settings.stages.iter().find(|stage| !fresh::STAGES.contains(&stage.as_str())) {
-            return Err(draft::unknown_stage(unknown));
+        let ask = settings.ask;
+        if let Some(unknown) = settings.stages.iter().find(|stage| !ask.stages().contains(&stage.as_str())) {
+            return Err(draft::unknown_stage(unknown, ask));
         }
         let new = Self { settings, asked: BTreeMap::new(), unanswered: Vec::new(), findings: Vec::new() };
         let path = folder.join(STATE);
@@ -132,14 +135,15 @@ impl Hunt {
                     _ => LATER,
                 };
                 let size = size.min(self.settings.cases - asked);
-                let (drafts, next) = fresh::drafts(&stage, self.settings.seed, next, size, self.settings.level);
+                let Settings { ask, seed, level, .. } = self.settings;
+                let (drafts, next) = ask.drafts(&stage, seed, next, size, level);
+                self.asked.insert(stage, (asked + drafts.len(), next));
                 batch.extend(drafts);
-                self.asked.insert(stage, (asked + size, next));
             }
             if batch.is_empty() {
                 break;
             }
-            let mut asker = Asker { settings: &self.settings, backend: &mut *backend };
+            let mut asker = Asker { settings: &self.settings, backend: &mut *backend, explain: true };
             let results: Vec<CaseResult> = asker.ask(&batch)?.into_iter().flatten().collect();
             for stage in self.open_stages_of(&batch) {
                 let of = |result: &&CaseResult| result.stage == stage;
@@ -161,7 +165,8 @@ impl Hunt {
     fn is_open(&self, stage: &str) -> bool {
         let asked = self.asked.get(stage).map_or(0, |(asked, _)| *asked);
         let closed = self.findings.iter().map(|finding| &finding.stage).chain(&self.unanswered);
-        asked < self.settings.cases && !closed.into_iter().any(|closed| closed == stage)
+        let all = self.settings.cases.min(self.settings.ask.most(stage));
+        asked < all && !closed.into_iter().any(|closed| closed == stage)
     }
 
     fn open_stages(&self) -> Vec<String> {
@@ -182,12 +187,15 @@ impl Hunt {
         failed: &[&CaseResult],
         backend: &mut Backend<'_>,
     ) -> Result<Finding> {
-        let mut asker = Asker { settings: &self.settings, backend };
-        let small = shrink(start.clone(), &mut asker)?;
+        let mut asker = Asker { settings: &self.settings, backend, explain: false };
+        let small = match self.settings.ask {
+            Ask::Refusals => start.clone(),
+            _ => shrink(start.clone(), &mut asker)?,
+        };
         let result = asker.ask(std::slice::from_ref(&small))?.remove(0);
         let error = result.as_ref().map_or_else(String::new, describe);
         let case = format!("{}-{}", small.stage, small.id.rsplit('-').next().unwrap_or_default());
-        let vectors = question(small.clone(), &self.settings)?;
+        let vectors = question(&small, &self.settings);
         let cases: Vec<_> = vectors.manifest.cases.iter().collect();
         let destination = Destination::new(folder.join(&case), Kind::Vectors, "oracle hunt").overwrite(true);
         vectors.export(destination, true, &cases)?;
@@ -213,8 +221,10 @@ impl Hunt {
 }
 
 /// A shrunk question as vectors that can be replayed.
-fn question(small: Draft, settings: &Settings) -> Result<Vectors> {
-    Ok(draft::vectors(&[small], &[("precision", json!(settings.precision)), ("seed", json!(settings.seed))]))
+fn question(small: &Draft, settings: &Settings) -> Vectors {
+    let Settings { ask, precision, seed, .. } = settings;
+    let generator = [("ask", json!(ask)), ("precision", json!(precision)), ("seed", json!(seed))];
+    draft::vectors(&ask.forms(small), &generator)
 }
 
 /// Asks a backend generated questions again, such as a shrunk one, and judges the answers.
@@ -222,9 +232,20 @@ fn question(small: Draft, settings: &Settings) -> Result<Vectors> {
 /// # Errors
 /// Those of files, and of a backend that cannot be started.
 pub fn replay(vectors: &Vectors, precision: Format, backend: &mut Backend<'_>) -> Result<Vec<CaseResult>> {
-    let settings = Settings { stages: Vec::new(), seed: 0, cases: 0, precision, level: Level::Large };
+    let ask = Ask::of(vectors);
+    let settings = Settings { stages: Vec::new(), seed: 0, cases: 0, precision, level: Level::Large, ask };
     let drafts = vectors.manifest.cases.iter().map(|case| Draft::read(vectors, case)).collect::<Result<Vec<_>>>()?;
-    Ok(Asker { settings: &settings, backend }.ask(&drafts)?.into_iter().flatten().collect())
+    let mut asker = Asker { settings: &settings, backend, explain: true };
+    if ask == Ask::Relations {
+        let groups = relations::groups(&vectors.manifest.cases).into_iter();
+        let known = groups.map(|range| Known {
+            id: drafts[range.start].id.clone(),
+            forms: drafts[range].to_vec(),
+            truth: None,
+        });
+        return asker.judge(&known.collect::<Vec<_>>());
+    }
+    Ok(asker.ask(&drafts)?.into_iter().flatten().collect())
 }
 
 /// The precision that generated questions were asked in, if they say so.
@@ -264,31 +285,50 @@ pub fn describe(result: &CaseResult) -> String {
 struct Asker<'a, 'b> {
     settings: &'a Settings,
     backend: &'a mut Backend<'b>,
+    explain: bool,
 }
 
-/// A question with its truth.
-type Known<'a> = (&'a Draft, (Outputs, Outputs));
+/// A question in its forms, with its truth if it has one.
+struct Known {
+    id: String,
+    forms: Vec<Draft>,
+    truth: Option<(Outputs, Outputs)>,
+}
+
+impl Known {
+    /// `None` for a question without a finite answer, unless it is to be refused.
+    fn new(base: &Draft, settings: &Settings) -> Option<Self> {
+        let forms = settings.ask.forms(base);
+        let truth = match settings.ask {
+            Ask::Values => Some(truth::truth(base, settings.precision).ok()?),
+            Ask::Relations => {
+                forms.iter().try_for_each(|form| form.question().map(drop)).ok()?;
+                None
+            }
+            Ask::Refusals => None,
+        };
+        Some(Self { id: base.id.clone(), forms, truth })
+    }
+}
 
 impl Asker<'_, '_> {
     /// Results in the order of the questions; none for a question without a finite answer, which is not asked.
     fn ask(&mut self, drafts: &[Draft]) -> Result<Vec<Option<CaseResult>>> {
-        let format = self.settings.precision;
-        let known: Vec<Option<Known<'_>>> =
-            drafts.iter().map(|draft| Some((draft, truth::truth(draft, format).ok()?))).collect();
+        let known: Vec<Option<Known>> = drafts.iter().map(|draft| Known::new(draft, self.settings)).collect();
         let valid: Vec<bool> = known.iter().map(Option::is_some).collect();
         let mut results = self.judge(&known.into_iter().flatten().collect::<Vec<_>>())?.into_iter();
         Ok(valid.into_iter().map(|valid| if valid { results.next() } else { None }).collect())
     }
 
     /// Questions that ended the backend before its time are found by halves.
-    fn judge(&mut self, known: &[Known<'_>]) -> Result<Vec<CaseResult>> {
+    fn judge(&mut self, known: &[Known]) -> Result<Vec<CaseResult>> {
         if known.is_empty() {
             return Ok(Vec::new());
         }
         let scratch = tempfile::tempdir().map_err(|source| Error::write(&std::env::temp_dir(), source))?;
         let (questions, answers) = (scratch.path().join("vectors"), scratch.path().join("answers"));
-        let drafts: Vec<Draft> = known.iter().map(|(draft, _)| (*draft).clone()).collect();
-        let mut vectors = draft::vectors(&drafts, &[]);
+        let forms: Vec<Draft> = known.iter().flat_map(|known| known.forms.clone()).collect();
+        let mut vectors = draft::vectors(&forms, &[("ask", json!(self.settings.ask))]);
         write_plainly(&vectors, &questions)?;
         trgs_scan::output::create_folder(&answers)?;
         let ended = (self.backend)(&vectors, &questions, &answers)?;
@@ -298,19 +338,75 @@ impl Asker<'_, '_> {
             results.extend(self.judge(second)?);
             return Ok(results);
         }
-        known.iter().enumerate().for_each(|(index, (_, truth))| truth::insert(&mut vectors, index, truth));
+        let differing = if ended.is_none() { self.differing(&vectors, &answers)? } else { BTreeMap::new() };
+        let truths = known.iter().flat_map(|known| &known.truth).enumerate();
+        truths.for_each(|(index, truth)| truth::insert(&mut vectors, index, truth));
+        if self.settings.ask == Ask::Relations {
+            relations::complete(&mut vectors, &answers)?;
+        }
         let format = self.settings.precision;
         let today = waivers::today();
         let options = Options { format, level: Level::Large, stages: &[], waivers: &[], today, commit: None };
-        let mut results = check(&vectors, &Tolerances::of(&vectors)?, &answers, &options)?.results;
-        if let Some(reason) = ended {
-            for part in results.iter_mut().flat_map(|result| &mut result.parts) {
-                (part.status, part.message) = (Status::Failed, Some(reason.clone()));
+        let mut all =
+            check::report(&vectors, &Tolerances::of(&vectors)?, &answers, &options, self.explain)?.results.into_iter();
+        let worst = known.iter().map(|known| {
+            let forms = all.by_ref().take(known.forms.len());
+            let worst = forms.max_by_key(|result| result.status).expect("a result for each form");
+            let stage = known.forms.last().expect("at least one form").stage.clone();
+            let mut result = CaseResult { id: known.id.clone(), stage, ..worst };
+            if let Some(message) = known.forms.iter().find_map(|form| differing.get(&form.id)) {
+                (result.parts[0].status, result.parts[0].message) = (Status::Failed, Some(message.clone()));
+                result.status = Status::Failed;
             }
-            results.iter_mut().for_each(|result| result.status = Status::Failed);
+            result
+        });
+        let mut results: Vec<CaseResult> = worst.collect();
+        if let Some(reason) = ended {
+            let may = self.settings.ask == Ask::Refusals && refusals::may_refuse(&known[0].forms[0].flags);
+            let status = if may { Status::Passed } else { Status::Failed };
+            for part in results.iter_mut().flat_map(|result| &mut result.parts) {
+                (part.status, part.message) = (status, Some(reason.clone()));
+            }
+            results.iter_mut().for_each(|result| result.status = status);
         }
         Ok(results)
     }
+}
+
+impl Asker<'_, '_> {
+    /// Asks a backend that says it is deterministic once more, in the reversed order; the questions with other bits.
+    fn differing(&mut self, vectors: &Vectors, answers: &Path) -> Result<BTreeMap<String, String>> {
+        let mut differing = BTreeMap::new();
+        if !check::is_deterministic(answers)? {
+            return Ok(differing);
+        }
+        let scratch = tempfile::tempdir().map_err(|source| Error::write(&std::env::temp_dir(), source))?;
+        let (questions, again) = (scratch.path().join("vectors"), scratch.path().join("answers"));
+        let mut reversed = vectors.clone();
+        reversed.manifest.cases.reverse();
+        write_plainly(&reversed, &questions)?;
+        trgs_scan::output::create_folder(&again)?;
+        (self.backend)(&reversed, &questions, &again)?;
+        for case in &vectors.manifest.cases {
+            for (role, file) in &case.outputs {
+                let [first, second] = [answers, &again].map(|folder| {
+                    let path = folder.join(&file.file);
+                    decode(&trgs_scan::input::read(&path).ok()?, &path).ok()
+                });
+                if bits(first) != bits(second) {
+                    let message = format!("{role} has other bits when asked again in the reversed order of questions");
+                    differing.insert(case.id.clone(), message);
+                }
+            }
+        }
+        Ok(differing)
+    }
+}
+
+/// The bits of all numbers, by the arrays' names.
+fn bits(arrays: Option<Arrays>) -> Option<Vec<(String, Vec<u64>)>> {
+    let of = |(name, array): (String, ndarray::ArrayD<f64>)| (name, array.iter().map(|x| x.to_bits()).collect());
+    arrays.map(|arrays| arrays.into_iter().map(of).collect())
 }
 
 impl Judge for Asker<'_, '_> {

@@ -201,6 +201,7 @@ fn rounded(x: f64, digits: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fresh::Ask;
     use crate::manifest::Level;
 
     /// Fails where the number of primitives is no multiple of 32, as long as the last is there.
@@ -218,7 +219,7 @@ mod tests {
 
     #[test]
     fn a_failure_of_the_last_of_thousands_of_primitives_is_shrunk_to_that_one() {
-        let start = crate::fresh::drafts("image-affine", 7, 1, 1, Level::Large).0.remove(0);
+        let start = Ask::Values.drafts("image-affine", 7, 1, 1, Level::Large).0.remove(0);
         let density: Vec<f64> = start.arrays["model"]["density"].iter().copied().collect();
         assert_eq!(density.len(), 5000);
         let small = shrink(start, &mut Tail(density)).unwrap();

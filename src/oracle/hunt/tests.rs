@@ -4,7 +4,14 @@ use crate::question::Question;
 use trgs_core::numeric::Precision;
 
 fn settings(stage: &str, cases: usize) -> Settings {
-    Settings { stages: vec![stage.into()], seed: 5, cases, precision: Format::F64, level: Level::Core }
+    Settings {
+        stages: vec![stage.into()],
+        seed: 5,
+        cases,
+        precision: Format::F64,
+        level: Level::Core,
+        ask: Ask::Values,
+    }
 }
 
 /// Answers with this program, with a change of each question and of each answer.
@@ -103,4 +110,43 @@ fn a_question_that_ends_the_backend_is_found_among_the_others() {
     });
     assert_eq!(hunt.findings[0].primitives, 3);
     assert!(hunt.findings[0].error.contains("exit status: 1: three"), "{hunt:?}");
+}
+
+#[test]
+fn a_backend_that_says_it_is_deterministic_is_asked_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut asked = 0.0;
+    let hunt = hunted(folder.path(), &settings("covariance", 6), &mut |vectors, _, answers| {
+        asked += 1.0;
+        for case in &vectors.manifest.cases {
+            let mut outputs = answer(&Question::new(vectors, case)?, Precision::F64)?;
+            outputs.get_mut("covariance").unwrap().get_mut("").unwrap().mapv_inplace(|x| x * (1.0 + asked * 1e-15));
+            answers::write(answers, case, &outputs)?;
+        }
+        std::fs::write(answers.join("backend.json"), r#"{"deterministic": true}"#).unwrap();
+        Ok(None)
+    });
+    assert!(hunt.findings[0].error.contains("asked again"), "{hunt:?}");
+}
+
+#[test]
+fn a_description_names_the_vectors_and_the_stages_that_were_answered() {
+    let (vectors, folder) = (Vectors::embedded().unwrap(), tempfile::tempdir().unwrap());
+    let exported = folder.path().join("vectors");
+    vectors.export(&exported, true, &[&vectors.manifest.cases[0]]).unwrap();
+    let opened = Vectors::open(&exported).unwrap();
+    assert_eq!((opened.origin(), opened.origin() == opened.digest), (vectors.digest.as_str(), false));
+    let options = || {
+        let (format, level, today) = (Format::F64, Level::Stress, waivers::today());
+        Options { format, level, stages: &[], waivers: &[], today, commit: None }
+    };
+    let judge = |about: serde_json::Value| {
+        std::fs::write(folder.path().join("backend.json"), about.to_string()).unwrap();
+        check::check(&vectors, &Tolerances::embedded().unwrap(), folder.path(), &options())
+    };
+    let report = judge(json!({"vectors": opened.origin(), "stages": ["kernel"]})).unwrap();
+    assert!(report.results.iter().all(|result| result.stage == "kernel") && !report.results.is_empty());
+    let message = |about| judge(about).unwrap_err().to_string();
+    assert!(message(json!({"vectors": "0123"})).contains(&vectors.digest));
+    assert!(message(json!({"stages": ["kernels"]})).contains("covariance, kernel"));
 }
