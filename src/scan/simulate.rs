@@ -2,7 +2,6 @@
 
 use super::chain::Chain;
 use super::dataset::Dataset;
-use super::frame::Frame;
 use super::noise::Noise;
 use super::phantom::Phantom;
 use super::trilinear;
@@ -217,19 +216,7 @@ fn scan(
             "the training views are simulated measurements ({chain}); test views and true volume are ideal, at 60 keV"
         )
     }));
-    Ok(Dataset {
-        name: name.into(),
-        scanner: *scanner,
-        scale: 1.0,
-        frame: Frame::default(),
-        noise: plan.noise,
-        train,
-        test,
-        truth: Some(truth),
-        initial_points: None,
-        notes,
-        oddities: Vec::new(),
-    })
+    Ok(Dataset { noise: plan.noise, test, truth: Some(truth), notes, ..Dataset::new(name, *scanner, train) })
 }
 
 /// Rejects a scan that does not fit into memory: the volume, the given one, the training views with and without noise, and

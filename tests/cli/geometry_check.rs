@@ -12,7 +12,7 @@ use trgs::geometry::{Beam, Detector, Grid, Projections, Scanner};
 use trgs::numeric::threads;
 use trgs::scan::phantom::solid::{Shape, Solid};
 use trgs::scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
-use trgs::scan::{Chain, Dataset, Frame, Noise, Phantom};
+use trgs::scan::{Chain, Dataset, Noise, Phantom};
 
 const CONE: Beam = Beam::Cone { dso: 4.0, dsd: 6.0 };
 const PARALLEL: Beam = Beam::Parallel { dso: 4.0 };
@@ -27,19 +27,8 @@ fn scanner(beam: Beam, rows: usize, columns: usize) -> Scanner {
 
 /// A scan of a phantom with a little noise and without its true volume.
 fn scan_of(phantom: &Phantom, scanner: &Scanner, angles: &[f64]) -> Dataset {
-    Dataset {
-        name: phantom.name.clone(),
-        scanner: *scanner,
-        scale: 1.0,
-        frame: Frame::default(),
-        noise: Noise::LOW,
-        train: Noise::LOW.apply(&phantom.project(scanner, angles).unwrap(), 5).unwrap(),
-        test: None,
-        truth: None,
-        initial_points: None,
-        oddities: Vec::new(),
-        notes: Vec::new(),
-    }
+    let train = Noise::LOW.apply(&phantom.project(scanner, angles).unwrap(), 5).unwrap();
+    Dataset { noise: Noise::LOW, ..Dataset::new(phantom.name.as_str(), *scanner, train) }
 }
 
 /// The sentences of a verdict.

@@ -10,7 +10,7 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 use trgs::geometry::{Beam, Detector, Grid, Projections, Scanner, Volume};
-use trgs::scan::{Dataset, Frame, Noise};
+use trgs::scan::Dataset;
 
 const MIB: f64 = (1 << 20) as f64;
 /// Allowed underestimate: memory that the system gives to any program.
@@ -31,19 +31,8 @@ fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: us
     };
     let inside = |(x, y, z)| if scanner.grid.centre([x, y, z]).length() < 0.8 { 1.0 } else { 0.0 };
     let truth = Volume::new(scanner.grid, Array3::from_shape_fn((voxels, voxels, voxels), inside)).unwrap();
-    Dataset {
-        name: "ball".into(),
-        scanner,
-        scale: 1.0,
-        frame: Frame::default(),
-        noise: Noise::None,
-        train: projections(views, 0.0),
-        test: (test_views > 0).then(|| projections(test_views, 0.1)),
-        truth: Some(truth),
-        initial_points: None,
-        oddities: Vec::new(),
-        notes: Vec::new(),
-    }
+    let test = (test_views > 0).then(|| projections(test_views, 0.1));
+    Dataset { test, truth: Some(truth), ..Dataset::new("ball", scanner, projections(views, 0.0)) }
 }
 
 /// Runs a reconstruction; returns its estimate and its largest resident set, in bytes.

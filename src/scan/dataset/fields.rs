@@ -73,49 +73,38 @@ pub(super) const OF_GENERATORS: [&str; 15] = [
     "numVal",
 ];
 
-/// The value of a field, as far as it matters here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Content {
-    /// Nothing, false, an empty text or list, or zeros: it moves nothing.
-    Neutral,
-    /// Anything else.
-    Something,
-}
-
-impl Content {
-    /// The content of a JSON value.
-    pub(super) fn of(value: &serde_json::Value) -> Self {
-        use serde_json::Value;
-        let neutral = match value {
-            Value::Null => true,
-            Value::Bool(value) => !value,
-            Value::Number(number) => number.as_f64() == Some(0.0),
-            Value::String(text) => text.is_empty(),
-            Value::Array(values) => values.iter().all(|value| Self::of(value) == Self::Neutral),
-            Value::Object(values) => values.values().all(|value| Self::of(value) == Self::Neutral),
-        };
-        if neutral { Self::Neutral } else { Self::Something }
+/// Whether a JSON value is nothing, false, an empty text or list, or zeros: it moves nothing.
+pub(super) fn is_neutral(value: &serde_json::Value) -> bool {
+    use serde_json::Value;
+    match value {
+        Value::Null => true,
+        Value::Bool(value) => !value,
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        Value::String(text) => text.is_empty(),
+        Value::Array(values) => values.iter().all(is_neutral),
+        Value::Object(values) => values.values().all(is_neutral),
     }
 }
 
-/// Remarks on the fields of an object that are not among those `read`; `place` says where the object is.
+/// Remarks on the fields of an object that are not among those `read`; `place` says where the object is. Each field comes
+/// with whether it is neutral.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a field that is named almost like one that moves something, or as other programs name such
 /// a field, unless it is neutral.
 pub(super) fn unread<'a>(
     place: &str,
-    fields: impl IntoIterator<Item = (&'a str, Content)>,
+    fields: impl IntoIterator<Item = (&'a str, bool)>,
     read: &[&str],
 ) -> Result<Vec<String>> {
     let (mut remarks, mut more) = (Vec::new(), 0);
-    for (name, content) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
+    for (name, is_neutral) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
         let near = read.iter().chain(&SCANNER_FIELDS).chain(&OF_VIEWS).find(|known| are_near(name, known));
         let elsewhere = ELSEWHERE.iter().any(|other| plain(other) == plain(name));
         let misplaced = is_moving(name);
         let moves = elsewhere || misplaced || near.is_some_and(|near| is_moving(near));
         let hint = near.filter(|_| !misplaced).map_or_else(String::new, |near| format!("; did you mean {near}?"));
-        if moves && content == Content::Something {
+        if moves && !is_neutral {
             let remedy = match near {
                 Some(_) if misplaced => {
                     "move it to where it is read: see the geometry page and reference/COMMANDS.md".into()
@@ -157,89 +146,73 @@ fn plain(name: &str) -> String {
 }
 
 /// Whether a name is so close to another that it may be meant: but for case, separators and a slip or two.
+///
+/// Slips are letters that are missing, added, replaced or exchanged with the next.
 fn are_near(name: &str, known: &str) -> bool {
-    let (a, b): (Vec<char>, Vec<char>) = (plain(name).chars().collect(), plain(known).chars().collect());
-    let allowed = match b.len() {
-        0..=4 => usize::from(a.len() >= 3 && a.len() != b.len()),
+    let (a, b) = (plain(name), plain(known));
+    let (written, meant) = (a.chars().count(), b.chars().count());
+    let allowed = match meant {
+        0..=4 => usize::from(written >= 3 && written != meant),
         5..=7 => 1,
         _ => 2,
     };
     // Every slip changes the length by one at most.
-    a == b || (a.len().abs_diff(b.len()) <= allowed && slips(&a, &b) <= allowed)
-}
-
-/// Letters that are missing, added, replaced or exchanged with the next between two names.
-fn slips(a: &[char], b: &[char]) -> usize {
-    let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
-    for i in 0..=a.len() {
-        for j in 0..=b.len() {
-            rows[i][j] = match (i, j) {
-                (0, n) | (n, 0) => n,
-                _ => {
-                    let replaced = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
-                    let least = replaced.min(rows[i - 1][j] + 1).min(rows[i][j - 1] + 1);
-                    if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
-                        least.min(rows[i - 2][j - 2] + 1)
-                    } else {
-                        least
-                    }
-                }
-            };
-        }
-    }
-    rows[a.len()][b.len()]
+    a == b || (written.abs_diff(meant) <= allowed && strsim::osa_distance(&a, &b) <= allowed)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Content::{Neutral, Something};
 
-    fn of(name: &str, content: Content) -> std::result::Result<Vec<String>, String> {
-        unread("the scanner", [(name, content)], &["offDetector", "DSO", "COR", "filter"]).map_err(|e| e.to_string())
+    /// Whether a field is neutral.
+    const NEUTRAL: bool = true;
+    const SOMETHING: bool = false;
+
+    fn of(name: &str, is_neutral: bool) -> std::result::Result<Vec<String>, String> {
+        unread("the scanner", [(name, is_neutral)], &["offDetector", "DSO", "COR", "filter"]).map_err(|e| e.to_string())
     }
 
     #[test]
     fn a_typo_of_a_field_that_moves_something_is_an_error_with_the_name_meant() {
         for typo in ["offDetecor", "offdetector", "off_detector", "offDetectro", "ofDetectr", "Cor", "OffDetectors"] {
-            let message = of(typo, Something).unwrap_err();
+            let message = of(typo, SOMETHING).unwrap_err();
             assert!(message.contains("did you mean"), "{message}");
-            let remarks = of(typo, Neutral).unwrap();
+            let remarks = of(typo, NEUTRAL).unwrap();
             assert!(remarks[0].contains("moves nothing") && remarks[0].contains("did you mean"), "{remarks:?}");
         }
-        assert!(of("helical_pitch", Something).unwrap_err().contains("vectors"));
-        assert!(of("rotDetector", Something).unwrap_err().contains("move it to where it is read"));
+        assert!(of("helical_pitch", SOMETHING).unwrap_err().contains("vectors"));
+        assert!(of("rotDetector", SOMETHING).unwrap_err().contains("move it to where it is read"));
     }
 
     #[test]
     fn other_fields_are_remarks_and_what_is_read_is_none() {
-        assert_eq!(of("offDetector", Something), Ok(Vec::new()));
-        assert_eq!(of("operator", Something).unwrap(), ["the field operator of the scanner is not read"]);
-        assert!(of("fliter", Something).unwrap()[0].ends_with("did you mean filter?"));
+        assert_eq!(of("offDetector", SOMETHING), Ok(Vec::new()));
+        assert_eq!(of("operator", SOMETHING).unwrap(), ["the field operator of the scanner is not read"]);
+        assert!(of("fliter", SOMETHING).unwrap()[0].ends_with("did you mean filter?"));
         for other in ["kVp", "CT", "DSI", "vol", "date", "tube_current"] {
-            assert_eq!(of(other, Something).unwrap().len(), 1, "{other}");
+            assert_eq!(of(other, SOMETHING).unwrap().len(), 1, "{other}");
         }
     }
 
     #[test]
     fn many_unread_fields_are_counted() {
         let names: Vec<String> = (0..60_000).map(|i| format!("some long name of a field {i}")).collect();
-        let remarks = unread("the file", names.iter().map(|name| (name.as_str(), Something)), &["vol"]).unwrap();
+        let remarks = unread("the file", names.iter().map(|name| (name.as_str(), SOMETHING)), &["vol"]).unwrap();
         assert_eq!(remarks.len(), SHOWN + 1);
         assert_eq!(remarks[SHOWN], "59988 fields of the file are not read either");
         // A field that moves something is refused wherever it stands.
-        let moving = names.iter().map(String::as_str).chain(["offDetecor"]).map(|name| (name, Something));
+        let moving = names.iter().map(String::as_str).chain(["offDetecor"]).map(|name| (name, SOMETHING));
         assert!(unread("the scanner", moving, &["offDetector"]).is_err());
     }
 
     #[test]
     fn zeros_and_nothing_are_neutral() {
-        let of = |text: &str| Content::of(&serde_json::from_str(text).unwrap());
+        let of = |text: &str| is_neutral(&serde_json::from_str(text).unwrap());
         for text in ["null", "0", "0.0", "[0, 0]", "[[0, 0], [0, 0.0]]", "false", "\"\"", "[]", "{}", "{\"a\": 0}"] {
-            assert_eq!(of(text), Neutral, "{text}");
+            assert!(of(text), "{text}");
         }
         for text in ["0.1", "[0, 1]", "true", "\"a\"", "{\"a\": 2}"] {
-            assert_eq!(of(text), Something, "{text}");
+            assert!(!of(text), "{text}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `meta_data.json` and the interpretation of its fields.
 
-use super::fields::{self, Content, SCANNER_FIELDS, VIEW_FIELDS};
+use super::fields::{self, SCANNER_FIELDS, VIEW_FIELDS, is_neutral};
 use super::numbers::{self, EXACT, ROUNDED, counts, opposite, pitches, sizes};
 use super::poses::{self, Axes, Motion, PerView, Words};
 use crate::frame::{Frame, FrameMeta};
@@ -300,13 +300,9 @@ impl ViewMeta {
 
 /// Remarks on the fields of a file that are not read.
 fn unread(file: &Value) -> Result<Vec<String>> {
-    let fields = |value: &Value| -> Vec<(String, Content)> {
-        let object = value.as_object().into_iter().flatten();
-        object.map(|(name, value)| (name.clone(), Content::of(value))).collect()
-    };
     let of = |place: &str, value: &Value, read: &[&str]| {
-        let fields = fields(value);
-        fields::unread(place, fields.iter().map(|(name, content)| (name.as_str(), *content)), read)
+        let fields = value.as_object().into_iter().flatten();
+        fields::unread(place, fields.map(|(name, value)| (name.as_str(), is_neutral(value))), read)
     };
     let mut remarks = of("the file", file, &FILE_FIELDS)?;
     remarks.extend(of(
@@ -316,11 +312,9 @@ fn unread(file: &Value) -> Result<Vec<String>> {
     )?);
     for list in ["proj_train", "proj_test"] {
         // One remark stands for all views; a field is neutral if it is so in all of them.
-        let mut all: BTreeMap<&str, Content> = BTreeMap::new();
+        let mut all: BTreeMap<&str, bool> = BTreeMap::new();
         for (name, value) in file[list].as_array().into_iter().flatten().filter_map(Value::as_object).flatten() {
-            let content = Content::of(value);
-            let known = all.entry(name).or_insert(content);
-            *known = if content == Content::Something { content } else { *known };
+            *all.entry(name).or_insert(true) &= is_neutral(value);
         }
         remarks.extend(fields::unread(list, all, &VIEW_FIELDS)?);
     }

@@ -233,20 +233,31 @@ pub fn read_at_angles(path: impl AsRef<Path>, angles: &[f64]) -> Result<(Scanner
 }
 
 impl Dataset {
+    /// A scan of training views in scene units, without noise, test views and truth.
+    pub fn new(name: impl Into<String>, scanner: Scanner, train: Projections) -> Self {
+        Self {
+            name: name.into(),
+            scanner,
+            scale: 1.0,
+            frame: Frame::default(),
+            noise: Noise::None,
+            train,
+            test: None,
+            truth: None,
+            initial_points: None,
+            notes: Vec::new(),
+            oddities: Vec::new(),
+        }
+    }
+
     /// A scan with these training views alone, without test views and truth.
     pub fn of_views(&self, views: &[usize]) -> Self {
         Self {
-            name: self.name.clone(),
-            scanner: self.scanner,
             scale: self.scale,
             frame: self.frame,
             noise: self.noise,
-            train: self.train.select(views),
-            test: None,
-            truth: None,
             initial_points: self.initial_points.clone(),
-            notes: Vec::new(),
-            oddities: Vec::new(),
+            ..Self::new(self.name.as_str(), self.scanner, self.train.select(views))
         }
     }
 

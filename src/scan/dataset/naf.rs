@@ -3,8 +3,7 @@
 //! Lengths are in millimetres, but line integrals are density times metres (a property of the format), so lengths are
 //! divided by 1000. Rows are stored from the top, as in this project.
 
-use super::fields::SCANNER_FIELDS;
-use super::fields::{self, Content};
+use super::fields::{self, SCANNER_FIELDS};
 use super::meta::{Interpreted, ScannerMeta};
 use super::pickle::{self, Array, Value};
 use super::poses::Motion;
@@ -75,19 +74,7 @@ fn interpret(data: &Value, path: &Path) -> Result<Dataset> {
     }
     let name = path.file_stem().map_or_else(|| "scan".into(), |stem| stem.to_string_lossy().into_owned());
     let frame = Frame { unit: Some(Unit::Metre), ..Frame::scaled(scale) };
-    Ok(Dataset {
-        name,
-        scanner,
-        scale,
-        frame,
-        noise,
-        train,
-        test,
-        truth,
-        initial_points: None,
-        notes: Vec::new(),
-        oddities,
-    })
+    Ok(Dataset { scale, frame, noise, test, truth, oddities, ..Dataset::new(name, scanner, train) })
 }
 
 /// The scanner's fields in metres, with the total sizes that the format leaves out.
@@ -157,7 +144,7 @@ fn unread(data: &Value) -> Result<Vec<String>> {
     // Matrices depend on the unit, which differs between lengths and projections here.
     let scanner: Vec<&str> = SCANNER_FIELDS.into_iter().filter(|name| *name != "matrices").collect();
     let of = |place: &str, value: &Value, read: &[&str]| {
-        fields::unread(place, value.fields().map(|(name, value)| (name, content(value))), read)
+        fields::unread(place, value.fields().map(|(name, value)| (name, is_neutral(value))), read)
     };
     let mut remarks = of("the pickle", data, &[&scanner[..], &PARTS, &fields::OF_GENERATORS].concat())?;
     for part in &PARTS[1..] {
@@ -168,21 +155,20 @@ fn unread(data: &Value) -> Result<Vec<String>> {
     Ok(remarks)
 }
 
-/// The content of a field, as far as it matters for one that is not read.
-fn content(value: &Value) -> Content {
-    let neutral = match value {
+/// The same as [`fields::is_neutral`] of a pickle's value.
+fn is_neutral(value: &Value) -> bool {
+    match value {
         Value::None => true,
         Value::Bool(value) => !value,
         Value::Integer(value) => *value == 0,
         Value::Float(value) => *value == 0.0,
         Value::Text(text) => text.is_empty(),
         Value::Bytes(bytes) => bytes.is_empty(),
-        Value::List(values) => values.iter().all(|value| content(value) == Content::Neutral),
-        Value::Dictionary(pairs) => pairs.iter().all(|(_, value)| content(value) == Content::Neutral),
+        Value::List(values) => values.iter().all(is_neutral),
+        Value::Dictionary(pairs) => pairs.iter().all(|(_, value)| is_neutral(value)),
         Value::Array(array) => array.values.iter().all(|value| *value == 0.0),
         Value::Unknown(_) => false,
-    };
-    if neutral { Content::Neutral } else { Content::Something }
+    }
 }
 
 fn views(

@@ -21,7 +21,6 @@ pub mod rtk;
 pub use rtk::RtkGeometry;
 
 use super::dataset::{Dataset, Description};
-use super::noise::Noise;
 use super::npy;
 use super::volume_file::{self, VolumeFile, files, with_extension};
 use crate::limit;
@@ -141,19 +140,8 @@ pub fn scan(
     let angles: Vec<f64> = angles.into_iter().map(|angle| sense * angle).collect();
     let poses = description.poses(&angles)?;
     let train = Projections::along(Trajectory { angles: &angles, poses: poses.as_deref() }, images)?;
-    Ok(Dataset {
-        name: name.into(),
-        scanner: *scanner,
-        scale: *scale,
-        frame: *frame,
-        noise: Noise::None,
-        train,
-        test: None,
-        truth: None,
-        initial_points: None,
-        oddities: description.oddities.clone(),
-        notes: Vec::new(),
-    })
+    let oddities = description.oddities.clone();
+    Ok(Dataset { scale: *scale, frame: *frame, oddities, ..Dataset::new(name, *scanner, train) })
 }
 
 /// The number of views, their first and last angle, and the step between them, as a sentence; angles in radians.
