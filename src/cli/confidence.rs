@@ -6,8 +6,8 @@ use super::views::{ViewArgs, Views};
 use super::{Output, interrupt};
 use clap::{Args, value_parser};
 use ndarray::{ArrayView, aview0, aview1};
-use serde::Serialize;
-use std::path::{Path, PathBuf};
+use serde_json::json;
+use std::path::PathBuf;
 use std::time::Instant;
 use trgs::confidence::{Alpha, Coverage, Histogram, MOST_POINTS, Settings, Spread, nu_target, spearman};
 use trgs::duration::sample;
@@ -15,7 +15,7 @@ use trgs::primitives::Primitives;
 use trgs::primitives::activation::Interval;
 use trgs::scan::model;
 use trgs::scan::npz::{self, Entry};
-use trgs::words::counted;
+use trgs::words::{self, counted};
 use trgs::{Error, Result};
 
 /// Points on the sphere of a primitive from which the duration is estimated.
@@ -65,22 +65,6 @@ pub(super) struct Confidence {
     nu_max: f64,
 }
 
-/// The result of the command.
-#[derive(Serialize)]
-struct Found<'a> {
-    #[serde(serialize_with = "trgs::words::serialize_name")]
-    out: &'a Path,
-    primitives: usize,
-    views: usize,
-    /// Null without primitives.
-    c: Option<Spread>,
-    /// Primitives with c from 0 to 0.05, from 0.05 to 0.1, and so on.
-    c_histogram: Histogram,
-    nu_target: Option<Spread>,
-    /// Rank correlation of c and the model's ν; null if either is constant, as ν of Gaussians is.
-    spearman: Option<f64>,
-}
-
 impl Confidence {
     pub(super) fn run(&self) -> Result<Output> {
         let (settings, nu) = (self.settings()?, self.nu()?);
@@ -92,15 +76,18 @@ impl Confidence {
         let targets: Vec<f64> = c.iter().map(|&c| nu_target(c, &settings, nu)).collect();
         let alpha = settings.alpha.constant(&primitives);
         interrupt::shielded(|| self.write(&c, &targets, &views.angles, alpha))?;
-        Ok(Output::list(&Found {
-            out: &self.out,
-            primitives: primitives.len(),
-            views: views.angles.len(),
-            c: Spread::of(&c),
-            c_histogram: Histogram::of(&c),
-            nu_target: Spread::of(&targets),
-            spearman: spearman(&c, &primitives.parameters.nu),
-        }))
+        Ok(Output::list(&json!({
+            "out": words::name(&self.out),
+            "primitives": primitives.len(),
+            "views": views.angles.len(),
+            // Null without primitives.
+            "c": Spread::of(&c),
+            // Primitives with c from 0 to 0.05, from 0.05 to 0.1, and so on.
+            "c_histogram": Histogram::of(&c),
+            "nu_target": Spread::of(&targets),
+            // Rank correlation of c and the model's ν; null if either is constant, as ν of Gaussians is.
+            "spearman": spearman(&c, &primitives.parameters.nu),
+        })))
     }
 
     fn settings(&self) -> Result<Settings> {

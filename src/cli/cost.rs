@@ -1,10 +1,9 @@
 //! What it costs to sample a model: said before it begins, and shown while it goes on.
 
+use super::Global;
+use super::messages::ProgressBar;
 use super::pace::spoken;
 use super::progress::Lines;
-use super::{Global, LogFormat};
-use indicatif::ProgressStyle;
-use std::io::{self, IsTerminal};
 use std::time::Instant;
 
 /// Seconds that are worth a word.
@@ -28,7 +27,7 @@ fn sentence(what: &str, seconds: f64, fast: Option<f64>) -> Option<String> {
 /// Progress of sampling.
 pub(super) struct Steps {
     what: &'static str,
-    bar: Option<indicatif::ProgressBar>,
+    bar: ProgressBar,
     lines: Lines,
     began: Instant,
 }
@@ -36,29 +35,18 @@ pub(super) struct Steps {
 impl Steps {
     /// `what` is the plural of a step: views, or slices of the grid.
     pub(super) fn new(what: &'static str, global: &Global) -> Self {
-        let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is well formed");
-        let bar = wanted.then(|| indicatif::ProgressBar::new(1).with_style(style).with_message(what));
+        let bar = ProgressBar::of("{bar:30} {pos}/{len} {msg}", 1, global);
+        bar.show(what.into(), [0, 1]);
         Self { what, bar, lines: Lines::begun(Instant::now()), began: Instant::now() }
     }
 
     pub(super) fn see(&mut self, done: usize, all: usize) {
         let seconds = self.began.elapsed().as_secs_f64();
         let left = spoken(seconds * (all - done) as f64 / done.max(1) as f64);
-        if let Some(bar) = &self.bar {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-            bar.set_message(format!("{}, about {left} left", self.what));
+        if self.bar.is_shown() {
+            self.bar.show(format!("{}, about {left} left", self.what), [done, all]);
         } else if self.lines.is_due(Instant::now()) {
             tracing::info!(done, all, seconds, "{done} of {all} {}, {seconds:.1} s, about {left} left", self.what);
-        }
-    }
-}
-
-impl Drop for Steps {
-    fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
         }
     }
 }

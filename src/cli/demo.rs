@@ -6,18 +6,17 @@ use super::reconstruct::reconstruct;
 use super::run_folder::{Outcome, RunFolder, Source};
 use super::{Global, Output, interrupt};
 use clap::Args;
-use serde::Serialize;
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::{Metric, Metrics};
 use trgs::experiments::{Matching, Scale};
 use trgs::geometry::Scanner;
 use trgs::output::{Destination, Kind, Mark};
-use trgs::reconstruction::Evaluation;
 use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::scan::{Dataset, Noise, Phantom};
+use trgs::{Result, words};
 
 /// The paper's experiment at a quarter of its size in every direction.
 const SCALE: Scale = Scale { size: 64, matching: Matching::Edge, pixels: None };
@@ -38,18 +37,6 @@ pub(super) struct Demo {
     /// Seed of all random choices
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = seed)]
     seed: u64,
-}
-
-/// The result of the command.
-#[derive(Serialize)]
-struct Found<'a> {
-    #[serde(serialize_with = "trgs::words::serialize_name")]
-    dataset: &'a Path,
-    #[serde(serialize_with = "trgs::words::serialize_name")]
-    report: &'a Path,
-    #[serde(rename = "tr-gs")]
-    ours: &'a Evaluation,
-    fdk: &'a Evaluation,
 }
 
 impl Demo {
@@ -89,7 +76,8 @@ impl Demo {
         let [ours, fdk] = [ours.evaluation, fdk.evaluation];
         let rows = (Metrics::NAMES.into_iter().zip(ours.metrics.row()).zip(fdk.metrics.row()))
             .map(|((name, ours), fdk)| [name.into(), ours, fdk]);
-        let found = Found { dataset: &source, report: &report, ours: &ours, fdk: &fdk };
+        let found =
+            json!({ "dataset": words::name(&source), "report": words::name(&report), "tr-gs": ours, "fdk": fdk });
         let lead = |(ours, fdk): (&Metric, &Metric)| {
             format!(
                 "TR-GS is {:.1} dB above FDK, the usual reconstruction, from the same projections.",

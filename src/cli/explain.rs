@@ -2,6 +2,7 @@
 
 use super::Output;
 use serde::Serialize;
+use serde_json::Value;
 use std::path::Path;
 use trgs::config::Precision;
 use trgs::numeric::Real;
@@ -31,9 +32,10 @@ pub(super) struct Written<'a> {
 
 /// The contributions, and the files written by the same command.
 #[derive(Serialize)]
-struct Explanation<'a, P> {
+struct Explanation<'a> {
+    /// The pixel or the voxel.
     #[serde(flatten)]
-    place: P,
+    place: Value,
     /// Sum of all contributions.
     value: f64,
     /// Number of primitives in the model.
@@ -73,7 +75,7 @@ pub(super) fn check_index(index: [usize; 3], shape: [usize; 3], names: [&str; 3]
 
 /// The table of contributions, the largest first.
 pub(super) fn answer<R: Real>(
-    place: impl Serialize,
+    place: Value,
     primitives: &Primitives,
     contributions: &[R],
     written: Option<Written<'_>>,

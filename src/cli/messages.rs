@@ -83,23 +83,47 @@ pub(super) fn hounsfield_to_attenuation(path: &Path, values: &mut Array3<f32>, m
     Ok(())
 }
 
-/// Progress of an experiment or of a check.
-pub(super) struct ProgressBar {
-    bar: Option<indicatif::ProgressBar>,
-}
+/// A progress bar on a terminal, which is removed when it is dropped. Where there is none, progress is logged in lines.
+pub(super) struct ProgressBar(Option<indicatif::ProgressBar>);
 
 impl ProgressBar {
-    /// A bar on a terminal, otherwise one line per step.
-    pub(super) fn new(iterations: usize, global: &Global) -> Self {
+    /// A bar with a message, the rate and the time left.
+    pub(super) fn new(steps: usize, global: &Global) -> Self {
+        Self::of("{bar:30} {pos}/{len} {msg}{rate}, {eta} left", steps, global)
+    }
+
+    /// A bar with a template of indicatif.
+    pub(super) fn of(template: &str, steps: usize, global: &Global) -> Self {
         let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}{rate}, {eta} left");
-        let style = style.expect("the template is well formed").with_key(
+        let style = ProgressStyle::with_template(template).expect("the template is well formed").with_key(
             "rate",
             |state: &ProgressState, text: &mut dyn fmt::Write| {
                 let _ = write!(text, "{:.1} it/s", state.per_sec());
             },
         );
-        Self { bar: wanted.then(|| indicatif::ProgressBar::new(iterations as u64).with_style(style)) }
+        Self(wanted.then(|| indicatif::ProgressBar::new(steps as u64).with_style(style)))
+    }
+
+    /// Whether there is a terminal for it.
+    pub(super) fn is_shown(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// Shows a message, and how many of all steps are done.
+    pub(super) fn show(&self, text: String, [done, all]: [usize; 2]) {
+        if let Some(bar) = &self.0 {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+            bar.set_message(text);
+        }
+    }
+
+    /// Writes lines, above the bar if there is one.
+    pub(super) fn above(&self, write: impl FnOnce()) {
+        match &self.0 {
+            Some(bar) => bar.suspend(write),
+            None => write(),
+        }
     }
 
     /// Call after every cell of an experiment.
@@ -107,9 +131,8 @@ impl ProgressBar {
     /// `seconds` counts from the start of the first cell; `first` is the number of cells finished before.
     pub(super) fn cell(&mut self, done: &Done<'_>, first: usize, seconds: f64) {
         let Done { cell, done, cells } = *done;
-        if let Some(bar) = &self.bar {
-            bar.set_position(done as u64);
-            bar.set_message(format!("{}, ", visible(cell.description())));
+        if self.is_shown() {
+            self.show(format!("{}, ", visible(cell.description())), [done, cells]);
         } else {
             let left = seconds / (done.saturating_sub(first).max(1)) as f64 * (cells - done) as f64;
             tracing::info!(
@@ -127,9 +150,8 @@ impl ProgressBar {
     /// Call after every step of a check; breaks when the user interrupts.
     pub(super) fn step(&mut self, step: &Step) -> ControlFlow<()> {
         let Step { what, done, steps } = *step;
-        if let Some(bar) = &self.bar {
-            bar.set_position(done as u64);
-            bar.set_message(format!("{what}, "));
+        if self.is_shown() {
+            self.show(format!("{what}, "), [done, steps]);
         } else {
             tracing::info!(done, steps, what, "step {done} of {steps}: {what}");
         }
@@ -144,7 +166,7 @@ pub(super) fn go_on() -> ControlFlow<()> {
 
 impl Drop for ProgressBar {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
+        if let Some(bar) = &self.0 {
             bar.finish_and_clear();
         }
     }

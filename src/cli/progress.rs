@@ -1,10 +1,9 @@
 //! Progress of the parts of a run, on a bar or in lines, and how long the run will take.
 
+use super::Global;
 use super::interrupt::requested;
+use super::messages::ProgressBar;
 use super::pace::{Pace, STEP_IN_VIEWS, spoken};
-use super::{Global, LogFormat};
-use indicatif::ProgressStyle;
-use std::io::{self, IsTerminal};
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 use trgs::classical::VoxelProjector;
@@ -23,7 +22,7 @@ pub(super) struct RunProgress<'a> {
     dataset: &'a Dataset,
     config: &'a Config,
     pace: Pace<'a>,
-    bar: Option<indicatif::ProgressBar>,
+    bar: ProgressBar,
     began: Instant,
     lines: Lines,
     /// The part, its first step, and the seconds then.
@@ -62,14 +61,12 @@ impl<'a> RunProgress<'a> {
         is_decided: bool,
         global: &Global,
     ) -> Self {
-        let wanted = !global.quiet && global.log_format == LogFormat::Text && io::stderr().is_terminal();
-        let style = ProgressStyle::with_template("{bar:30} {msg}").expect("the template is well formed");
         let views = [dataset.train.len(), dataset.test.as_ref().map_or(0, |test| test.len())];
         Self {
             dataset,
             config,
             pace: Pace { config, done, is_decided, views, steps: 0, from: 0.0 },
-            bar: wanted.then(|| indicatif::ProgressBar::new(1).with_style(style)),
+            bar: ProgressBar::of("{bar:30} {msg}", 1, global),
             began: Instant::now(),
             lines: Lines::default(),
             part: ("", 0, 0.0),
@@ -110,7 +107,7 @@ impl<'a> RunProgress<'a> {
 
     /// Says that the metrics are computed.
     pub(super) fn evaluating(&mut self) {
-        self.show("evaluation".into(), [0, 1]);
+        self.bar.show("evaluation".into(), [0, 1]);
     }
 
     /// Says once how long the run will take, as soon as its first steps allow.
@@ -118,10 +115,7 @@ impl<'a> RunProgress<'a> {
         let Some(step) = self.pace.step(now) else { return };
         let on_voxels = if self.pace.asks_for_a_step() { self.step_on_voxels() } else { f64::NAN };
         if let Some((seconds, text)) = self.pace.duration(now, step, on_voxels) {
-            match &self.bar {
-                Some(bar) => bar.suspend(|| tracing::info!(seconds, "{text}")),
-                None => tracing::info!(seconds, "{text}"),
-            }
+            self.bar.above(|| tracing::info!(seconds, "{text}"));
         }
     }
 
@@ -151,22 +145,13 @@ impl<'a> RunProgress<'a> {
         format!(", about {} left of this part", spoken(seconds))
     }
 
-    /// Moves the bar and shows `text` beside it.
-    fn show(&self, text: String, [done, all]: [usize; 2]) {
-        if let Some(bar) = &self.bar {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-            bar.set_message(text);
-        }
-    }
-
     fn iteration(&mut self, what: &'static str, steps: [usize; 2], record: Option<&Record>, now: f64) {
         let (left, [iteration, all]) = (self.left(what, steps, now), steps);
-        if self.bar.is_some() {
+        if self.bar.is_shown() {
             if let Some(Record { loss, primitives, .. }) = record {
                 self.loss = format!(": loss {loss:.5}, {primitives} primitives");
             }
-            return self.show(format!("{what} {iteration} of {all}{}{left}", self.loss), steps);
+            return self.bar.show(format!("{what} {iteration} of {all}{}{left}", self.loss), steps);
         }
         let Some(record) = record.filter(|_| self.lines.is_due(Instant::now())) else { return };
         let Record { iterations, loss, l1, d_ssim, tv, primitives, seconds, .. } = *record;
@@ -189,9 +174,9 @@ impl<'a> RunProgress<'a> {
         let left = self.left(what, [pass.iteration, pass.iterations], now);
         let Pass { iteration, iterations, residual, objective, change } = *pass;
         let shown = if (0.01..1e6).contains(&residual) { format!("{residual:.4}") } else { format!("{residual:.4e}") };
-        if self.bar.is_some() {
+        if self.bar.is_shown() {
             let text = format!("{what} {iteration} of {iterations}: residual {shown}{left}");
-            return self.show(text, [iteration, iterations]);
+            return self.bar.show(text, [iteration, iterations]);
         }
         if self.lines.is_due(Instant::now()) {
             let change = change.map_or(String::new(), |change| format!(", step {change:.1e} of the volume"));
@@ -208,12 +193,12 @@ impl<'a> RunProgress<'a> {
     }
 
     fn trial(&mut self, key: &str, trial: Option<&Trial>, now: f64) {
-        if self.bar.is_some() {
+        if self.bar.is_shown() {
             if let Some(Trial { value, error }) = trial {
                 let value = words::value(*value);
                 self.loss = format!(": {value} has a held-out error of {error:.5}");
             }
-            return self.show(format!("choice of {key}{}", self.loss), [0, 1]);
+            return self.bar.show(format!("choice of {key}{}", self.loss), [0, 1]);
         }
         let Some(Trial { value, error }) = trial else { return };
         if self.lines.is_due(Instant::now()) {
@@ -225,14 +210,6 @@ impl<'a> RunProgress<'a> {
                 "choice of {key}: {} has a held-out error of {error:.5}, {now:.1} s",
                 words::value(*value)
             );
-        }
-    }
-}
-
-impl Drop for RunProgress<'_> {
-    fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
         }
     }
 }

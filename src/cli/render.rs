@@ -7,7 +7,7 @@ use super::views::{ViewArgs, Views};
 use super::{Global, Output, interrupt};
 use clap::Args;
 use ndarray::{Array3, Ix3};
-use serde::Serialize;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::duration::seconds_to_project;
@@ -70,16 +70,6 @@ pub(super) struct KernelArgs {
     pub(super) grad_out: Option<PathBuf>,
 }
 
-/// The pixel that is explained.
-#[derive(Serialize)]
-struct Pixel {
-    view: usize,
-    /// Radians.
-    angle: f64,
-    row: usize,
-    column: usize,
-}
-
 impl Render {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
         match self.kernel.precision {
@@ -96,20 +86,14 @@ impl Render {
         if let Some(pixel) = self.explain {
             explain::check_index(pixel, shape, ["view", "row", "column"])?;
         }
-        let written = match &self.out {
-            Some(out) => Some(self.write::<R>(out, &primitives, &views, global)?),
-            None => None,
-        };
-        match (self.explain, written) {
-            (Some([view, row, column]), written) => {
-                let field = Field::<R>::new(&primitives, self.kernel.cutoff);
-                let contributions = field.seen_in(&views.trajectory().view(scanner, view), self.projection);
-                let contributions = contributions.contributions(row, column);
-                let pixel = Pixel { view, angle: angles[view], row, column };
-                Ok(explain::answer(pixel, &primitives, &contributions, written))
-            }
-            (None, written) => Ok(Output::list(&written)),
-        }
+        let out = self.out.as_deref();
+        let written = out.map(|out| self.write::<R>(out, &primitives, &views, global)).transpose()?;
+        let Some([view, row, column]) = self.explain else { return Ok(Output::list(&written)) };
+        let field = Field::<R>::new(&primitives, self.kernel.cutoff);
+        let contributions = field.seen_in(&views.trajectory().view(scanner, view), self.projection);
+        let contributions = contributions.contributions(row, column);
+        let pixel = json!({ "view": view, "angle": angles[view], "row": row, "column": column });
+        Ok(explain::answer(pixel, &primitives, &contributions, written))
     }
 
     fn write<'a, R: Kernels + Element>(
@@ -120,9 +104,7 @@ impl Render {
         global: &Global,
     ) -> Result<Written<'a>> {
         let (projection, cutoff, scanner) = (self.projection, self.kernel.cutoff, &views.scanner);
-        // The projections, one more of each view at work, and the cotangent as read and in this arithmetic.
-        let (real, asks) = (size_of::<R>(), self.kernel.grad_out.is_some());
-        let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
+        let bytes = self.kernel.bytes::<R>();
         let shape = [views.angles.len(), scanner.detector.rows, scanner.detector.columns];
         limit::allow_array("projections", &shape, bytes).map_err(|error| error.or_instead("fewer views or pixels"))?;
         let fast = || seconds_to_project::<f32>(primitives, scanner, views.trajectory(), projection, FAST_CUTOFF);
@@ -156,6 +138,12 @@ impl Render {
 }
 
 impl KernelArgs {
+    /// Bytes for a number of the output: itself, once more as it is computed, and the cotangent as read and in this arithmetic.
+    pub(super) fn bytes<R>(&self) -> usize {
+        let real = size_of::<R>();
+        2 * real + if self.grad_out.is_some() { size_of::<f64>() + real } else { 0 }
+    }
+
     /// Whether sampling is fast already.
     pub(super) fn is_fast(&self) -> bool {
         self.precision == Precision::F32 && self.cutoff >= FAST_CUTOFF

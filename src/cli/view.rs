@@ -6,7 +6,7 @@ use super::messages::warning;
 use super::{Output, convert};
 use clap::Args;
 use ndarray::Array3;
-use serde::Serialize;
+use serde_json::json;
 use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::io::Write;
@@ -79,15 +79,6 @@ struct Named {
     is_run: bool,
 }
 
-/// The result of the command.
-#[derive(Serialize)]
-struct Written<'a> {
-    #[serde(serialize_with = "trgs::words::serialize_name")]
-    out: &'a Path,
-    bytes: usize,
-    shows: Vec<String>,
-}
-
 impl View {
     pub(super) fn run(&self) -> Result<Output> {
         let Shown { scan, volumes, stacks } = self.read()?;
@@ -127,7 +118,7 @@ impl View {
         let html = page(&names.join(", "), &shows.join("; "), &scenes, depth);
         check_file(&self.out)?;
         write_atomically(&self.out, |file| file.write_all(html.as_bytes()))?;
-        Ok(Output::list(&Written { out: &self.out, bytes: html.len(), shows }))
+        Ok(Output::list(&json!({ "out": words::name(&self.out), "bytes": html.len(), "shows": shows })))
     }
 
     fn read(&self) -> Result<Shown> {

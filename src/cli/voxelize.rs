@@ -8,7 +8,7 @@ use super::{Global, Output};
 use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
-use serde::Serialize;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::duration::seconds_to_voxelize;
@@ -65,14 +65,6 @@ struct PlaceArgs {
     grid: Option<[usize; 3]>,
 }
 
-/// The voxel that is explained.
-#[derive(Serialize)]
-struct Voxel {
-    voxel: [usize; 3],
-    /// Position of its centre, scene units.
-    position: [f64; 3],
-}
-
 impl Voxelize {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
         match self.kernel.precision {
@@ -87,18 +79,12 @@ impl Voxelize {
         if let Some(voxel) = self.explain {
             explain::check_index(voxel, grid.shape, ["x", "y", "z"])?;
         }
-        let written = match &self.out {
-            Some(out) => Some(self.write::<R>(out, &primitives, &grid, global)?),
-            None => None,
-        };
-        match (self.explain, written) {
-            (Some(voxel), written) => {
-                let contributions = Field::<R>::new(&primitives, self.kernel.cutoff).voxel_contributions(&grid, voxel);
-                let place = Voxel { voxel, position: grid.centre(voxel).to_array() };
-                Ok(explain::answer(place, &primitives, &contributions, written))
-            }
-            (None, written) => Ok(Output::list(&written)),
-        }
+        let out = self.out.as_deref();
+        let written = out.map(|out| self.write::<R>(out, &primitives, &grid, global)).transpose()?;
+        let Some(voxel) = self.explain else { return Ok(Output::list(&written)) };
+        let contributions = Field::<R>::new(&primitives, self.kernel.cutoff).voxel_contributions(&grid, voxel);
+        let place = json!({ "voxel": voxel, "position": grid.centre(voxel).to_array() });
+        Ok(explain::answer(place, &primitives, &contributions, written))
     }
 
     fn write<'a, R: Kernels + Element>(
@@ -109,9 +95,7 @@ impl Voxelize {
         global: &Global,
     ) -> Result<Written<'a>> {
         let cutoff = self.kernel.cutoff;
-        // The volume, its slices as they are computed, and the cotangent as read and in this arithmetic.
-        let (real, asks) = (size_of::<R>(), self.kernel.grad_out.is_some());
-        let bytes = 2 * real + if asks { size_of::<f64>() + real } else { 0 };
+        let bytes = self.kernel.bytes::<R>();
         limit::allow_array("volume", &grid.shape, bytes).map_err(|error| error.or_instead("fewer voxels"))?;
         let fast = || seconds_to_voxelize::<f32>(primitives, grid, FAST_CUTOFF);
         let seconds = seconds_to_voxelize::<R>(primitives, grid, cutoff);
