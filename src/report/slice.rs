@@ -9,7 +9,6 @@
 //! | z | x | y |
 
 use crate::geometry::Volume;
-use crate::loss::tv::tv;
 use ndarray::{Array2, Axis};
 
 /// Names of the axes of a volume.
@@ -38,20 +37,6 @@ pub struct Window {
 pub struct Picture(Array2<u8>);
 
 impl Cut {
-    /// For each axis, the slice with most detail (the largest total variation).
-    ///
-    /// Of equal slices, the one nearest to the middle is taken.
-    pub fn through_detail(volume: &Volume) -> [Self; 3] {
-        [0, 1, 2].map(|axis| {
-            let slices = volume.values.axis_iter(Axis(axis));
-            let detail: Vec<f64> = slices.map(|slice| tv(slice.insert_axis(Axis(0))).0).collect();
-            let most = detail.iter().copied().fold(0.0, f64::max);
-            let distance = |i: &usize| (2 * i + 1).abs_diff(detail.len());
-            let index = (0..detail.len()).filter(|&i| detail[i] == most).min_by_key(distance).unwrap_or(0);
-            Self { axis, index }
-        })
-    }
-
     /// The values in image order, `[row, column]`, top row first.
     pub fn values(&self, volume: &Volume) -> Array2<f32> {
         let mut slice = volume.values.index_axis(Axis(self.axis), self.index).reversed_axes();
@@ -128,16 +113,6 @@ mod tests {
         assert_eq!(values(0), array![[103., 113., 123.], [102., 112., 122.], [101., 111., 121.], [100., 110., 120.]]);
         assert_eq!(values(1), array![[13., 113.], [12., 112.], [11., 111.], [10., 110.]]);
         assert_eq!(values(2), array![[21., 121.], [11., 111.], [1., 101.]]);
-    }
-
-    #[test]
-    fn cuts_go_through_the_slices_with_most_detail_and_of_equal_ones_the_middle() {
-        let mut volume = volume();
-        volume.values[[1, 2, 0]] = 900.0;
-        let cuts = Cut::through_detail(&volume);
-        assert_eq!(cuts.map(|cut| cut.index), [1, 2, 0]);
-        let flat = Volume::new(Grid::cube(5), Array3::ones((5, 5, 5))).unwrap();
-        assert_eq!(Cut::through_detail(&flat).map(|cut| cut.index), [2, 2, 2]);
     }
 
     #[test]

@@ -60,7 +60,7 @@ pub enum Depth {
 }
 
 /// One to four volumes, or stacks of projections, on one grid.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Scene<'a> {
     title: String,
     named: Vec<(String, Cow<'a, Array3<f32>>)>,
@@ -75,8 +75,8 @@ pub struct Scene<'a> {
     /// Degrees of the views of projections; empty if they are not known.
     angles: Option<Vec<f64>>,
     is_hounsfield: bool,
-    /// Whether values are attenuations, which are shown in grey.
-    is_attenuation: bool,
+    /// Whether values are of another quantity than attenuation, which is shown in grey.
+    is_map: bool,
     /// Attenuation of water, where Hounsfield units are wanted.
     water: Option<f64>,
     notes: Vec<String>,
@@ -111,12 +111,8 @@ impl<'a> Scene<'a> {
             directions: first.directions,
             has_sides: first.unit.is_some() && first.origin.is_some(),
             unit: first.unit,
-            angles: None,
             is_hounsfield: hounsfield::remark("volume", &first.values).is_some(),
-            is_attenuation: true,
-            water: None,
-            notes: Vec::new(),
-            named: Vec::new(),
+            ..Self::default()
         };
         scene.with(files.into_iter().map(|(name, file)| (name, Cow::Owned(file.values))).collect())
     }
@@ -136,12 +132,7 @@ impl<'a> Scene<'a> {
             directions: frame.directions,
             has_sides: frame.unit.is_some(),
             unit: frame.unit,
-            angles: None,
-            is_hounsfield: false,
-            is_attenuation: true,
-            water: None,
-            notes: Vec::new(),
-            named: Vec::new(),
+            ..Self::default()
         };
         scene.with(volumes.into_iter().map(|(name, volume)| (name.into(), Cow::Borrowed(&volume.values))).collect())
     }
@@ -151,7 +142,7 @@ impl<'a> Scene<'a> {
     /// # Errors
     /// Those of [`Self::of_files`].
     pub fn of_map(title: &str, name: &str, map: &'a Volume, frame: &Frame) -> Result<Self> {
-        Ok(Self { is_attenuation: false, ..Self::of_volumes(title, vec![(name, map)], frame)? })
+        Ok(Self { is_map: true, ..Self::of_volumes(title, vec![(name, map)], frame)? })
     }
 
     /// Named projections in the same views: measured and rendered, for example.
@@ -176,15 +167,9 @@ impl<'a> Scene<'a> {
             axes: STACK,
             spacing: DVec3::new(1.0, v.0 / frame.scale, u.0 / frame.scale),
             origin: DVec3::new(0.0, start(v) / frame.scale, start(u) / frame.scale),
-            directions: DMat3::IDENTITY,
-            has_sides: false,
             unit: frame.unit,
             angles: Some(first.angles.iter().map(|angle| angle.to_degrees()).collect()),
-            is_hounsfield: false,
-            is_attenuation: true,
-            water: None,
-            notes: Vec::new(),
-            named: Vec::new(),
+            ..Self::default()
         };
         let images = |stack: Cow<'a, Projections>| match stack {
             Cow::Owned(Projections { images, .. }) => Cow::Owned(images),
@@ -306,7 +291,7 @@ impl<'a> Scene<'a> {
         if self.angles.is_some() {
             sides[0] = shape[2] as f64 * sides[2] / shape[0] as f64;
         }
-        let quantity = self.unit.filter(|_| self.angles.is_none() && !self.is_hounsfield && self.is_attenuation);
+        let quantity = self.unit.filter(|_| self.angles.is_none() && !self.is_hounsfield && !self.is_map);
         json!({
             "title": self.title,
             "note": self.note(depth),
@@ -321,7 +306,7 @@ impl<'a> Scene<'a> {
             "quantity": quantity.map_or(String::new(), |unit| format!("/{unit}")),
             "is_hounsfield": self.is_hounsfield,
             "water": self.water,
-            "map": if self.is_attenuation { "Grey" } else { "Cividis" },
+            "map": if self.is_map { "Cividis" } else { "Grey" },
             "angles": self.angles,
             "window": window(all[0]),
             "range": [low, high],
