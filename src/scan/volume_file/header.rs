@@ -3,14 +3,14 @@
 use crate::unit::Unit;
 use glam::DVec3;
 use std::borrow::Cow;
+use std::path::Path;
+use trgs_core::error::Error;
 
 /// First bytes of a text that a Windows editor saved as UTF-8.
 const BOM: &[u8] = b"\xef\xbb\xbf";
 
-/// The content without a byte-order mark at its beginning.
-pub(super) fn without_bom(content: &[u8]) -> &[u8] {
-    content.strip_prefix(BOM).unwrap_or(content)
-}
+/// Longest text header accepted, bytes.
+const LARGEST: usize = 1 << 16;
 
 /// Text of any encoding.
 pub(super) fn lossy(text: &[u8]) -> Cow<'_, str> {
@@ -54,22 +54,47 @@ pub(super) fn converted(field: &str, unit: &str, oddities: &mut Vec<String>) -> 
     known
 }
 
-/// Fields of a header that are not read, for a remark.
-#[derive(Default)]
-pub(super) struct Unknown(Vec<String>);
+/// The fields of a text header in their order, and where it ends.
+pub(super) struct Header<'a> {
+    pub(super) fields: Vec<(String, String)>,
+    pub(super) end: usize,
+    pub(super) path: &'a Path,
+    /// Remedy for a wrong field.
+    remedy: &'static str,
+}
 
-impl Unknown {
-    pub(super) fn add(&mut self, field: &str) {
-        self.0.push(shown(field).trim_matches('"').to_owned());
+impl<'a> Header<'a> {
+    /// A header before its first line.
+    pub(super) fn begin(content: &[u8], path: &'a Path, remedy: &'static str) -> Self {
+        let end = if content.starts_with(BOM) { BOM.len() } else { 0 };
+        Self { fields: Vec::new(), end, path, remedy }
     }
 
-    /// One sentence that names the first of them.
-    pub(super) fn remark(self) -> Option<String> {
+    /// The next line; `None` at the end of the content, or of what a header may have.
+    pub(super) fn line(&mut self, content: &[u8]) -> Option<String> {
+        let rest = content.get(self.end..content.len().min(LARGEST)).filter(|rest| !rest.is_empty())?;
+        let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
+        self.end = (self.end + length + 1).min(content.len());
+        Some(lossy(&rest[..length]).into_owned())
+    }
+
+    pub(super) fn wrong(&self, key: &str, got: &str, expected: &str) -> Error {
+        Error::format(self.path, key, shown(got), expected, self.remedy)
+    }
+
+    /// The last value of a field.
+    pub(super) fn get(&self, key: &str) -> Option<&str> {
+        self.fields.iter().rfind(|(known, _)| known == key).map(|(_, value)| value.as_str())
+    }
+
+    /// The remark that names the first of the fields that are not known.
+    pub(super) fn unknown(&self, is_known: impl Fn(&str) -> bool) -> Option<String> {
         const MOST: usize = 8;
-        let (names, count) = (&self.0, self.0.len());
-        let listed = names.iter().take(MOST).map(String::as_str).collect::<Vec<_>>().join(", ");
-        let rest = if count > MOST { format!(" and {} more", count - MOST) } else { String::new() };
-        (count > 0).then(|| format!("fields of the header that are not read: {listed}{rest}"))
+        let unknown = self.fields.iter().filter(|(key, _)| !is_known(key));
+        let names: Vec<String> = unknown.map(|(key, _)| shown(key).trim_matches('"').to_owned()).collect();
+        let listed = names[..names.len().min(MOST)].join(", ");
+        let rest = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
+        (!names.is_empty()).then(|| format!("fields of the header that are not read: {listed}{rest}"))
     }
 }
 

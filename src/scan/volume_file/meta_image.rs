@@ -2,15 +2,13 @@
 
 use super::detached::Source;
 use super::elements::{Element, Encoding, Layout, Number, Start};
-use super::header::{Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector, without_bom};
+use super::header::{Header, converted, lossy, numbers, shown, surplus, three_axes, vector};
 use super::{Place, VolumeFile, damaged, unsupported};
 use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 
-/// Longest header accepted, bytes.
-const HEADER: usize = 1 << 16;
 /// Most axes accepted; all but three have length 1.
 const MOST_AXES: usize = 10;
 
@@ -75,42 +73,21 @@ const KNOWN: [&str; 41] = [
     "ITK_original_direction",
 ];
 
-/// The fields of a header in their order, and where it ends.
-struct Header<'a> {
-    fields: Vec<(String, String)>,
-    end: usize,
-    path: &'a Path,
+fn header_of<'a>(content: &[u8], path: &'a Path) -> Result<Header<'a>> {
+    let mut header = Header::begin(content, path, "write it again as a plain 3-D image, for example with ITK");
+    while let Some(line) = header.line(content) {
+        let Some((key, value)) = line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) else {
+            return Err(header.wrong("header", &line, "lines `key = value` that end with ElementDataFile"));
+        };
+        header.fields.push((key.to_owned(), value.to_owned()));
+        if key == "ElementDataFile" {
+            return Ok(header);
+        }
+    }
+    Err(header.wrong("header", "its end", "ElementDataFile"))
 }
 
-impl<'a> Header<'a> {
-    fn parse(content: &[u8], path: &'a Path) -> Result<Self> {
-        let mut header = Self { fields: Vec::new(), end: content.len() - without_bom(content).len(), path };
-        let last = content.len().min(HEADER);
-        while header.end < last {
-            let rest = &content[header.end..last];
-            let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
-            let line = lossy(&rest[..length]).into_owned();
-            header.end = (header.end + length + 1).min(content.len());
-            let Some((key, value)) = line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) else {
-                return Err(header.wrong("header", &line, "lines `key = value` that end with ElementDataFile"));
-            };
-            header.fields.push((key.to_owned(), value.to_owned()));
-            if key == "ElementDataFile" {
-                return Ok(header);
-            }
-        }
-        Err(header.wrong("header", "its end", "ElementDataFile"))
-    }
-
-    fn wrong(&self, key: &str, got: &str, expected: &str) -> Error {
-        Error::format(self.path, key, shown(got), expected, "write it again as a plain 3-D image, for example with ITK")
-    }
-
-    /// The last value of a field.
-    fn get(&self, key: &str) -> Option<&str> {
-        self.fields.iter().rfind(|(known, _)| known == key).map(|(_, value)| value.as_str())
-    }
-
+impl Header<'_> {
     /// The first of several names that is there, and a remark if another one differs.
     fn one_of(&self, keys: &[&'static str], oddities: &mut Vec<String>) -> Option<(&'static str, &str)> {
         let mut there = keys.iter().filter_map(|key| Some((*key, self.get(key)?)));
@@ -132,7 +109,7 @@ impl<'a> Header<'a> {
 }
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
-    let header = Header::parse(content, path)?;
+    let header = header_of(content, path)?;
     let mut oddities = Vec::new();
     let (shape, axes, element) = numbers_of(&header)?;
     let unit = header.get("DistanceUnits").filter(|unit| *unit != "?");
@@ -171,11 +148,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     }
     let means = |stored: f64| if is_scaled { stored * slope + offset } else { stored };
     let voxels = read_numbers(&header, content, shape, element, means)?;
-    let mut unknown = Unknown::default();
-    header.fields.iter().filter(|(key, _)| !KNOWN.contains(&key.as_str())).for_each(|(key, _)| unknown.add(key));
-
+    let unknown = header.unknown(|key| KNOWN.contains(&key));
     let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(stated.is_some());
-    volume.oddities.extend(oddities.into_iter().chain(unknown.remark()).chain(surplus(voxels.has_more)));
+    volume.oddities.extend(oddities.into_iter().chain(unknown).chain(surplus(voxels.has_more)));
     Ok(volume)
 }
 

@@ -2,17 +2,13 @@
 
 use super::detached::Source;
 use super::elements::{Element, Encoding, Layout, Number, Start};
-use super::header::{
-    Unknown, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector, without_bom,
-};
+use super::header::{Header, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector};
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
 use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 
-/// Longest header accepted, bytes.
-const HEADER: usize = 1 << 16;
 /// Remedy for content that is not one volume of one number per voxel.
 const TO_PLAIN: &str = "write it again as a plain 3-D volume, for example with Slicer";
 
@@ -71,64 +67,47 @@ fn vector(text: &str) -> Option<DVec3> {
     plain_vector(&inner, 3, 0.0)
 }
 
-/// The fields of a header, with names in lower case, and where it ends.
-struct Header<'a> {
-    fields: Vec<(String, String)>,
-    end: usize,
-    path: &'a Path,
-}
-
-impl<'a> Header<'a> {
-    fn parse(content: &[u8], path: &'a Path) -> Result<Self> {
-        let start = content.len() - without_bom(content).len();
-        let mut header = Self { fields: Vec::new(), end: start, path };
-        let last = content.len().min(HEADER);
-        loop {
-            let rest = &content[header.end.min(last)..last];
-            // A detached header may end with its last line.
-            let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
-            let line = lossy(&rest[..length]).trim_end().to_owned();
-            if header.end == start && !line.starts_with("NRRD000") {
-                return Err(header.wrong("first line", &line, "NRRD0001 to NRRD0005"));
-            }
-            header.end = (header.end + length + 1).min(content.len());
-            if line.is_empty() {
-                return Ok(header);
-            }
-            // `key:=value` is a remark of the writer.
-            let field = line.split_once(':').filter(|(_, value)| !value.starts_with('='));
-            let Some((key, value)) = field.filter(|_| !line.starts_with('#')) else { continue };
-            let key = key.trim().to_lowercase();
-            let key = match key.as_str() {
-                "datafile" => "data file",
-                "lineskip" => "line skip",
-                "byteskip" => "byte skip",
-                other => other,
-            };
-            header.fields.push((key.to_owned(), value.trim().to_owned()));
-            // The names of a list follow without an empty line.
-            if key == "data file" && value.trim().starts_with("LIST") {
-                return Ok(header);
-            }
+/// The header, with names of fields in lower case.
+fn header_of<'a>(content: &[u8], path: &'a Path) -> Result<Header<'a>> {
+    let mut header = Header::begin(content, path, TO_PLAIN);
+    let start = header.end;
+    loop {
+        let is_first = header.end == start;
+        // A detached header may end with its last line.
+        let line = header.line(content).unwrap_or_default();
+        let line = line.trim_end();
+        if is_first && !line.starts_with("NRRD000") {
+            return Err(header.wrong("first line", line, "NRRD0001 to NRRD0005"));
+        }
+        if line.is_empty() {
+            return Ok(header);
+        }
+        // `key:=value` is a remark of the writer.
+        let field = line.split_once(':').filter(|(_, value)| !value.starts_with('='));
+        let Some((key, value)) = field.filter(|_| !line.starts_with('#')) else { continue };
+        let key = key.trim().to_lowercase();
+        let key = match key.as_str() {
+            "datafile" => "data file",
+            "lineskip" => "line skip",
+            "byteskip" => "byte skip",
+            other => other,
+        };
+        header.fields.push((key.to_owned(), value.trim().to_owned()));
+        // The names of a list follow without an empty line.
+        if key == "data file" && value.trim().starts_with("LIST") {
+            return Ok(header);
         }
     }
+}
 
-    fn wrong(&self, key: &str, got: &str, expected: &str) -> Error {
-        Error::format(self.path, key, shown(got), expected, TO_PLAIN)
-    }
-
-    fn get(&self, key: &str) -> Option<&str> {
-        self.fields.iter().rfind(|(known, _)| known == key).map(|(_, value)| value.as_str())
-    }
-
-    fn number(&self, key: &str) -> Result<i64> {
-        let value = self.get(key).unwrap_or("0");
-        value.parse().ok().filter(|n| *n >= -1).ok_or_else(|| self.wrong(key, value, "a number from -1"))
-    }
+/// How much is skipped, by a field.
+fn skip(header: &Header<'_>, key: &str) -> Result<i64> {
+    let value = header.get(key).unwrap_or("0");
+    value.parse().ok().filter(|n| *n >= -1).ok_or_else(|| header.wrong(key, value, "a number from -1"))
 }
 
 pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
-    let header = Header::parse(content, path)?;
+    let header = header_of(content, path)?;
     let mut oddities = Vec::new();
     let (Some(sides), Some(kind), Some(encoding)) = (header.get("sizes"), header.get("type"), header.get("encoding"))
     else {
@@ -152,11 +131,9 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     for key in ["old min", "oldmin", "old max", "oldmax"].iter().filter(|key| header.get(key).is_some()) {
         oddities.push(format!("{key} states the values before quantisation; numbers are read as stored"));
     }
-    let mut unknown = Unknown::default();
-    let is_known = |key: &str| KNOWN.contains(&key) || key.starts_with("old");
-    header.fields.iter().filter(|(key, _)| !is_known(key)).for_each(|(key, _)| unknown.add(key));
+    let unknown = header.unknown(|key| KNOWN.contains(&key) || key.starts_with("old"));
     let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(in_millimetres);
-    volume.oddities.extend(oddities.into_iter().chain(unknown.remark()).chain(surplus(voxels.has_more)));
+    volume.oddities.extend(oddities.into_iter().chain(unknown).chain(surplus(voxels.has_more)));
     Ok(volume)
 }
 
@@ -263,7 +240,7 @@ fn read_numbers(
         None => Source::Here(header.end),
         Some(value) => Source::files(header.path, FILE, value, &lossy(&content[header.end..]), shape[2])?,
     };
-    let (lines, bytes) = (header.number("line skip")?, header.number("byte skip")?);
+    let (lines, bytes) = (skip(header, "line skip")?, skip(header, "byte skip")?);
     if lines < 0 || (bytes < 0 && known != Encoding::Raw) {
         let (key, value) = if lines < 0 { ("line skip", lines) } else { ("byte skip", bytes) };
         return Err(header.wrong(key, &value.to_string(), "a number from 0"));
