@@ -429,11 +429,11 @@ fn the_program_says_what_is_wrong_and_exits_with_it() {
     assert!(sandbox.refused("inspect nowhere --check-geometry").contains("nowhere"));
 }
 
-/// The demo's scan on an orbit, which the files do not state.
+/// A scan on an orbit that the files do not state. Four pixels of the detector become one of the check's.
 fn unstated(orbit: &Orbit, noise: Noise) -> Dataset {
     let plan = Plan { views: 18, test_views: 0, noise, seed: 0 };
     let torso = Phantom::by_name("torso", 0).unwrap();
-    let mut scan = simulate_on("torso", Object::Phantom(&torso), &Scanner::synthetic(64, 128), &plan, orbit).unwrap();
+    let mut scan = simulate_on("torso", Object::Phantom(&torso), &Scanner::synthetic(32, 96), &plan, orbit).unwrap();
     scan.train.poses = None;
     scan
 }

@@ -12,8 +12,8 @@ use trgs::reconstruction::{Checkpoints, Progress, Reconstruction, Run, reconstru
 use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::scan::{Dataset, Noise, Phantom};
 
-/// Powers of two, -20, -6 and 20: scaling is exact.
-const EXACT: [f64; 3] = [1.0 / 1_048_576.0, 1.0 / 64.0, 1_048_576.0];
+/// Powers of two, -20 and 20: scaling is exact.
+const EXACT: [f64; 2] = [1.0 / 1_048_576.0, 1_048_576.0];
 /// Other factors: pixels are rounded.
 const ROUNDED: [f64; 4] = [1e-6, 0.02, 1000.0, 1e6];
 
