@@ -334,26 +334,26 @@ fn check_case(
     Ok(CaseResult { id, stage, level: case.level, equations, status, parts, waiver: excuse })
 }
 
-/// Judges an answer to a question that has none, or may have none.
+/// Judges the answer to a question that has none, or may have none. One output that is refused refuses the question.
 fn check_refusal(folder: &Path, case: &Case) -> CaseResult {
-    let parts = case.outputs.iter().map(|(role, file)| {
-        let got = read_answer(folder, file);
-        let is_finite = |arrays: &Arrays| arrays.values().flatten().all(|x| x.is_finite());
-        let (finite, broken) = match &got {
-            Ok(arrays) => (Some(is_finite(arrays)), None),
-            Err((Status::Missing, _)) => (None, None),
-            Err((_, message)) => (None, Some(message.clone())),
-        };
-        let fault = broken.or_else(|| refusals::fault(&case.flags, finite).map(Into::into));
-        let status = match (&fault, finite) {
-            (None, _) => Status::Passed,
-            (Some(_), None) if matches!(got, Err((Status::Missing, _))) => Status::Missing,
-            _ => Status::Failed,
-        };
-        PartResult { status, message: fault, ..PartResult::new(role.clone(), file) }
-    });
-    let parts: Vec<PartResult> = parts.collect();
-    let status = parts.iter().map(|part| part.status).max().unwrap_or(Status::Failed);
+    let got: Vec<_> = case.outputs.values().map(|file| read_answer(folder, file)).collect();
+    let is_missing = got.iter().any(|got| matches!(got, Err((Status::Missing, _))));
+    let broken = got.iter().filter_map(|got| got.as_ref().err()).find(|(status, _)| *status == Status::Failed);
+    let is_finite = got.iter().flatten().all(|arrays| arrays.values().flatten().all(|x| x.is_finite()));
+    let message = match broken {
+        Some((_, message)) => Some(message.clone()),
+        None => refusals::fault(&case.flags, (!is_missing).then_some(is_finite)).map(Into::into),
+    };
+    let status = match (&message, is_missing) {
+        (None, _) => Status::Passed,
+        (Some(_), true) => Status::Missing,
+        (Some(_), false) => Status::Failed,
+    };
+    let part = |(role, file): (&String, &FileRef)| {
+        let message = message.clone();
+        PartResult { status, message, ..PartResult::new(role.clone(), file) }
+    };
+    let parts = case.outputs.iter().map(part).collect();
     let (id, stage, equations) = (case.id.clone(), case.stage.clone(), case.equations.clone());
     CaseResult { id, stage, level: case.level, equations, status, parts, waiver: None }
 }

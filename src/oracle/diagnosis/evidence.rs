@@ -131,6 +131,7 @@ mod tests {
         let scaled = |k: f64| truth.iter().map(|x| x * k).collect::<Vec<f64>>();
         assert_eq!(name(&truth, &scaled(1.0 + 1e-14)), None);
         assert_eq!(name(&truth, &scaled(1.0 + 1e-6)), None);
+        assert_eq!(name(&truth, &scaled(1e-8)), None, "a factor of 0 says nothing");
         assert_eq!(name(&truth, &scaled(1.37)).unwrap(), "a factor of 1.370000");
         assert_eq!(
             name(&truth, &scaled(39.0)).unwrap(),

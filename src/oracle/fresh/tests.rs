@@ -183,3 +183,18 @@ fn pixels_and_primitives_beyond_a_block_are_seen_in_large_scenes() {
     let kept = judged(("density", 4), |_| {}, |_| {});
     assert!(kept.starts_with("Passed"), "{kept}");
 }
+
+#[test]
+fn one_output_that_is_refused_refuses_the_question() {
+    let vectors = make(&["integral-factor".into()], 7, 1, Level::Core, Ask::Refusals).unwrap();
+    let (format, level, today) = (Format::F64, Level::Core, waivers::today());
+    let options = Options { format, level, stages: &[], waivers: &[], today, commit: None };
+    for (factor, status) in [(f64::NAN, Status::Passed), (1.0, Status::Failed)] {
+        let folder = tempfile::tempdir().unwrap();
+        let array = |x: f64| crate::manifest::Arrays::from([(String::new(), ndarray::arr1(&[x]).into_dyn())]);
+        let outputs = [("factor".to_owned(), array(factor)), ("slope".to_owned(), array(1.0))].into();
+        answers::write(folder.path(), &vectors.manifest.cases[0], &outputs).unwrap();
+        let report = check(&vectors, &Tolerances::of(&vectors).unwrap(), folder.path(), &options).unwrap();
+        assert_eq!(report.results[0].status, status);
+    }
+}
