@@ -285,9 +285,8 @@ fn tell_of_decision(checkpoint: &Checkpoint, config: &Config) {
     let Checkpoint::Primitives(saved) = checkpoint else { return };
     let Some(Decision { iterations, sampling, finish, .. }) = saved.decision(config) else { return };
     if *iterations != config.iterations && config.has_pilot() {
-        let number = finish.iterations.map_or(String::new(), |n| format!(" and {n} iterations"));
         let finish = match config.has_open_finish() {
-            true => format!(", a finish with tv.weight {}{number}", words::value(finish.value)),
+            true => format!(", a finish of tv.weight {}{}", words::value(finish.value), finish.details()),
             false => String::new(),
         };
         tracing::info!(

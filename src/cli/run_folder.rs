@@ -312,8 +312,7 @@ fn facts(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Vec<(String, 
             0 => "too few views for cross-validation".into(),
             _ => format!("chosen on held-out views at the cost of {:.0} iterations over all views", choice.cost),
         };
-        let iterations = choice.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
-        facts.push((choice.key.clone(), format!("{}{iterations}, {how}", words::value(choice.value))));
+        facts.push((choice.key.clone(), format!("{}{}, {how}", words::value(choice.value), choice.details())));
     }
     if let Some(primitives) = &outcome.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));

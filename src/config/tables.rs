@@ -306,6 +306,8 @@ keys! {
         steps: usize = TvSettings::default().steps, AT_LEAST_1;
         /// Iterations of the finish. auto: chosen with the weight on the pilot run, otherwise 10 to 20.
         finish_iterations: Auto<usize> = Auto::Auto, COUNT_OR_AUTO;
+        /// Share of the finished volume in the result; the rest is the volume before. auto: chosen with the weight, else 1.
+        share: Auto<f64> = Auto::Auto, FRACTION_OR_AUTO;
         /// Whether a pilot run, half as long and without a sixth of the views, chooses what is auto in sampling and finish.
         pilot: bool = true;
     }

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! so that the residual of x₀ is that of the primitives, `p' - A x₀ = p - F`. The correction holds near x₀ alone,
-//! so the weight has a lower bound. `super::pilot` chooses weight and iterations; without it fixed rules do.
+//! so the weight has a lower bound. The result is a mixture of both volumes, `x₀ + s·(x - x₀)`. `super::pilot` chooses weight,
+//! iterations and share; without it fixed rules do, and the share is 1.
 
 use super::{Observe, Progress, project};
 use crate::classical::VoxelProjector;
@@ -84,7 +85,14 @@ pub(super) fn finish<R: Real>(
             break;
         }
     }
-    Ok((run.volume()?, choice))
+    let share = choice.as_ref().and_then(|choice| choice.share).unwrap_or(config.tv.share.or(1.0)) as f32;
+    let mut finished = run.volume()?;
+    finished.values.zip_mut_with(&volume.values, |value, &before| {
+        // The finish starts from values that are not negative.
+        let before = before.max(0.0);
+        *value = if share < 1.0 { before + share * (*value - before) } else { *value };
+    });
+    Ok((finished, choice))
 }
 
 /// Settings without a pilot run, the choice of the weight, and whether the finish may end by its residual.
@@ -132,7 +140,7 @@ pub(super) fn target<'a>(
 mod tests {
     use super::*;
     use crate::classical::RayModel;
-    use crate::config::{Method, Start};
+    use crate::config::{Auto, Method, Start};
     use crate::geometry::{Beam, Detector, Grid, Scanner};
     use crate::reconstruction::reconstruct;
     use crate::scan::simulate::{Object, Plan, simulate};
@@ -160,5 +168,13 @@ mod tests {
         within!(largest(&voxels - &fitted) / f64::from(size));
         beyond!("fitted", largest(fitted) / f64::from(size));
         assert!(found.volume != volume);
+        // Half of both volumes.
+        config.tv.share = Auto::Fixed(0.5);
+        (config.tv.weight, config.tv.finish_iterations) = (Auto::Fixed(2e-3), Auto::Fixed(10));
+        let half = reconstruct(&scan, &config).unwrap().volume.values;
+        config.tv.share = Auto::Fixed(1.0);
+        let whole = reconstruct(&scan, &config).unwrap().volume.values;
+        let mean = (whole + volume.values.mapv(|value| value.max(0.0))) / 2.0;
+        within!("share", largest(half - mean));
     }
 }

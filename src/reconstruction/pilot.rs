@@ -2,8 +2,9 @@
 //!
 //! Primitives are fitted to five sixths of the views in half of the iterations. Their volume is sampled and finished as
 //! that of the run is (`super::finish`), with weights of the total variation a factor of four apart. The run takes the
-//! smallest weight within one standard error of the least error in the views held out, and the fewest iterations within one
-//! of the weight's own. Where the sampling is open, both are tried, and the one with the smaller error is taken:
+//! smallest weight within one standard error of the least error in the views held out, the fewest iterations within one
+//! of the weight's own, and the share of the finished volume in its mixture with the one before that has the least error.
+//! Where the sampling is open, both are tried, and the one with the smaller error is taken:
 //!
 //! ```text
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
@@ -42,7 +43,7 @@ const NEAR_CORRECTED: f64 = 0.02;
 pub(super) struct Found {
     /// How to sample the volume.
     pub(super) sampled: Sampled,
-    /// Weight and number of iterations of the finish.
+    /// Weight, number of iterations and share of the finish.
     pub(super) choice: Choice,
 }
 
@@ -121,6 +122,7 @@ fn finish_of<R: Real>(
     let search = FinishSearch {
         weight: config.tv.weight.fixed(),
         iterations: config.tv.finish_iterations.fixed(),
+        share: config.tv.share.fixed(),
         range: [fewest, MOST_ITERATIONS],
         first,
         near,
@@ -179,8 +181,9 @@ mod tests {
         let choice = found.choice.unwrap();
         assert!(choice.folds == 1 && choice.value >= LEAST && choice.cost > 0.0);
         let mut fixed = config.clone();
-        (fixed.tv.weight, fixed.tv.finish_iterations) =
-            (Auto::Fixed(choice.value), Auto::Fixed(choice.iterations.unwrap()));
+        fixed.tv.weight = Auto::Fixed(choice.value);
+        fixed.tv.finish_iterations = Auto::Fixed(choice.iterations.unwrap());
+        fixed.tv.share = Auto::Fixed(choice.share.unwrap());
         let again = reconstruct(&scan, &fixed).unwrap();
         assert!(again.choice.is_none() && again.volume.values == found.volume.values);
         assert!(!fixed.has_pilot() && config.has_pilot());

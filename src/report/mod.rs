@@ -248,9 +248,9 @@ fn choice(choice: &Choice) -> String {
     };
     let Some(chart) = chart::line_chart(&[Curve { name: "error", points }], &axes) else { return String::new() };
     let (key, value) = (escape(&choice.key), short(choice.value));
-    let iterations = choice.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
+    let details = choice.details();
     let text = format!(
-        "<p>Residual of held-out views relative to the measured values: {key} = {value}{iterations} was chosen, the dashed line. \
+        "<p>Residual of held-out views relative to the measured values: {key} = {value}{details} was chosen, the dashed line. \
          That took as much work as {:.0} iterations over all views.</p>\n",
         choice.cost
     );

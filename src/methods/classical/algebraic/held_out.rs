@@ -19,8 +19,8 @@ use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Detector, Projections, View, Volume};
-use trgs_core::numeric::Real;
 use trgs_core::numeric::elementary::{log, pow};
+use trgs_core::numeric::{Real, real};
 
 /// Number of folds for a weight; every second one is held out in turn.
 const WEIGHT_FOLDS: usize = 4;
@@ -69,6 +69,9 @@ pub struct Choice {
     /// Number of iterations that belongs to the value, where it was chosen with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
+    /// Share of the finished volume in the result, where it was chosen: the rest is the volume that the finish starts from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share: Option<f64>,
 }
 
 impl Choice {
@@ -79,12 +82,21 @@ impl Choice {
             |trial: &Trial| trial.value > 0.0 && trial.value.is_finite() && (0.0..f64::INFINITY).contains(&trial.error);
         self.value > 0.0
             && [self.value, self.cost].iter().all(|value| value.is_finite())
+            && self.share.is_none_or(|share| (0.0..=1.0).contains(&share))
             && self.curve.iter().all(is_trial)
+    }
+
+    /// Iterations and share as words, with a space before; empty where there are none.
+    #[doc(hidden)]
+    pub fn details(&self) -> String {
+        let iterations = self.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
+        let share = |share: f64| format!(" and a share of {:.0} %", 100.0 * share);
+        iterations + &self.share.filter(|share| *share < 1.0).map_or(String::new(), share)
     }
 
     /// The given value, where there are too few views to hold any out.
     fn without_folds(key: &str, value: f64) -> Self {
-        Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None }
+        Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None, share: None }
     }
 }
 
@@ -134,7 +146,8 @@ pub fn choose_weight<R: Real>(
         let mut error_of = |power: i32| {
             run.restart(weight(power));
             let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
-            let judged = judged(&mut run, TvRun::values, &held, &|_| false, &|_| usize::MAX, &mut see)?;
+            let error = |x: &[R]| held.error(x);
+            let judged = judged(&mut run, TvRun::values, &error, &|_| false, &|_| usize::MAX, &mut see)?;
             work += judged.iterations * train.len();
             let error = judged.errors[judged.errors.len() - 1].1.sums;
             if number == 0 {
@@ -162,6 +175,7 @@ pub fn choose_weight<R: Real>(
         folds: used.len(),
         cost: work as f64 / projections.len() as f64,
         iterations: None,
+        share: None,
     })
 }
 
@@ -195,22 +209,23 @@ pub fn choose_passes<R: Real>(
     let mut see = |judged: Option<Trial>| judged.map_or(Ok(()), |trial| go_on(observe(KEY, Some(&trial))));
     let last = |best: usize| (best as f64 * PATIENCE).max(best as f64 + 1.0).ceil() as usize;
     let when = |iteration: usize| iteration > 0;
+    let error = |x: &[R]| held.error(x);
     let errors = match passes {
         Passes::Sart(settings) => {
             let mut run = SartRun::<R>::new(projector, &train, &settings, None)?;
-            judged(&mut run, SartRun::values, &held, &when, &last, &mut see)?.errors
+            judged(&mut run, SartRun::values, &error, &when, &last, &mut see)?.errors
         }
         Passes::Cgls(most) => {
             let mut run = CglsRun::<R>::new(projector, &train, most, None)?;
-            judged(&mut run, CglsRun::values, &held, &when, &last, &mut see)?.errors
+            judged(&mut run, CglsRun::values, &error, &when, &last, &mut see)?.errors
         }
     };
     let curve: Vec<Trial> = (errors.iter())
         .map(|(iteration, error)| Trial { value: *iteration as f64, error: relative(error.sums) })
         .collect();
-    let best = near(&errors, 0.0).map_or(1.0, |passes| passes as f64);
+    let best = near(&errors, 0.0).map_or(1.0, |(passes, _)| *passes as f64);
     let cost = curve.len() as f64 * share;
-    Ok(Choice { key: KEY.into(), value: best, curve, folds: 1, cost, iterations: None })
+    Ok(Choice { key: KEY.into(), value: best, curve, folds: 1, cost, iterations: None, share: None })
 }
 
 /// What is searched for a finish from a given volume.
@@ -220,6 +235,8 @@ pub struct FinishSearch {
     pub weight: Option<f64>,
     /// The number of iterations, if it is not to be chosen.
     pub iterations: Option<usize>,
+    /// The share of the finished volume in the mixture with the start, if it is not to be chosen.
+    pub share: Option<f64>,
     /// Smallest and largest number of iterations otherwise.
     pub range: [usize; 2],
     /// The smallest weight that is tried otherwise.
@@ -231,7 +248,9 @@ pub struct FinishSearch {
 /// The smallest weight of [`super::tv()`] from the volume `start` whose error of the held-out views is within one standard
 /// error of the least, and the fewest iterations within one of its own.
 ///
-/// `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
+/// The share is that of the mixture of start and finished volume whose error is least, a least-squares problem of one number,
+/// because projections are linear in the volume. A long finish forgets its start, and the errors of two volumes found by
+/// different models cancel in part. `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
 /// until the error rises. The curve has the least error of each weight.
 ///
 /// # Errors
@@ -247,6 +266,9 @@ pub fn choose_finish<R: Real>(
     const KEY: &str = "tv.weight";
     let [train, held] = views;
     let held = Held::<R>::new(projector, held)?;
+    let x: Vec<R> = start.values.iter().map(|&value| real(f64::from(value.max(0.0)))).collect();
+    let before = held.residual(&x);
+    let error = |x: &[R]| held.mixed(&before, x, search.share);
     let mut steps = 0;
     // The least error with a weight, and the fewest iterations within one standard error of it.
     let mut least = |weight: f64| {
@@ -257,23 +279,24 @@ pub fn choose_finish<R: Real>(
             |iteration: usize| iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
         let last = |best: usize| best.max(fewest) + IN_VAIN;
         let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
-        let judged = judged(&mut run, TvRun::values, &held, &when, &last, &mut see)?;
+        let judged = judged(&mut run, TvRun::values, &error, &when, &last, &mut see)?;
         steps += judged.iterations;
         let best = least_of(&judged.errors).expect("the last iteration is judged").clone();
         go_on(observe(KEY, Some(&Trial { value: weight, error: relative(best.sums) })))?;
-        Ok((weight, near(&judged.errors, search.near).expect("the last iteration is judged"), best))
+        let (iterations, taken) = near(&judged.errors, search.near).expect("the last iteration is judged");
+        Ok((weight, *iterations, taken.share, best))
     };
     let first = search.weight.unwrap_or(search.first);
     let sides: &[i32] = if search.weight.is_none() { &[1] } else { &[] };
     let mut of = |power: i32| least(first * pow(FACTOR, f64::from(power)));
-    let tried = until_it_rises(sides, &mut of, |before, after| after.2.sums[0] >= before.2.sums[0])?;
+    let tried = until_it_rises(sides, &mut of, |before, after| after.3.sums[0] >= before.3.sums[0])?;
     let best = tried.values().map(|(.., error)| error).min_by(|a, b| a.sums[0].total_cmp(&b.sums[0]));
     let best = best.expect("the first weight was tried");
-    let &(value, iterations, _) =
+    let &(value, iterations, share, _) =
         tried.values().find(|(.., error)| error.is_near(best)).expect("the best is near itself");
-    let curve = tried.values().map(|(value, _, error)| Trial { value: *value, error: relative(error.sums) }).collect();
+    let curve = tried.values().map(|(value, .., error)| Trial { value: *value, error: relative(error.sums) }).collect();
     let cost = steps as f64 * train.len() as f64 / (train.len() + held.system.trajectory.len()) as f64;
-    Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations) })
+    Ok(Choice { key: KEY.into(), value, curve, folds: 1, cost, iterations: Some(iterations), share: Some(share) })
 }
 
 /// What held-out views say about a run.
@@ -290,7 +313,7 @@ struct Judged {
 fn judged<R: Real, T: VoxelRun>(
     run: &mut T,
     values: fn(&T) -> &[R],
-    held: &Held<'_, R>,
+    error_of: &dyn Fn(&[R]) -> Squares,
     when: &dyn Fn(usize) -> bool,
     last: &dyn Fn(usize) -> usize,
     see: &mut dyn FnMut(Option<Trial>) -> Result<()>,
@@ -299,7 +322,7 @@ fn judged<R: Real, T: VoxelRun>(
     loop {
         let ends = run.is_finished();
         if when(iterations) || ends {
-            errors.push((iterations, held.error(values(run))));
+            errors.push((iterations, error_of(values(run))));
             let error = relative(errors[errors.len() - 1].1.sums);
             if error < best.1 {
                 best = (iterations, error);
@@ -365,15 +388,35 @@ impl<'a, R: Real> Held<'a, R> {
     }
 
     fn error(&self, x: &[R]) -> Squares {
-        let seen = self.system.projector.project(&self.views, x).values;
-        let counted = |values: &mut Vec<R>| {
-            values.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
+        self.squares(&self.residual(x), 1.0)
+    }
+
+    /// The error of the mixture `x₀ + s·(x - x₀)`, from the residual of x₀. Without a share s, the error of x, with the share of
+    /// least error from 0 to 1.
+    fn mixed(&self, before: &[R], x: &[R], share: Option<f64>) -> Squares {
+        let after = self.residual(x);
+        let gain: Vec<R> = before.iter().zip(&after).map(|(&before, &after)| before - after).collect();
+        let Some(share) = share else {
+            let size = dot(&gain, &gain);
+            let best = if size > 0.0 { (dot(before, &gain) / size).clamp(0.0, 1.0) } else { 1.0 };
+            return self.squares(&after, best);
         };
+        let factor: R = real(share);
+        let mixed: Vec<R> = before.iter().zip(&gain).map(|(&before, &gain)| before - factor * gain).collect();
+        self.squares(&mixed, share)
+    }
+
+    /// `A x - p`, and 0 where a ray is not used.
+    fn residual(&self, x: &[R]) -> Vec<R> {
+        let seen = self.system.projector.project(&self.views, x).values;
+        let rays = seen.iter().zip(&self.system.measured).zip(&self.idle);
+        rays.map(|((&seen, &p), &idle)| if idle { R::ZERO } else { seen - p }).collect()
+    }
+
+    fn squares(&self, residual: &[R], share: f64) -> Squares {
         let mut measured = self.system.measured.clone();
-        let mut residual: Vec<R> = seen.iter().zip(&measured).map(|(&seen, &p)| seen - p).collect();
-        counted(&mut residual);
-        counted(&mut measured);
-        let sums = [dot(&residual, &residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)];
+        measured.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
+        let sums = [dot(residual, residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)];
         let Detector { rows, columns, .. } = self.system.projector.scanner().detector;
         let mut tiles = vec![0.0; self.views.len() * TILES * TILES];
         for (at, values) in residual.chunks_exact(rows).enumerate() {
@@ -383,7 +426,7 @@ impl<'a, R: Real> Held<'a, R> {
                 tiles[(view * TILES + column * TILES / columns) * TILES + row * TILES / rows] += value * value;
             }
         }
-        Squares { sums, tiles }
+        Squares { sums, tiles, share }
     }
 }
 
@@ -515,7 +558,8 @@ mod tests {
             let volume = tv::<f32>(&projector, &fitted, &settings, Some(&start), &mut quiet).unwrap();
             psnr_3d(truth, volume.values.view()).value
         };
-        let free = FinishSearch { weight: None, iterations: None, range: [0, 60], first: 4e-4, near: 0.0 };
+        let free =
+            FinishSearch { weight: None, iterations: None, share: Some(1.0), range: [0, 60], first: 4e-4, near: 0.0 };
         let choose = |search: &FinishSearch| {
             let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
             let views = [&fitted, &held];
@@ -534,6 +578,13 @@ mod tests {
         // A fixed weight and a fixed number are not varied.
         let fixed = choose(&FinishSearch { weight: Some(0.01), iterations: Some(7), ..free });
         assert_eq!((fixed.value, fixed.iterations, fixed.curve.len()), (0.01, Some(7), 1));
+        // The share that is found has a smaller error than the finished volume alone.
+        let heavy = FinishSearch { weight: Some(0.03), iterations: Some(60), ..free };
+        let (open, whole) = (choose(&FinishSearch { share: None, ..heavy }), choose(&heavy));
+        let share = open.share.unwrap();
+        let mixed = choose(&FinishSearch { share: open.share, ..heavy });
+        assert!((0.0..1.0).contains(&share) && mixed.curve[0].error < whole.curve[0].error, "{share}, {mixed:?}");
+        assert_eq!((whole.share, &open.curve), (Some(1.0), &whole.curve));
         let most = choose(&FinishSearch { range: [10, 60], first: 2e-3, ..free });
         assert!(most.curve[0].value == 2e-3 && most.iterations.unwrap() >= 10);
     }
