@@ -4,11 +4,13 @@ to the conformance vectors first, then lanes, unit tests, parity and determinism
     python run.py                 all faults, and the table of reference/mutations/README.md
     python run.py --sample 2      two at random (seeded by the day, or --seed)
 
-Needs Python 3.11 or newer, its standard library and cargo. A fault that does not compile or that survives is an error.
+Needs Python 3.11 or newer, its standard library and cargo. A fault that does not compile or that survives is an error. What
+is found is kept in the target folder: a run that was stopped goes on where it was, as long as no source has changed.
 """
 
 import argparse
 import datetime
+import hashlib
 import json
 import os
 import pathlib
@@ -64,6 +66,14 @@ def failed_test(folder, target):
     return None
 
 
+def digest(folder):
+    """The digest of everything that the result of a fault depends on."""
+    sums = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        sums.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+    return sums.hexdigest()
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", metavar="TEXT", help="only faults whose description or file contains this text")
@@ -75,24 +85,32 @@ def main():
     mutations = [m for m in mutations if arguments.only in m["what"] + m["file"]]
     chosen = mutations if arguments.sample is None else random.Random(arguments.seed).sample(mutations, arguments.sample)
     survived = 0
-    with tempfile.TemporaryDirectory() as copy:
-        copy = pathlib.Path(copy)
-        for name in ["Cargo.toml", "Cargo.lock", ".cargo", ".clippy.toml", "README.md", "src", "tests", "benches", "reference"]:
-            source = ROOT / name
-            (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
-        print("| # | fault | file | killed by |\n|---|---|---|---|", flush=True)
-        for number, mutation in enumerate(chosen, 1):
-            path = copy / mutation["file"]
-            text = path.read_text()
-            if text.count(mutation["find"]) != 1:
-                sys.exit(f"{mutation['file']}: {mutation['find']!r} occurs {text.count(mutation['find'])} times")
+    # In one place and with their times, so that cargo compiles again what differs alone.
+    copy = arguments.target.resolve() / "sources"
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir(parents=True)
+    for name in ["Cargo.toml", "Cargo.lock", ".cargo", ".clippy.toml", "README.md", "src", "tests", "benches", "reference"]:
+        source = ROOT / name
+        (shutil.copytree if source.is_dir() else shutil.copy2)(source, copy / name)
+    kept = arguments.target / f"killed-{digest(copy)[:16]}.json"
+    killers = json.loads(kept.read_text()) if kept.exists() else {}
+    print("| # | fault | file | killed by |\n|---|---|---|---|", flush=True)
+    for number, mutation in enumerate(chosen, 1):
+        path = copy / mutation["file"]
+        text = path.read_text()
+        if text.count(mutation["find"]) != 1:
+            sys.exit(f"{mutation['file']}: {mutation['find']!r} occurs {text.count(mutation['find'])} times")
+        began = time.time()
+        key = json.dumps(mutation)
+        if not killers.get(key):
             path.write_text(text.replace(mutation["find"], mutation["replace"]))
-            began = time.time()
-            killer = wrong_answer(copy, arguments.target) or failed_test(copy, arguments.target)
+            killers[key] = wrong_answer(copy, arguments.target) or failed_test(copy, arguments.target)
             path.write_text(text)
-            survived += killer is None
-            print(f"| {number} | {mutation['what']} | `{mutation['file']}` | {killer or '**nothing: it survived**'} |", flush=True)
-            print(f"{time.time() - began:.0f} s", file=sys.stderr, flush=True)
+            kept.write_text(json.dumps(killers))
+        killer = killers[key]
+        survived += killer is None
+        print(f"| {number} | {mutation['what']} | `{mutation['file']}` | {killer or '**nothing: it survived**'} |", flush=True)
+        print(f"{time.time() - began:.0f} s", file=sys.stderr, flush=True)
     print(f"\n{len(chosen) - survived} of {len(chosen)} killed")
     return 1 if survived else 0
 
