@@ -43,7 +43,7 @@ def project(p, scanner, angle, exact):  # [Eq. 4] [Eq. 5] [X1] one primitive in 
     camera = np.array([[-s, c, 0], [0, 0, -1], [-c, -s, 0]], REAL)  # the axes u, v, w (depth from the source)
     centre = camera @ p[0:3] + REAL([0, 0, scanner["DSO"]])
     if cone and centre[2].real <= scanner["DSO"] / 100:  # "near": left out
-        return np.zeros((rows, columns))
+        return np.zeros((rows, columns), REAL)
     u = (np.arange(columns, dtype=REAL) + 0.5 - columns / 2) * width / columns + scanner["offDetector"][0]
     v = (np.arange(rows, dtype=REAL) + 0.5 - rows / 2) * height / rows - scanner["offDetector"][1]
     pixel = np.stack(np.broadcast_arrays(u, v[:, None], REAL(0)), -1)
@@ -62,7 +62,7 @@ def images(exact):  # the same in all views [view, v, u]
     return lambda p, a: np.array([project(p, a["scanner"], angle, exact) for angle in REAL(a["angles"])])
 def gradient(field, a):  # of sum(cotangent * field), to the numbers as stored
     slope = lambda p, step: np.sum(a["cotangent"] * field(p + 1j * step, a).imag) / H
-    rows = np.array([[slope(p, step) for step in H * np.eye(12, dtype=REAL)] for p in a["model"]])
+    rows = np.array([[slope(p, step) for step in H * np.eye(12, dtype=REAL)] for p in a["model"]], REAL).reshape(-1, 12)
     return {name: rows[:, columns] for name, columns in PARTS.items()}
 
 def l1(prediction, target):  # losses return gradient, value
@@ -93,8 +93,8 @@ def adam(start, gradients, rates, beta1, beta2, epsilon):
 FIELDS = {"density": density, "affine": images(False), "exact": images(True)}
 SMALL = {  # the other stages: from settings and inputs to outputs, ordered by the outputs' names
     "covariance": lambda model: [[(r := rotation(p[6:10])) * p[3:6]**2 @ r.T for p in model.real]],
-    "kernel": lambda delta, nu: [[power(x, n, 3).real for x, n in zip(delta, nu)]],
-    "integral-factor": lambda nu: zip(*((f.real, f.imag / H) for f in map(line_integral, nu + 1j * H))),
+    "kernel": lambda delta, nu: [[power(x, n, 3).real for x, n in zip(delta, np.where(nu > 0, nu, np.nan))]],
+    "integral-factor": lambda nu: zip(*((f.real, f.imag / H) for f in map(line_integral, np.where(nu > 0, nu, np.nan) + 1j * H))),
     "loss-image": lambda prediction, target, weight: [
         x + weight * (c - y) for c, x, y in zip((0, 1), l1(prediction, target), ssim(prediction, target))],
     "loss-l1": l1, "loss-ssim": ssim, "loss-tv": tv, "adam": adam}
@@ -110,7 +110,9 @@ def answer(stage, a):
 def load(path):  # a model as an array [primitive, 12]; parameters of a network as None
     data = json.loads(path.read_text())["scanner"] if path.suffix == ".json" else np.load(path)
     if path.suffix == ".npz":
-        return np.column_stack([data[name] for name in PARTS]).astype(COMPLEX) if "mean" in data else None
+        model = np.column_stack([data[name] for name in PARTS]).astype(COMPLEX) if "mean" in data else None
+        is_defined = model is None or np.all(model[:, [3, 4, 5, 11]].real > 0)  # scales and nu; NaN refuses the rest
+        return model if is_defined else np.nan * model
     return data if path.suffix == ".json" else data.astype(REAL)
 
 vectors, answers = map(Path, sys.argv[1:3])
