@@ -1,7 +1,8 @@
 //! A question that is not among the vectors: inputs that can be cut and simplified.
 
+use super::Ask;
 use super::dimensions::{Dimension, Of, dimensions};
-use super::{Ask, refusals, relations};
+use super::flags::{REFUSALS, RELATIONS, VALUES};
 use crate::manifest::{Arrays, Case, FileRef, Level, Manifest, SCHEMA_VERSION, Vectors, decode, encode};
 use crate::question::Question;
 use ndarray::Axis;
@@ -15,32 +16,6 @@ use trgs_scan::digest::digest_bytes;
 
 /// The key of the manifest's `generator` that marks generated questions, whose truth is computed when it is needed.
 pub(crate) const COMPUTED: &str = "truth";
-
-/// The words in `flags` of generated questions.
-pub(crate) const FLAGS: [(&str, &str); 22] = [
-    ("random", "numbers drawn from their ranges"),
-    ("edge", "numbers at the ends of their ranges"),
-    ("spaced", "numbers spaced evenly over the questions"),
-    ("adversarial", "one property that programs are known to get wrong"),
-    ("one-pixel", "a detector or a volume with sides of one"),
-    ("zero-density", "a primitive without density"),
-    ("tiny-density", "a density of 1e-30 beside others"),
-    ("centre-on-pixel", "a centre that a pixel's ray meets"),
-    ("detector-border", "a centre that projects onto the outline of the detector"),
-    ("unnormalised-quaternion", "quaternions of other norms than 1"),
-    ("equal-primitives", "two primitives in the same place"),
-    ("gaussian-limit", "ν = ∞"),
-    ("nu-end", "ν at the end of its range"),
-    ("nu-outside-training-range", "ν = 1, 10³, 10⁴ or 10⁶"),
-    ("behind-source", "a primitive behind the source, or near its plane"),
-    ("ill-conditioned", "a needle or a disc, axes 1:1000"),
-    ("zero-image", "zeros, or equal values, throughout"),
-    ("large-arrays", "a detector of 256² or 250×190 pixels, a volume of 65×48×33 voxels"),
-    ("many-primitives", "5,000 primitives, or 1,025 where each has an output"),
-    ("covering-primitive", "a primitive over the whole detector, among small ones"),
-    ("crowded-tile", "300 primitives in one tile"),
-    ("odd-count", "counts that are no multiples of 16, 32 or 256"),
-];
 
 /// The object `scanner` of `meta_data.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -204,10 +179,10 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
         [("program".to_owned(), json!(concat!("trgs ", env!("CARGO_PKG_VERSION"))))].into_iter().collect();
     about.insert(COMPUTED.into(), json!("the f64 path of this program, when the answers are checked"));
     about.extend(generator.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
-    let flags = FLAGS
+    let flags = VALUES
         .iter()
-        .chain(&relations::FLAGS)
-        .chain(&refusals::FLAGS)
+        .chain(&RELATIONS)
+        .chain(&REFUSALS)
         .map(|(word, text)| ((*word).to_owned(), (*text).to_owned()))
         .collect();
     Vectors::of(Manifest { schema_version: SCHEMA_VERSION, generator: about, flags, cases }, files)

@@ -26,6 +26,16 @@ impl Kind {
     }
 }
 
+/// One primitive.
+#[derive(Clone, Copy)]
+pub(super) struct Row {
+    pub(super) mean: [f64; 3],
+    pub(super) scale: [f64; 3],
+    pub(super) quaternion: [f64; 4],
+    pub(super) density: f64,
+    pub(super) nu: f64,
+}
+
 /// The draws of one question.
 pub(crate) struct Draw {
     rng: Box<dyn Rng>,

@@ -1,8 +1,7 @@
 //! Level `large`: scenes whose sizes break the tiles and blocks of parallel programs.
 
 use super::draft::ScannerFile;
-use super::draw::{Draw, single};
-use super::stages::Row;
+use super::draw::{Draw, Row, single};
 
 /// Changes a scene to sizes that break tiles; returns its flag.
 ///

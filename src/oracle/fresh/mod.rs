@@ -7,6 +7,7 @@
 pub(crate) mod dimensions;
 pub(crate) mod draft;
 mod draw;
+mod flags;
 mod large;
 pub(crate) mod refusals;
 pub(crate) mod relations;

@@ -4,18 +4,12 @@
 //! `either`: an implementation may refuse it or answer with finite numbers; NaN must not leak.
 
 use super::draft::Draft;
+use super::flags::REFUSALS;
 use super::stages;
 use crate::manifest::{Arrays, Level};
 use ndarray::{ArrayD, Axis, IxDyn};
 use serde_json::json;
 use std::f64::consts::PI;
-
-/// The words in `flags`, and what they say.
-pub(crate) const FLAGS: [(&str, &str); 3] = [
-    ("refuse", "the inputs mean nothing: no answer, an error, or NaN, but no finite numbers"),
-    ("finite", "a valid question: finite numbers"),
-    ("either", "no answer, an error, or finite numbers"),
-];
 
 /// The stages with such questions.
 pub(crate) const STAGES: [&str; 17] = [
@@ -165,7 +159,7 @@ pub(crate) fn may_refuse(flags: &[String]) -> bool {
 
 /// What is wrong with an answer, or with its absence: `None` in `finite` stands for no answer.
 pub(crate) fn fault(flags: &[String], finite: Option<bool>) -> Option<&'static str> {
-    match (flags.iter().map(String::as_str).find(|flag| FLAGS.iter().any(|(word, _)| word == flag)), finite) {
+    match (flags.iter().map(String::as_str).find(|flag| REFUSALS.iter().any(|(word, _)| word == flag)), finite) {
         (Some("refuse"), Some(true)) => Some("finite numbers for a question without an answer"),
         (Some("finite"), None) => Some("no answer"),
         (Some("finite" | "either"), Some(false)) => Some("NaN or infinity"),

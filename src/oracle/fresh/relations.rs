@@ -6,6 +6,7 @@
 
 use super::dimensions::{Of, dimensions};
 use super::draft::Draft;
+use super::flags::RELATIONS;
 use super::truth::{insert, reordered, reversed, zeros};
 use crate::manifest::{Arrays, Case, Vectors, decode};
 use crate::outputs::Outputs;
@@ -18,17 +19,6 @@ use trgs_core::error::Result;
 /// The stages with relations.
 pub(crate) const STAGES: [&str; 6] =
     ["density", "image-affine", "image-exact", "gradient-density", "gradient-image-affine", "gradient-image-exact"];
-
-/// The words in `flags`, and what they say.
-pub(crate) const FLAGS: [(&str, &str); 7] = [
-    ("rotated", "scene and scanner are turned around the axis of rotation: the same image"),
-    ("reordered", "primitives and views come in the reversed order: the same sums"),
-    ("split", "the last primitive is two of half its density: the same sum"),
-    ("linear", "two models, and the first with three times the second: a sum of their answers"),
-    ("views", "each view alone, then all: the same images, and the sum of the gradients"),
-    ("scaled", "all lengths times 1.5: line integrals times 1.5"),
-    ("adjoint", "⟨image, cotangent⟩ is the sum of density times its gradient"),
-];
 
 /// Limits of the stage: two for the two answers, and two because the scenes have finer scales than those of the vectors.
 pub(crate) const FACTOR: f64 = 4.0;
@@ -45,14 +35,14 @@ pub(super) fn choose(stage: &str, index: u64) -> &'static str {
         "adjoint" => stage.starts_with("gradient"),
         _ => true,
     };
-    let all: Vec<&str> = FLAGS.iter().map(|(word, _)| *word).filter(|word| fits(word)).collect();
+    let all: Vec<&str> = RELATIONS.iter().map(|(word, _)| *word).filter(|word| fits(word)).collect();
     // The sizes of level `large` have a period of five.
     all[((index + 2 * (index / 5)) % all.len() as u64) as usize]
 }
 
 fn word(draft: &Draft) -> &str {
     let flags = draft.flags.iter().map(String::as_str);
-    flags.rev().find(|flag| FLAGS.iter().any(|(word, _)| word == flag)).unwrap_or_default()
+    flags.rev().find(|flag| RELATIONS.iter().any(|(word, _)| word == flag)).unwrap_or_default()
 }
 
 /// The forms of a question; the last one, or all but the first, are what the relation speaks of.

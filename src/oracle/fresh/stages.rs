@@ -2,7 +2,7 @@
 
 use super::dimensions::STAGES;
 use super::draft::{Draft, ScannerFile};
-use super::draw::{Draw, Kind, single};
+use super::draw::{Draw, Kind, Row, single};
 use super::large::enlarge;
 use crate::manifest::{Arrays, Level};
 use crate::outputs;
@@ -11,16 +11,6 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use trgs_core::primitives::Parameters;
-
-/// One primitive.
-#[derive(Clone, Copy)]
-pub(super) struct Row {
-    pub(super) mean: [f64; 3],
-    pub(super) scale: [f64; 3],
-    quaternion: [f64; 4],
-    pub(super) density: f64,
-    nu: f64,
-}
 
 /// Question `index` of a stage: a function of its arguments alone; `huge` allows sizes that have no truth.
 pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level, huge: bool) -> Draft {
