@@ -8,17 +8,19 @@
 //! together, because each determines the other. The procedure is deterministic. Of values with nearly the least error the
 //! simplest is taken: see [`mod@near`].
 
+mod held;
 mod near;
 
-use super::{CglsRun, SartRun, SartSettings, System, TvRun, TvSettings, VoxelRun, dot};
+use super::{CglsRun, SartRun, SartSettings, TvRun, TvSettings, VoxelRun};
 use crate::classical::VoxelProjector;
+use held::Held;
 use near::{Squares, least_of, near, relative};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Beam, Detector, Projections, View, Volume};
+use trgs_core::geometry::{Beam, Projections, Volume};
 use trgs_core::numeric::elementary::{log, pow};
 use trgs_core::numeric::{Real, real};
 
@@ -39,8 +41,6 @@ const PILOT_FOLDS: usize = 6;
 /// A finish is judged after every so many iterations, and ends so many iterations after its least error.
 const JUDGED_EVERY: usize = 5;
 const IN_VAIN: usize = 20;
-/// Tiles along each side of a view held out.
-const TILES: usize = 8;
 /// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
 
@@ -372,64 +372,6 @@ pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
     }
 }
 
-/// The held-out views.
-struct Held<'a, R> {
-    system: System<'a, R>,
-    views: Vec<View>,
-    idle: Vec<bool>,
-}
-
-impl<'a, R: Real> Held<'a, R> {
-    fn new(projector: &'a VoxelProjector, projections: &'a Projections) -> Result<Self> {
-        let system = System::<R>::new(projector, projections)?;
-        let views = projector.views(system.trajectory)?;
-        let idle = system.idle(&views);
-        Ok(Self { system, views, idle })
-    }
-
-    fn error(&self, x: &[R]) -> Squares {
-        self.squares(&self.residual(x), 1.0)
-    }
-
-    /// The error of the mixture `x₀ + s·(x - x₀)`, from the residual of x₀. Without a share s, the error of x, with the share of
-    /// least error from 0 to 1.
-    fn mixed(&self, before: &[R], x: &[R], share: Option<f64>) -> Squares {
-        let after = self.residual(x);
-        let gain: Vec<R> = before.iter().zip(&after).map(|(&before, &after)| before - after).collect();
-        let Some(share) = share else {
-            let size = dot(&gain, &gain);
-            let best = if size > 0.0 { (dot(before, &gain) / size).clamp(0.0, 1.0) } else { 1.0 };
-            return self.squares(&after, best);
-        };
-        let factor: R = real(share);
-        let mixed: Vec<R> = before.iter().zip(&gain).map(|(&before, &gain)| before - factor * gain).collect();
-        self.squares(&mixed, share)
-    }
-
-    /// `A x - p`, and 0 where a ray is not used.
-    fn residual(&self, x: &[R]) -> Vec<R> {
-        let seen = self.system.projector.project(&self.views, x).values;
-        let rays = seen.iter().zip(&self.system.measured).zip(&self.idle);
-        rays.map(|((&seen, &p), &idle)| if idle { R::ZERO } else { seen - p }).collect()
-    }
-
-    fn squares(&self, residual: &[R], share: f64) -> Squares {
-        let mut measured = self.system.measured.clone();
-        measured.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
-        let sums = [dot(residual, residual), dot(&measured, &measured).max(f64::MIN_POSITIVE)];
-        let Detector { rows, columns, .. } = self.system.projector.scanner().detector;
-        let mut tiles = vec![0.0; self.views.len() * TILES * TILES];
-        for (at, values) in residual.chunks_exact(rows).enumerate() {
-            let (view, column) = (at / columns, at % columns);
-            for (row, value) in values.iter().enumerate() {
-                let value = value.to_f64();
-                tiles[(view * TILES + column * TILES / columns) * TILES + row * TILES / rows] += value * value;
-            }
-        }
-        Squares { sums, tiles, share }
-    }
-}
-
 /// The folds held out for a weight; empty if there are too few views.
 fn weight_folds(projector: &VoxelProjector, projections: &Projections) -> Vec<[Vec<usize>; 2]> {
     let folds = folds(projector, projections, WEIGHT_FOLDS);
@@ -479,7 +421,7 @@ mod tests {
     use crate::classical::RayModel;
     use crate::classical::algebraic::{Pass, sart, tv};
     use crate::evaluation::psnr_3d;
-    use trgs_core::geometry::{Grid, Scanner};
+    use trgs_core::geometry::{Detector, Grid, Scanner};
     use trgs_scan::simulate::{Object, Plan, simulate};
     use trgs_scan::{Dataset, Noise, Phantom};
 
