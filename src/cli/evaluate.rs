@@ -70,7 +70,8 @@ impl Evaluate {
     }
 }
 
-fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
+/// The volume of a file on the grid of a dataset.
+pub(super) fn read_volume(path: &Path, dataset: &Dataset) -> Result<Volume> {
     arrange(&dataset.frame, volume_file::read(path)?, &dataset.scanner.grid, path)
 }
 

@@ -18,6 +18,7 @@ mod geometry_check;
 mod inspect;
 mod interrupt;
 mod messages;
+mod mix;
 #[cfg(feature = "oracle")]
 mod oracle;
 mod output;
@@ -95,6 +96,7 @@ enum Command {
     Simulate(simulate::Simulate),
     Reconstruct(reconstruct::Reconstruct),
     Evaluate(evaluate::Evaluate),
+    Mix(mix::Mix),
     Render(render::Render),
     Voxelize(voxelize::Voxelize),
     Confidence(confidence::Confidence),
@@ -144,6 +146,7 @@ impl Command {
             Self::Simulate(command) => command.run(),
             Self::Reconstruct(command) => command.run(global),
             Self::Evaluate(command) => command.run(),
+            Self::Mix(command) => command.run(),
             Self::Render(command) => command.run(global),
             Self::Voxelize(command) => command.run(global),
             Self::Confidence(command) => command.run(),

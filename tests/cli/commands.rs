@@ -10,11 +10,12 @@ use trgs::scan::npz::Npz;
 use trgs::scan::volume_file::VolumeFile;
 use trgs::scan::{npy, volume_file};
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "demo",
     "simulate",
     "reconstruct",
     "evaluate",
+    "mix",
     "render",
     "voxelize",
     "confidence",
@@ -99,6 +100,17 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
     let of_volume = sandbox.done("evaluate run/volume.npy --against scan");
     assert_eq!(of_volume["psnr_3d"], of_run["psnr_3d"]);
     assert_ne!(of_volume["psnr_2d"]["value"], of_run["psnr_2d"]["value"]);
+
+    sandbox.done("reconstruct scan --method fdk --out fdk");
+    let mixed = sandbox.done("mix run fdk --scanner scan --out mixed.npy");
+    let [share, first, second, both] =
+        ["share", "residual_first", "residual_second", "residual"].map(|key| mixed[key].as_f64().unwrap());
+    assert!((0.0..=1.0).contains(&share) && both <= first.min(second), "{mixed}");
+    let [of_run, of_fdk, mixed] = ["run/volume.npy", "fdk/volume.npy", "mixed.npy"]
+        .map(|name| volume_file::read(sandbox.path(name)).unwrap().values);
+    assert_eq!(mixed, &of_fdk + (&of_run - &of_fdk) * share as f32);
+    sandbox.done("simulate --phantom shepp-logan --out bare --size 32 --detector 40 --views 6 --test-views 0");
+    assert!(sandbox.refused("mix run fdk --scanner bare --out no.npy").contains("test views: got none"));
 
     let images = sandbox.done("render run/model.npz --scanner scan --split test --out images.npy");
     assert_eq!(images["shape"], serde_json::json!([4, 40, 40]));

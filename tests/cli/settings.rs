@@ -9,6 +9,7 @@ fn every_setting_that_the_library_names_has_a_flag() {
     let commands = [
         "reconstruct",
         "evaluate",
+        "mix",
         "render",
         "voxelize",
         "confidence",

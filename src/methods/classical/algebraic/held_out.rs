@@ -14,6 +14,7 @@ mod near;
 use super::{CglsRun, SartRun, SartSettings, TvRun, TvSettings, VoxelRun};
 use crate::classical::VoxelProjector;
 use held::Held;
+pub use held::{Mixture, mixture};
 use near::{Squares, least_of, near, relative};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -425,7 +426,7 @@ mod tests {
     use trgs_scan::simulate::{Object, Plan, simulate};
     use trgs_scan::{Dataset, Noise, Phantom};
 
-    fn scan(views: usize, beam: Beam) -> Dataset {
+    pub(super) fn scan(views: usize, beam: Beam) -> Dataset {
         let detector = Detector { rows: 32, columns: 32, pitch_v: 0.12, pitch_u: 0.12, offset_u: 0.0, offset_v: 0.0 };
         let scanner = Scanner { beam, detector, grid: Grid::cube(24) };
         let plan = Plan { views, test_views: 0, noise: Noise::MEDIUM, seed: 3 };
@@ -436,7 +437,7 @@ mod tests {
         simulate("torso", Object::Volume(&volume), &scanner, &plan).unwrap()
     }
 
-    const CONE: Beam = Beam::Cone { dso: 5.0, dsd: 7.0 };
+    pub(super) const CONE: Beam = Beam::Cone { dso: 5.0, dsd: 7.0 };
 
     #[test]
     fn the_weight_is_near_the_best_of_a_grid() {

@@ -28,7 +28,9 @@ mod voxel_run;
 
 pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
 pub use cgls::{CglsRun, arrays as cgls_arrays, cgls};
-pub use held_out::{Choice, FEWEST_TRIALS, ObserveChoice, Passes, Trial, choose_passes, choose_weight};
+pub use held_out::{
+    Choice, FEWEST_TRIALS, Mixture, ObserveChoice, Passes, Trial, choose_passes, choose_weight, mixture,
+};
 pub use order::Order;
 pub use sart::{SartRun, SartSettings, sart};
 pub use tv::{TvRun, TvSettings, tv};
