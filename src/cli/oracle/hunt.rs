@@ -96,7 +96,7 @@ pub(super) struct Replay {
 
 impl Range {
     fn stages(&self) -> Vec<String> {
-        let all = self.ask.stages().iter().map(|stage| (*stage).to_owned());
+        let all = self.ask.stages().into_iter().map(str::to_owned);
         if self.stage.is_empty() { all.collect() } else { self.stage.clone() }
     }
 }

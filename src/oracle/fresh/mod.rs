@@ -44,11 +44,11 @@ impl Ask {
     pub const ALL: [Self; 3] = [Self::Values, Self::Relations, Self::Refusals];
 
     /// The stages for which questions are generated.
-    pub fn stages(self) -> &'static [&'static str] {
+    pub fn stages(self) -> Vec<&'static str> {
         match self {
-            Self::Values => &STAGES,
-            Self::Relations => &relations::STAGES,
-            Self::Refusals => &refusals::STAGES,
+            Self::Values => STAGES.to_vec(),
+            Self::Relations => relations::STAGES.to_vec(),
+            Self::Refusals => refusals::stages(),
         }
     }
 

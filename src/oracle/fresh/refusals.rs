@@ -11,27 +11,6 @@ use ndarray::{ArrayD, Axis, IxDyn};
 use serde_json::json;
 use std::f64::consts::PI;
 
-/// The stages with such questions.
-pub(crate) const STAGES: [&str; 17] = [
-    "covariance",
-    "kernel",
-    "integral-factor",
-    "density",
-    "image-affine",
-    "image-exact",
-    "gradient-image-exact",
-    "activation",
-    "loss-l1",
-    "loss-ssim",
-    "loss-tv",
-    "nu-target",
-    "loss-nu",
-    "haar",
-    "wavelet-loss",
-    "schedule",
-    "adam",
-];
-
 /// A change of a valid question.
 type Change = fn(&mut Draft);
 
@@ -145,6 +124,13 @@ pub(super) fn draft(stage: &str, seed: u64, index: u64) -> Option<Draft> {
     draft.title = format!("{name}: {outcome}");
     draft.flags = vec![(*outcome).into()];
     Some(draft)
+}
+
+/// The stages with such questions.
+pub(super) fn stages() -> Vec<&'static str> {
+    let mut stages: Vec<_> = QUESTIONS.iter().map(|question| question.0).collect();
+    stages.dedup();
+    stages
 }
 
 /// The number of questions of a stage.

@@ -371,9 +371,7 @@ impl Asker<'_, '_> {
         }
         Ok(results)
     }
-}
 
-impl Asker<'_, '_> {
     /// Asks a backend that says it is deterministic once more, in the reversed order; the questions with other bits.
     fn differing(&mut self, vectors: &Vectors, answers: &Path) -> Result<BTreeMap<String, String>> {
         let mut differing = BTreeMap::new();

@@ -249,10 +249,10 @@ pub struct FinishSearch {
 /// The smallest weight of [`super::tv()`] from the volume `start` whose error of the held-out views is within one standard
 /// error of the least, and the fewest iterations within one of its own.
 ///
-/// The share is that of the mixture of start and finished volume whose error is least, a least-squares problem of one number,
-/// because projections are linear in the volume. A long finish forgets its start, and the errors of two volumes found by
-/// different models cancel in part. `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
-/// until the error rises. The curve has the least error of each weight.
+/// `views` are those of the fit and those held out. Weights a factor of four apart are tried from the first one upwards
+/// until the error rises. The curve has the least error of each weight. The share is that of the mixture of start and
+/// finished volume whose error is least, a least-squares problem of one number, because projections are linear in the
+/// volume. A long finish forgets its start, and the errors of two volumes found by different models cancel in part.
 ///
 /// # Errors
 /// As [`super::tv()`].
