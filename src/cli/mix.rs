@@ -48,7 +48,7 @@ impl Mix {
         let projector = VoxelProjector::new(&dataset.scanner, RayModel::Joseph)?;
         let Mixture { share, errors } = mixture(&projector, views, [&first, &second])?;
         let factor = share as f32;
-        second.values.zip_mut_with(&first.values, |value, &first| *value += factor * (first - *value));
+        second.values.zip_mut_with(&first.values, |value, &first| *value = factor * first + (1.0 - factor) * *value);
         write_volume(&self.out, &second, &dataset.frame)?;
         Ok(Output::list(&json!({
             "out": words::name(&self.out),

@@ -108,7 +108,8 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
     assert!((0.0..=1.0).contains(&share) && both <= first.min(second), "{mixed}");
     let [of_run, of_fdk, mixed] = ["run/volume.npy", "fdk/volume.npy", "mixed.npy"]
         .map(|name| volume_file::read(sandbox.path(name)).unwrap().values);
-    assert_eq!(mixed, &of_fdk + (&of_run - &of_fdk) * share as f32);
+    let share = share as f32;
+    assert_eq!(mixed, of_run * share + of_fdk * (1.0 - share));
     sandbox.done("simulate --phantom shepp-logan --out bare --size 32 --detector 40 --views 6 --test-views 0");
     assert!(sandbox.refused("mix run fdk --scanner bare --out no.npy").contains("test views: got none"));
 
