@@ -1,10 +1,11 @@
 """Reads and writes files with other programs, for tests/cli/formats.rs, which judges the result.
 
-SimpleITK, nibabel, pynrrd, tifffile and imagecodecs say what is right.
+SimpleITK, nibabel, pydicom, pynrrd, tifffile, imagecodecs and trimesh say what is right.
 
     others.py see FILE...    prints as JSON what SimpleITK, nibabel, plyfile and NumPy read from each file
     others.py make FOLDER    writes files in many formats, and expected.json with their contents
-    others.py letters PATH...   prints as JSON the letters that SimpleITK and nibabel see on the phantom `letters`
+    others.py letters PATH...   prints as JSON the letters that SimpleITK, nibabel and pydicom see on the phantom `letters`
+    others.py mesh FILE...   prints as JSON whether trimesh finds surfaces closed, and their volumes
     others.py odd FOLDER     the same for odd files: stacks of tifffile and ImageJ, headers with skips, lists and units
 
 tests/data/point_cloud.pickle is the point_cloud_5.pickle of `make`. Positions are in ITK's coordinates (left, posterior,
@@ -21,11 +22,21 @@ import nibabel
 import nrrd
 import numpy as np
 import plyfile
+import pydicom
 import SimpleITK as sitk
 import tifffile
+import trimesh
 
 # Signs that convert from and to nibabel's coordinates (right, anterior, superior).
 TO_ITK = np.diag([-1.0, -1.0, 1.0, 1.0])
+# Attributes of a CT image that have a value, and those that may be empty: PS3.3, A.3 (types 1 and 2).
+DICOM = [
+    "SOPClassUID SOPInstanceUID StudyInstanceUID SeriesInstanceUID FrameOfReferenceUID Modality ImageType SamplesPerPixel "
+    "PhotometricInterpretation Rows Columns BitsAllocated BitsStored HighBit PixelRepresentation PixelData PixelSpacing "
+    "ImageOrientationPatient ImagePositionPatient RescaleIntercept RescaleSlope",
+    "StudyDate StudyTime AccessionNumber ReferringPhysicianName PatientName PatientID PatientBirthDate PatientSex StudyID "
+    "SeriesNumber Manufacturer InstanceNumber PositionReferenceIndicator KVP AcquisitionNumber SliceThickness PatientPosition",
+]
 # World points sampled by every reader: inside the test's volume, off its symmetries.
 POINTS = [[-0.5, -0.8, -0.2], [0.1, -0.4, 0.9], [0.35, -1.1, 0.3]]
 
@@ -81,6 +92,36 @@ def see(path):
     return found
 
 
+def seen_by_pydicom(folder):
+    """A function from a position to the value there, of a series that is as strict as the standard."""
+    pydicom.config.settings.reading_validation_mode = pydicom.config.RAISE
+    slices = [pydicom.dcmread(path) for path in folder.iterdir()]
+    for image in slices:
+        missing = [name for name in DICOM[0].split() if not image.get(name) and image.get(name) != 0]
+        assert not missing + [name for name in DICOM[1].split() if name not in image], missing
+        assert image.file_meta.MediaStorageSOPInstanceUID == image.SOPInstanceUID
+    assert len({image.SOPInstanceUID for image in slices}) == len(slices)
+    assert len({(image.SeriesInstanceUID, image.FrameOfReferenceUID) for image in slices}) == 1
+    row, column = np.array(slices[0].ImageOrientationPatient, float).reshape(2, 3)
+    normal = np.cross(row, column)
+    slices.sort(key=lambda image: normal @ np.array(image.ImagePositionPatient, float))
+    first = np.array(slices[0].ImagePositionPatient, float)
+    pitch = normal @ (np.array(slices[1].ImagePositionPatient, float) - first)
+    down, across = map(float, slices[0].PixelSpacing)
+
+    def value(point):
+        way = np.array(point) - first
+        x, y, z = (round(way @ axis / step) for axis, step in [(row, across), (column, down), (normal, pitch)])
+        return slices[z].pixel_array[y, x] * float(slices[z].RescaleSlope) + float(slices[z].RescaleIntercept)
+
+    return value
+
+
+def mesh(path):
+    found = trimesh.load(path, force="mesh")
+    return {"closed": bool(found.is_watertight and found.is_winding_consistent), "volume": float(found.volume)}
+
+
 def letters(path):
     """Rows of the letters on the right, front and upper side of the cube, by reader; `path` may be a DICOM series."""
     reader = sitk.ImageSeriesReader()
@@ -88,6 +129,8 @@ def letters(path):
         reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(path)))
     image = reader.Execute() if path.is_dir() else sitk.ReadImage(str(path))
     readers = {"itk": lambda point: image[image.TransformPhysicalPointToIndex(point)]}
+    if path.is_dir():
+        readers["pydicom"] = seen_by_pydicom(path)
     if ".nii" in path.suffixes:
         file = nibabel.load(path)
         values, inverse = file.get_fdata(), np.linalg.inv(TO_ITK @ file.affine)
@@ -324,8 +367,8 @@ def odd(folder):
 
 
 if __name__ == "__main__":
-    if sys.argv[1] in ["see", "letters"]:
-        look = {"see": see, "letters": letters}[sys.argv[1]]
+    if sys.argv[1] in ["see", "letters", "mesh"]:
+        look = {"see": see, "letters": letters, "mesh": mesh}[sys.argv[1]]
         print(json.dumps({path: look(pathlib.Path(path)) for path in sys.argv[2:]}))
     else:
         {"make": make, "odd": odd}[sys.argv[1]](pathlib.Path(sys.argv[2]))

@@ -1,4 +1,4 @@
-//! Files exchanged with SimpleITK, nibabel, pynrrd, tifffile, imagecodecs, plyfile and NumPy, in both directions.
+//! Files exchanged with SimpleITK, nibabel, pynrrd, tifffile, imagecodecs, plyfile, trimesh and NumPy, in both directions.
 //!
 //! Needs Python with the packages of `reference/formats/requirements.txt`: `python3`, or the program named by
 //! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it.
@@ -6,6 +6,7 @@
 use crate::program::Sandbox;
 use crate::tolerances::largest;
 use glam::{DMat3, DVec3};
+use ndarray::Array3;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
@@ -20,7 +21,7 @@ use trgs::scan::{dataset, npy};
 pub(crate) fn others(arguments: &[&Path], command: &str) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
     let has_all = Command::new(&program)
-        .args(["-c", "import imagecodecs, nibabel, nrrd, numpy, plyfile, SimpleITK, tifffile"])
+        .args(["-c", "import imagecodecs, nibabel, nrrd, numpy, plyfile, pydicom, SimpleITK, tifffile, trimesh"])
         .output();
     if !has_all.is_ok_and(|out| out.status.success()) {
         assert!(std::env::var_os("CI").is_none(), "{program} lacks packages; set TRGS_PYTHON");
@@ -303,6 +304,30 @@ fn impossible_pairs_are_told_which_command_does_it() {
     ] {
         let message = sandbox.refused(&format!("convert {arguments}"));
         assert!(message.contains(remedy), "{arguments}: {message}");
+    }
+}
+
+#[test]
+fn the_surface_of_a_ball_is_closed_and_has_its_volume_for_trimesh() {
+    let sandbox = Sandbox::new();
+    let (side, radius) = (48, 20.0_f64);
+    // From 0 to 1 over the voxels at the surface.
+    let density = |(x, y, z)| {
+        let from_middle = |index: usize| index as f64 - (side as f64 - 1.0) / 2.0;
+        let distance = DVec3::new(from_middle(x), from_middle(y), from_middle(z)).length();
+        (radius - distance + 0.5).clamp(0.0, 1.0) as f32
+    };
+    npy::write(&sandbox.path("ball.npy"), Array3::from_shape_fn((side, side, side), density).view()).unwrap();
+    let paths = ["stl", "ply", "glb"].map(|ending| sandbox.path(&format!("ball.{ending}")));
+    for path in &paths {
+        sandbox.done(&format!("convert ball.npy {} --level 0.5", path.display()));
+    }
+    let Some(seen) = others(&paths.each_ref().map(|path| path.as_path()), "mesh") else { return };
+    let expected = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius;
+    for path in &paths {
+        let found = &seen[path.to_str().unwrap()];
+        assert_eq!(found["closed"], json!(true), "{}", path.display());
+        within!((found["volume"].as_f64().unwrap() / expected - 1.0).abs(), "{}: {found}", path.display());
     }
 }
 

@@ -28,10 +28,10 @@ fn rows(file: &VolumeFile) -> Value {
     json!(sides.map(of_side))
 }
 
-/// The letters as SimpleITK and nibabel see them, or `None` with a message without these. A CI server must have them.
+/// The letters as SimpleITK, nibabel and pydicom see them, or `None` with a message without these. A CI server must have them.
 fn seen_by_others(paths: &[PathBuf]) -> Option<Value> {
     let program = std::env::var("TRGS_PYTHON").unwrap_or_else(|_| "python3".into());
-    let imports = "import imagecodecs, nibabel, nrrd, plyfile, SimpleITK, tifffile";
+    let imports = "import imagecodecs, nibabel, nrrd, plyfile, pydicom, SimpleITK, tifffile, trimesh";
     if !Command::new(&program).args(["-c", imports]).output().is_ok_and(|out| out.status.success()) {
         assert!(std::env::var_os("CI").is_none(), "{program} lacks packages; set TRGS_PYTHON");
         let remark =
@@ -80,7 +80,9 @@ fn letters_are_on_their_sides_in_every_format_and_for_every_reader() {
     let Some(seen) = seen_by_others(&paths) else { return };
     for path in paths {
         let seen = seen[path.to_str().unwrap()].as_object().unwrap();
-        assert_eq!(seen.contains_key("nibabel"), path.to_string_lossy().contains(".nii"));
+        for (who, part) in [("nibabel", ".nii"), ("pydicom", "_dicom")] {
+            assert_eq!(seen.contains_key(who), path.to_string_lossy().contains(part));
+        }
         seen.iter().for_each(|(who, found)| assert_eq!(*found, expected, "{who}, {}", path.display()));
     }
 }
