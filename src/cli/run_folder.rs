@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use trgs::classical::algebraic::{Choice, Pass};
-use trgs::confidence::{Coverage, Histogram};
+use trgs::confidence::Coverage;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::geometry::Volume;
@@ -19,7 +19,7 @@ use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_
 use trgs::primitives::Primitives;
 use trgs::provenance::{Provenance, digest_bytes, digest_file};
 use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
-use trgs::report::agreement::Agreement;
+use trgs::report::agreement::{Agreement, Figures};
 use trgs::report::viewer::Scene;
 use trgs::report::{self, Curve, Report};
 use trgs::scan::model;
@@ -93,6 +93,8 @@ struct Results<'a> {
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<&'a Choice>,
+    /// Measured against rendered views.
+    residual: Figures,
     /// How the volume was sampled from the primitives.
     #[serde(skip_serializing_if = "Option::is_none")]
     sampled: Option<&'a Sampled>,
@@ -174,9 +176,11 @@ impl RunFolder {
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at(VOLUME), outcome.volume.values.view())?;
         NpySide::write(&at(VOLUME), &dataset.frame.file(&outcome.volume))?;
+        let (agreement, views) = views(dataset, config, outcome)?;
         let results = Results {
             evaluation: &outcome.evaluation,
             choice: outcome.choice.as_ref(),
+            residual: agreement.figures(),
             sampled: outcome.sampled.as_ref(),
             unfinished: outcome.unfinished.as_ref().map(|(_, metrics)| metrics),
         };
@@ -204,14 +208,20 @@ impl RunFolder {
                 Err(error) => tracing::warn!("the run cannot be continued: {}", with_flags(&error.text())),
             }
         }
-        write_text(&at("report.html"), &self.page(dataset, config, outcome, beside)?)?;
+        write_text(&at("report.html"), &self.page(dataset, config, outcome, beside, (agreement, views))?)?;
         write_text(&at("provenance.json"), &json(&self.provenance))?;
         staged.commit()
     }
 
-    fn page(&self, dataset: &Dataset, config: &Config, outcome: &Outcome, beside: Option<&Outcome>) -> Result<String> {
+    fn page(
+        &self,
+        dataset: &Dataset,
+        config: &Config,
+        outcome: &Outcome,
+        beside: Option<&Outcome>,
+        (agreement, scene): (Agreement, Scene<'static>),
+    ) -> Result<String> {
         let (curves, facts) = (curves(outcome), facts(dataset, config, outcome));
-        let (agreement, scene) = views(dataset, config, outcome)?;
         report::render(&Report {
             title: &format!("{} from {}", outcome.name(), dataset.name),
             subtitle: &format!("Reconstructed from {}", counted(dataset.train.len(), "projection")),
@@ -222,8 +232,12 @@ impl RunFolder {
             next: self.next(dataset, outcome, &agreement),
             views: Some((agreement, scene)),
             curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
+            population: population(&outcome.log),
             choice: outcome.choice.as_ref(),
-            confidence: confidence(dataset, config, outcome),
+            primitives: outcome
+                .primitives
+                .as_ref()
+                .map(|primitives| (primitives, confidence(dataset, config, primitives))),
             facts,
             provenance: Some(&self.provenance),
         })
@@ -282,6 +296,19 @@ fn curves(outcome: &Outcome) -> [Curve<'static>; 7] {
         Curve { name: "residual", points: passes.collect() },
         of_passes("objective", |pass| pass.objective),
         of_passes("step", |pass| pass.change),
+    ]
+}
+
+/// Number of the primitives, mean ν and mean confidence over the iterations.
+fn population(log: &[Record]) -> Vec<Curve<'static>> {
+    let curve = |name, value: fn(&Record) -> Option<f64>| Curve {
+        name,
+        points: log.iter().filter_map(|record| Some((record.iteration as f64, value(record)?))).collect(),
+    };
+    vec![
+        curve("primitives", |record| Some(record.primitives as f64)),
+        curve("mean ν", |record| record.mean_nu),
+        curve("mean c", |record| record.confidence),
     ]
 }
 
@@ -351,13 +378,12 @@ fn voxel(dataset: &Dataset) -> String {
 }
 
 /// The confidence of the primitives, where the method uses it.
-fn confidence(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Option<Histogram> {
-    let primitives = outcome.primitives.as_ref()?;
+fn confidence(dataset: &Dataset, config: &Config, primitives: &Primitives) -> Option<Vec<f64>> {
     if config.method != Method::TrGs || !config.confidence.enabled && !config.wavelet.enabled {
         return None;
     }
     let settings = config.confidence.settings(dataset.scanner.grid.spacing.min_element());
-    Some(Histogram::of(&Coverage::new(settings).confidence(primitives, &dataset.scanner, &dataset.train)))
+    Some(Coverage::new(settings).confidence(primitives, &dataset.scanner, &dataset.train))
 }
 
 /// The file with the state of a run.

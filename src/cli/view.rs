@@ -3,6 +3,7 @@
 use super::arguments::finite;
 use super::evaluate::arrange;
 use super::messages::warning;
+use super::render::FAST_CUTOFF;
 use super::{Output, convert};
 use clap::Args;
 use ndarray::Array3;
@@ -11,13 +12,16 @@ use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use trgs::confidence::Coverage;
 use trgs::config::{Config, Method};
 use trgs::geometry::{Projections, Scanner, Volume};
 use trgs::output::{check_file, write_atomically};
+use trgs::primitives::Primitives;
+use trgs::projector::voxelize;
 use trgs::reconstruction::reproject;
 use trgs::report::viewer::{Depth, Scene, page};
 use trgs::scan::volume_file::{self, VolumeFile};
-use trgs::scan::{Dataset, Frame, model, stack};
+use trgs::scan::{Dataset, Frame, stack};
 use trgs::words;
 use trgs::{Error, Result};
 
@@ -29,16 +33,19 @@ use trgs::{Error, Result};
   trgs view out/tr-gs out/tv truth.nii.gz --full
   trgs view data/torso
   trgs view out/torso data/torso --turntable
+  trgs view out/torso/model.npz data/torso
 
 The page is one file without network access, for any browser of 2023 or newer; ? lists its keys. All formats of volumes \
 that trgs convert reads are shown; a folder of .npy is a stack of projections. Two to four volumes are compared, on the \
 grid of the first that states one: side by side, by difference, wipe and flicker. A scan shows its true volume and its \
-projections; with a run or a volume beside it, measured and rendered projections of the test views and their difference.
+projections; with a run, a volume or a model beside it, measured and rendered projections of the test views and their \
+difference. Beside a scan, the primitives of the first run or model are drawn where a plane cuts them, coloured by ν, \
+confidence or density.
 
 Volumes of more than 128³ voxels are shown as means of blocks, and of projections at most 128 views, unless --full is \
 given. One volume is stored in 16 bits, several are in 8.")]
 pub(super) struct View {
-    /// Volumes in any format, folders of runs, and a scan
+    /// Volumes in any format, folders of runs, models, and a scan
     #[arg(value_name = "FILE|RUN|SCAN", required = true)]
     paths: Vec<PathBuf>,
     /// File to write
@@ -66,6 +73,8 @@ const TURNTABLE: usize = 36;
 struct Shown {
     scan: Option<(PathBuf, Dataset)>,
     volumes: Vec<Named>,
+    /// Files of models.
+    models: Vec<PathBuf>,
     /// Frames `[view, v, u]`.
     stacks: Vec<(String, Array3<f32>)>,
 }
@@ -81,12 +90,12 @@ struct Named {
 
 impl View {
     pub(super) fn run(&self) -> Result<Output> {
-        let Shown { scan, volumes, stacks } = self.read()?;
+        let Shown { scan, volumes, models, stacks } = self.read()?;
         let mut scenes = Vec::new();
         let placed;
         match &scan {
             Some((path, dataset)) => {
-                placed = Placed::of(dataset, volumes)?;
+                placed = Placed::of(dataset, volumes, &models)?;
                 if let Some(scene) = placed.volumes(dataset, path)? {
                     scenes.push(scene);
                 }
@@ -94,6 +103,15 @@ impl View {
                 if self.turntable {
                     scenes.push(placed.turntable(dataset)?);
                 }
+            }
+            None if !models.is_empty() => {
+                let (got, remedy) = (models[0].display(), "name the scan as well");
+                return Err(Error::invalid(
+                    "model to show",
+                    got,
+                    "a scan beside it, whose voxels it is shown in",
+                    remedy,
+                ));
             }
             None if self.turntable => {
                 let expected = "a volume or a run, and the scan whose detector sees it";
@@ -132,9 +150,7 @@ impl View {
                 }
                 shown.scan = Some((path.clone(), Dataset::read(path)?));
             } else if convert::is_model(path) {
-                let expected = "a volume, a run or a scan";
-                let remedy = "use trgs voxelize to make a volume, or give the folder of the run";
-                return Err(Error::invalid("model to show", path.display(), expected, remedy));
+                shown.models.push(path.clone());
             } else {
                 let is_run = of_run.exists();
                 match volume_file::read(if is_run { &of_run } else { path }) {
@@ -157,16 +173,28 @@ impl View {
 /// Volumes on the grid of a scan.
 struct Placed {
     volumes: Vec<(String, Volume)>,
-    /// The first volume's run, if it is one's.
-    run: Option<PathBuf>,
+    /// The primitives of the first.
+    primitives: Option<Primitives>,
+    /// The settings of its run.
+    config: Config,
 }
 
 impl Placed {
-    fn of(dataset: &Dataset, volumes: Vec<Named>) -> Result<Self> {
+    /// Volumes and runs, and after them the volumes of models.
+    fn of(dataset: &Dataset, volumes: Vec<Named>, models: &[PathBuf]) -> Result<Self> {
         let grid = &dataset.scanner.grid;
         let run = volumes.first().filter(|named| named.is_run).map(|named| named.path.clone());
+        let config = run.as_ref().map(|run| Config::read(run.join("config.toml"), Method::TrGs)).transpose()?;
+        let of_run = run.map(|run| run.join("model.npz")).filter(|model| model.exists());
+        let first = of_run.or_else(|| models.first().filter(|_| volumes.is_empty()).cloned());
+        let primitives = first.map(|path| convert::read_model(&path)).transpose()?;
         let of = |named: Named| Ok((named.name, arrange(&dataset.frame, named.file, grid, &named.path)?));
-        Ok(Self { volumes: volumes.into_iter().map(of).collect::<Result<_>>()?, run })
+        let of_model = |path: &PathBuf| {
+            let values = voxelize::<f32>(&convert::read_model(path)?, grid, FAST_CUTOFF);
+            Ok((name(path), Volume::new(*grid, values)?))
+        };
+        let volumes = volumes.into_iter().map(of).chain(models.iter().map(of_model)).collect::<Result<_>>()?;
+        Ok(Self { volumes, primitives, config: config.unwrap_or_default() })
     }
 
     /// The true volume and these; `None` if there is none.
@@ -177,7 +205,12 @@ impl Placed {
         if all.is_empty() {
             return Ok(None);
         }
-        Scene::of_volumes(&format!("Volumes on the grid of {}", name(path)), all, &dataset.frame).map(Some)
+        let scene = Scene::of_volumes(&format!("Volumes on the grid of {}", name(path)), all, &dataset.frame)?;
+        let Some(primitives) = &self.primitives else { return Ok(Some(scene)) };
+        let Dataset { scanner, train, .. } = dataset;
+        let settings = self.config.confidence.settings(scanner.grid.spacing.min_element());
+        let confidence = Coverage::new(settings).confidence(primitives, scanner, train);
+        Ok(Some(scene.with_primitives(primitives, &scanner.grid, Some(confidence))))
     }
 
     /// The test views and the same rendered from the first volume, or from the primitives of its run where it has them.
@@ -210,13 +243,7 @@ impl Placed {
             let expected = "a run or a volume beside a scan without a true volume";
             return Err(Error::invalid("projections to render", "a scan alone", expected, "name a run as well"));
         };
-        let config = match &self.run {
-            Some(run) => Config::read(run.join("config.toml"), Method::TrGs)?,
-            None => Config::default(),
-        };
-        let model = self.run.as_ref().map(|run| run.join("model.npz")).filter(|model| model.exists());
-        let primitives = model.map(|model| model::read(&model)).transpose()?;
-        reproject(dataset, views, volume, primitives.as_ref(), &config)
+        reproject(dataset, views, volume, self.primitives.as_ref(), &self.config)
     }
 }
 

@@ -13,6 +13,7 @@ use crate::numeric::rank::{SIGMA_OF_MAD, median};
 use crate::numeric::threads;
 use crate::scan::Frame;
 use ndarray::{Array3, ArrayView2, Axis};
+use serde::Serialize;
 
 /// Part of the largest measured value from which a square of pixels shows the object: air has less noise.
 const OBJECT: f32 = 0.1;
@@ -38,6 +39,19 @@ pub struct Agreement {
     map: Volume,
     /// Parts of the map that all views see, and that none sees.
     seen: [f64; 2],
+}
+
+/// The residual of a reconstruction in a few views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Figures {
+    /// `test`, or `training`: those that the reconstruction was fitted to.
+    pub views: &'static str,
+    /// Their number.
+    pub count: usize,
+    /// Norm of the residual relative to that of the measured values.
+    pub relative: f64,
+    /// RMS residual in pixels that show the object, in units of the noise; `None` where that cannot be measured.
+    pub per_noise: Option<f64>,
 }
 
 impl Agreement {
@@ -81,6 +95,17 @@ impl Agreement {
     /// Residual relative to the measured values, and in units of the noise where that is known.
     pub fn residual(&self) -> (f64, Option<f64>) {
         (self.relative, self.noise.filter(|noise| *noise > 0.0).map(|noise| self.residual / noise))
+    }
+
+    /// What a file of results holds.
+    pub fn figures(&self) -> Figures {
+        let (relative, per_noise) = self.residual();
+        Figures {
+            views: if self.is_fitted { "training" } else { "test" },
+            count: self.views.len(),
+            relative,
+            per_noise,
+        }
     }
 
     /// Whether the residual is no more than noise.

@@ -3,7 +3,7 @@
 //! Colours are CSS variables of the page, so the chart follows its light and dark mode.
 
 use super::escape;
-use super::slice::short;
+use super::slice::{short, significant};
 use crate::numeric::elementary::{log10, pow};
 use std::fmt::Write;
 
@@ -86,6 +86,17 @@ pub(super) fn line_chart(curves: &[Curve], axes: &Axes<'_>) -> Option<String> {
         let Some(last) = curve.points.iter().rfind(visible) else { continue };
         let colour = number % COLOURS;
         let _ = write!(svg, "<path class=\"line c{colour}\" d=\"M{}\"/>", line.join("L"));
+        // A browser shows the title of the point under the pointer.
+        for point in curve.points.iter().filter(visible) {
+            let (at, height) = (x(point.0), y(log10(point.1)));
+            let (name, axis) = (escape(curve.name), escape(axes.x));
+            let (place, value) = (significant(point.0, 5), significant(point.1, 4));
+            let _ = write!(
+                svg,
+                "<circle class=\"point c{colour}\" cx=\"{at:.1}\" cy=\"{height:.1}\" r=\"7\">\
+                 <title>{name} at {axis} {place}: {value}</title></circle>"
+            );
+        }
         names.push((y(log10(last.1)), colour, curve.name));
     }
     names.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -167,6 +178,14 @@ mod tests {
         let heights: Vec<f64> = line.split('L').map(|p| p.split(' ').nth(1).unwrap().parse().unwrap()).collect();
         assert_eq!(heights.len(), 3);
         assert!(heights.is_sorted());
+    }
+
+    #[test]
+    fn a_point_states_its_value() {
+        let curve = Curve { name: "a & b", points: vec![(10.0, 0.123_456), (20.0, f64::NAN)] };
+        let svg = line_chart(&[curve], &Axes { x: "iteration", ..AXES }).unwrap();
+        assert_eq!(svg.matches("<circle class=\"point c0\"").count(), 1);
+        assert!(svg.contains("<title>a &amp; b at iteration 10: 0.1235</title>"), "{svg}");
     }
 
     #[test]

@@ -17,6 +17,7 @@ use crate::confidence::Histogram;
 use crate::error::Result;
 use crate::evaluation::Metrics;
 use crate::geometry::Volume;
+use crate::primitives::Primitives;
 use crate::provenance::Provenance;
 use crate::scan::Frame;
 use histogram::Bars;
@@ -45,10 +46,12 @@ pub struct Report<'a> {
     pub next: Vec<(String, String)>,
     /// Losses over the iterations; the total comes first.
     pub curves: Vec<Curve<'a>>,
+    /// Quantities of the primitives over the iterations, a chart each.
+    pub population: Vec<Curve<'a>>,
     /// The setting that was chosen by held-out views.
     pub choice: Option<&'a Choice>,
-    /// The confidence of the primitives, where it is used.
-    pub confidence: Option<Histogram>,
+    /// The primitives of the main reconstruction, and the confidence of each where it is used.
+    pub primitives: Option<(&'a Primitives, Option<Vec<f64>>)>,
     /// Other facts: (label, value).
     pub facts: Vec<(String, String)>,
     /// Origin of the run.
@@ -90,6 +93,7 @@ const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inlin
 /// When the volumes differ in shape.
 pub fn render(report: &Report) -> Result<String> {
     let views = report.views.as_ref();
+    let confidences = report.primitives.as_ref().and_then(|(_, confidences)| confidences.as_ref());
     let content = [
         headline(&report.methods),
         answer(report),
@@ -98,8 +102,9 @@ pub fn render(report: &Report) -> Result<String> {
         views.map_or(String::new(), |(agreement, scene)| projections(agreement, scene)),
         next(&report.next),
         losses(&report.curves),
+        population(&report.population),
         report.choice.map_or(String::new(), choice),
-        report.confidence.as_ref().map_or(String::new(), confidence),
+        confidences.map_or(String::new(), |c| confidence(&Histogram::of(c))),
         metrics_table(&report.methods),
         facts(&report.facts),
         report.provenance.map_or(String::new(), provenance),
@@ -149,7 +154,12 @@ fn volumes_to_scroll(report: &Report) -> Result<String> {
     let Some((_, first)) = shown.first() else { return Ok(String::new()) };
     let most = (2 * viewer::WHOLE / first.values.len().min(viewer::WHOLE)).min(viewer::MOST);
     let title = "Volumes";
-    let scene = Scene::of_volumes(title, shown.into_iter().take(most).collect(), &report.frame)?.reduced();
+    let grid = first.grid;
+    let mut scene = Scene::of_volumes(title, shown.into_iter().take(most).collect(), &report.frame)?;
+    if let Some((primitives, confidences)) = &report.primitives {
+        scene = scene.with_primitives(primitives, &grid, confidences.clone());
+    }
+    let scene = scene.reduced();
     let how = "<p>Click into a picture; the wheel then goes through the slices, a drag with the right button sets the window, \
                and ? lists the keys.</p>\n";
     Ok(section(title, &format!("{how}{}", scene.html(Depth::Eight))))
@@ -213,6 +223,18 @@ fn losses(curves: &[Curve]) -> String {
         )
     });
     section("Loss", &format!("{summary}{chart}\n"))
+}
+
+/// A chart of each quantity of the primitives.
+fn population(curves: &[Curve]) -> String {
+    let of = |curve: &Curve| {
+        let label = format!("{} over the iterations", curve.name);
+        let axes = Axes { label: &label, x: "iteration", is_logarithmic: false, mark: None };
+        chart::line_chart(std::slice::from_ref(curve), &axes)
+    };
+    let charts: String = curves.iter().filter_map(of).collect();
+    let content = if charts.is_empty() { charts } else { format!("<div class=\"charts\">\n{charts}</div>\n") };
+    section("Primitives over the iterations", &content)
 }
 
 /// The chart of how many primitives have which confidence.

@@ -7,10 +7,13 @@
 //! its difference to the one before; differences of 16 bits are folded (0, -1, 1, -2, … become 0, 1, 2, 3, …) and stored
 //! as all high bytes, then all low bytes. The bytes are deflated and written in base64.
 
+mod model;
+
 use super::slice::{AXES, quantile, significant};
 use super::{document, escape, section};
 use crate::error::{Error, Result};
-use crate::geometry::{Projections, Scanner, Volume};
+use crate::geometry::{Grid, Projections, Scanner, Volume};
+use crate::primitives::Primitives;
 use crate::scan::volume_file::VolumeFile;
 use crate::scan::{Frame, Unit, hounsfield};
 use crate::words::counted;
@@ -19,6 +22,7 @@ use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::DeflateEncoder;
 use glam::{DMat3, DVec3};
+use model::Model;
 use ndarray::{Array3, Axis, Slice};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -41,6 +45,10 @@ const NEAR_ZERO: f64 = 0.05;
 /// Cosine from which on an axis is said to run to a second side of the patient.
 const OBLIQUE: f64 = 0.3;
 const STYLE: &str = include_str!("viewer/viewer.css");
+/// The part of the script that pages with primitives have before the others.
+const MODEL_SCRIPT: &str = include_str!("viewer/model.js");
+/// How a scene with primitives is recognised.
+const WITH_MODEL: &str = "\"model\":[{";
 /// The files of the script, in one scope.
 const SCRIPT: [&str; 5] = [
     include_str!("viewer/volume.js"),
@@ -80,6 +88,7 @@ pub struct Scene<'a> {
     /// Attenuation of water, where Hounsfield units are wanted.
     water: Option<f64>,
     notes: Vec<String>,
+    model: Model,
 }
 
 /// A plane as it is shown.
@@ -215,8 +224,20 @@ impl<'a> Scene<'a> {
         Self { water: water.filter(|_| !self.is_hounsfield), ..self }
     }
 
-    /// The scene with at most [`WHOLE`] voxels: the means of blocks. Of projections, views are left out first.
-    pub fn reduced(mut self) -> Self {
+    /// The scene of volumes on a grid with the primitives in it, drawn where a plane cuts them.
+    pub fn with_primitives(self, primitives: &Primitives, grid: &Grid, confidence: Option<Vec<f64>>) -> Self {
+        let mut scene = Self { model: Model::new(primitives, grid, confidence), ..self };
+        scene.notes.push("A primitive is drawn where its density is half of that at its centre, from violet to yellow by its quantity.".into());
+        scene
+    }
+
+    /// The scene with at most [`WHOLE`] voxels.
+    pub fn reduced(self) -> Self {
+        self.within(WHOLE)
+    }
+
+    /// The scene with at most so many voxels: the means of blocks. Of projections, views are left out first.
+    pub fn within(mut self, most: usize) -> Self {
         if let Some(angles) = &mut self.angles {
             let step = self.named[0].1.len_of(Axis(0)).div_ceil(VIEWS);
             if step > 1 {
@@ -231,7 +252,7 @@ impl<'a> Scene<'a> {
         let shape = self.shape();
         let blocks = |side: usize| [0, 1, 2].map(|axis| if axis == 0 && self.angles.is_some() { 1 } else { side });
         let voxels = |block: [usize; 3]| (0..3).map(|axis| shape[axis].div_ceil(block[axis])).product::<usize>();
-        let block = (1..).map(blocks).find(|&block| voxels(block) <= WHOLE || block[1] > 64).unwrap_or([1; 3]);
+        let block = (1..).map(blocks).find(|&block| voxels(block) <= most || block[1] > 64).unwrap_or([1; 3]);
         if block == [1; 3] {
             return self;
         }
@@ -239,6 +260,7 @@ impl<'a> Scene<'a> {
         let factor = DVec3::from_array(block.map(|side| side as f64));
         self.origin += self.directions * (self.spacing * (factor - 1.0) / 2.0);
         self.spacing *= factor;
+        self.model.reduce(factor);
         let [x, y, z] = block;
         self.notes.push(format!("Means of {x} × {y} × {z} values are shown."));
         self
@@ -314,6 +336,7 @@ impl<'a> Scene<'a> {
             "histograms": all.iter().map(|values| histogram(values, low, high)).collect::<Vec<_>>(),
             "planes": self.planes(),
             "volumes": self.named.iter().map(|(name, values)| coded(name, values, depth)).collect::<Vec<_>>(),
+            "model": self.model.json(),
         })
     }
 
@@ -412,20 +435,21 @@ pub(super) fn parts(content: &str) -> [String; 3] {
     if !content.contains("<div class=\"trgs-viewer\"") && !content.contains("<div data-wheel=") {
         return Default::default();
     }
-    let script = script();
+    let script = script(content.contains(WITH_MODEL));
     let digest = STANDARD.encode(Sha256::digest(script.as_bytes()));
     [STYLE.into(), format!("<script>{script}</script>\n"), format!("; script-src 'sha256-{digest}'")]
 }
 
-/// The script without comments and indents.
-fn script() -> String {
+/// The script without comments and indents, with or without the part for primitives.
+fn script(has_model: bool) -> String {
     let is_code = |line: &&str| {
         !["", "/**", "* ", "*/", "//"].iter().any(|start| match *start {
             "" => line.is_empty(),
             start => line.starts_with(start),
         })
     };
-    let lines = SCRIPT.iter().flat_map(|file| file.lines().map(str::trim_start).filter(is_code));
+    let files = has_model.then_some(MODEL_SCRIPT).into_iter().chain(SCRIPT);
+    let lines = files.flat_map(|file| file.lines().map(str::trim_start).filter(is_code));
     format!("(() => {{\n'use strict';\n{}\n}})();\n", lines.collect::<Vec<_>>().join("\n"))
 }
 

@@ -364,6 +364,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
             wavelet: sums.wavelet / sums.blocks.max(1) as f64,
             primitives: self.state.raw.len(),
             confidence: (!confidence.is_empty()).then(|| reduce::sum(confidence) / confidence.len() as f64),
+            mean_nu: Some(reduce::sum(&nu) / nu.len() as f64).filter(|mean| mean.is_finite()),
             spearman: if confidence.is_empty() { None } else { spearman(&nu, confidence) },
             seconds: self.state.seconds,
         }

@@ -28,6 +28,9 @@ pub struct Record {
     pub primitives: usize,
     /// Mean confidence c of the primitives `[Eq. 8]`, if it is computed.
     pub confidence: Option<f64>,
+    /// Mean ν of the primitives; `None` of Gaussians and of older runs.
+    #[serde(default)]
+    pub mean_nu: Option<f64>,
     /// Spearman's rank correlation of ν and c, if both vary.
     pub spearman: Option<f64>,
     /// Seconds since training began.
@@ -36,8 +39,10 @@ pub struct Record {
 
 impl Record {
     pub(super) fn is_finite(&self) -> bool {
-        let Self { loss, l1, d_ssim, tv, nu, wavelet, confidence, spearman, seconds, .. } = self;
-        are_finite([loss, l1, d_ssim, tv, nu, wavelet, seconds].into_iter().chain(confidence).chain(spearman))
+        let Self { loss, l1, d_ssim, tv, nu, wavelet, confidence, mean_nu, spearman, seconds, .. } = self;
+        are_finite(
+            [loss, l1, d_ssim, tv, nu, wavelet, seconds].into_iter().chain(confidence).chain(mean_nu).chain(spearman),
+        )
     }
 }
 

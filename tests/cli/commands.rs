@@ -85,6 +85,7 @@ fn a_scan_is_simulated_reconstructed_evaluated_rendered_voxelized_and_inspected(
         "wavelet",
         "primitives",
         "confidence",
+        "mean_nu",
         "seconds",
     ] {
         assert!(log.iter().all(|record| record[key].is_number()), "{key}");

@@ -41,10 +41,49 @@ fn the_viewer_works_in_chromium() {
     let sandbox = Sandbox::new();
     write_digits(&sandbox);
     sandbox.done("view a.npy b.npy --out page.html");
-    let drive =
-        Command::new("node").arg(root.join("tests/viewer/drive.js")).arg(sandbox.path("page.html")).output().unwrap();
-    let said = String::from_utf8_lossy(&drive.stdout);
-    assert!(drive.status.success() && said.matches("ok: ").count() >= 9, "{said}{}", stderr(&drive));
+    let drive = |page: &str, flags: &[&str], checks: usize| {
+        let mut node = Command::new("node");
+        let drive =
+            node.arg("tests/viewer/drive.js").arg(sandbox.path(page)).args(flags).current_dir(root).output().unwrap();
+        let said = String::from_utf8_lossy(&drive.stdout);
+        assert!(drive.status.success() && said.matches("ok: ").count() == checks, "{said}{}", stderr(&drive));
+    };
+    drive("page.html", &[], 9);
+    // As reference/pictures makes them.
+    sandbox.done("simulate --phantom torso --out scan --size 64 --detector 64 --views 25");
+    sandbox.done("reconstruct scan --out fdk --method fdk");
+    sandbox.done("view fdk scan --out fdk.html");
+    drive("fdk.html", &["--against", "reference/screens"], 5);
+    sandbox.done("simulate --phantom torso --out small --size 16 --detector 16 --views 4 --test-views 0");
+    sandbox.done("reconstruct small --out run --iterations 20");
+    sandbox.done("view run small --out model.html");
+    drive("model.html", &["--model"], 1);
+    drive("run/report.html", &["--model"], 1);
+}
+
+#[test]
+fn a_model_is_shown_beside_its_scan_with_its_primitives() {
+    let sandbox = Sandbox::with_scan();
+    sandbox.done("reconstruct scan --out run --iterations 4");
+    let of = |page: &str| scenes(&sandbox, page).remove(0);
+    let columns =
+        |scene: &Value| scene["model"].as_array().unwrap().iter().map(|c| c["name"].clone()).collect::<Vec<_>>();
+    sandbox.done("view run scan --out run.html");
+    assert_eq!(columns(&of("run.html"))[12..], ["ν", "confidence", "density"]);
+    sandbox.done("convert run/model.npz model.ply --scanner scan");
+    for model in ["run/model.npz", "model.ply"] {
+        sandbox.done(&format!("view {model} scan --out {model}.html"));
+        let scene = of(&format!("{model}.html"));
+        assert_eq!(names(&scene), ["truth", model.rsplit('/').next().unwrap()]);
+        assert_eq!(columns(&scene).len(), 15);
+    }
+    // The volume is that of the model, before any finish.
+    sandbox.done("voxelize run/model.npz --scanner scan --out volume.npy --precision f32 --cutoff 1e-3");
+    sandbox.done("view volume.npy scan --out volume.html");
+    let data = |page: &str| of(page)["volumes"][1]["data"].clone();
+    assert_eq!(data("run/model.npz.html"), data("volume.html"));
+    assert_eq!(columns(&of("volume.html")), Vec::<Value>::new());
+    assert!(sandbox.refused("view run/model.npz").contains("model to show"));
 }
 
 #[test]
@@ -135,6 +174,13 @@ fn the_page_of_a_run_without_a_truth_says_how_good_it_is_and_what_next() {
     sandbox.write("plain/meta_data.json", meta.to_string());
     sandbox.done("reconstruct plain --out run --method fdk");
     let page = sandbox.text("run/report.html");
+    let residual = &serde_json::from_str::<Value>(&sandbox.text("run/metrics.json")).unwrap()["residual"];
+    assert_eq!([&residual["views"], &residual["count"]], [&json!("training"), &json!(10)]);
+    let percent = 100.0 * residual["relative"].as_f64().unwrap();
+    let stated =
+        page.split("fitted to, the residual is ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+    assert_eq!(stated, format!("{percent:.2e}").parse::<f64>().unwrap());
+    assert!(residual["per_noise"].as_f64().unwrap() > 0.0);
     for part in [
         "<h2>Is the volume good?</h2>",
         "In 10 of the views that it was fitted to, the residual is ",

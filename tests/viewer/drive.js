@@ -1,8 +1,9 @@
-// Drives a page of `trgs view` in Chromium, without packages: node tests/viewer/drive.js PAGE.html [--measure] [--shots DIR]
-// --picture FILE writes one of the first viewer, with the last of its planes alone.
+// Drives a page of `trgs view` in Chromium, without packages: node tests/viewer/drive.js PAGE.html [FLAG ..]
 //
 // The page shows two volumes `a` and `b` of 16³ voxels: (x + 16·y + 256·z)/4096, and the same plus 0.25. Each check prints a
-// line; the exit code is 1 if one fails. --measure prints times of any page instead, --shots writes pictures of it.
+// line; the exit code is 1 if one fails. Instead, of any page, --measure prints times, --shots DIR writes pictures,
+// --against DIR compares such pictures with those of a folder, --picture FILE writes one of the first viewer with the last of
+// its planes alone, and --model checks that the first viewer draws primitives.
 'use strict';
 const assert = require('node:assert/strict');
 const { spawn } = require('node:child_process');
@@ -327,19 +328,76 @@ async function measure() {
   console.log(JSON.stringify({ ...found, frames_per_second: (1000 * steps) / (Date.now() - begin), cpu_ms_of_a_frame: (1000 * (cpu() - before)) / steps }));
 }
 
-async function shots(folder) {
+/** Primitives are drawn in colours; all else is grey without the crosshair. */
+async function model() {
+  await open(1280, 900);
+  await ask('v.panes[0].canvas.focus()');
+  await key('h');
+  const coloured = () => ask(`v.panes.filter(({ sources }) => sources[0] === 1).map(({ canvas }) => {
+    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    return Array.from({ length: data.length / 4 }, (_, i) => Math.max(...data.slice(4 * i, 4 * i + 3)) - Math.min(...data.slice(4 * i, 4 * i + 3))).filter((spread) => spread > 20).length;
+  })`);
+  const seen = {};
+  for (const quantity of ['ν', 'confidence', 'density', 'hidden']) {
+    await key('e');
+    const name = await ask('v.inputs.model.selectedOptions[0].textContent');
+    assert.ok(name.startsWith(quantity), `${name}, expected ${quantity}`);
+    seen[quantity] = await coloured();
+    assert.ok(seen[quantity].every((count) => (quantity === 'hidden' ? count === 0 : count > 100)), `${quantity}: ${seen[quantity]}`);
+  }
+  assert.notDeepEqual(seen['ν'], seen.density);
+  console.log('ok: primitives are drawn');
+}
+
+/** Means of the differences of 16 × 16 pixels between two PNG files, levels of 255. */
+const differences = (a, b) => ask(`await (async () => {
+  const pixels = async (data) => {
+    const image = Object.assign(new Image(), { src: 'data:image/png;base64,' + data });
+    await image.decode();
+    const [width, height] = [image.width, image.height].map((side) => Math.ceil(side / 16));
+    const context = new OffscreenCanvas(width, height).getContext('2d');
+    context.imageSmoothingQuality = 'high';
+    context.drawImage(image, 0, 0, width, height);
+    return context.getImageData(0, 0, width, height).data;
+  };
+  const [a, b] = [await pixels('${a}'), await pixels('${b}')];
+  return a.length === b.length ? Array.from(a, (level, i) => Math.abs(level - b[i])).filter((_, i) => i % 4 < 3) : [255];
+})()`);
+const part = (all, above) => all.filter((level) => level > above).length / all.length;
+
+/** Compares pictures with those of a folder; another font moves letters, which a tolerance of blocks allows. */
+async function against(folder) {
+  const known = Object.fromEntries(fs.readdirSync(folder).map((file) => [file.replace('.png', ''), fs.readFileSync(path.join(folder, file)).toString('base64')]));
+  for (const [name, data] of await pictures(Object.keys(known))) {
+    const found = await differences(data, known[name]);
+    assert.ok(part(found, 12) <= 0.04, `${name}: ${part(found, 12)} of all blocks differ from ${folder}`);
+    console.log(`ok: ${name} is as before`);
+  }
+  const other = await differences(known.wide, known.wipe);
+  assert.ok(part(other, 12) > 0.04, 'two pictures are told apart');
+}
+
+async function shots(folder, ...names) {
+  for (const [name, data] of await pictures(names.length ? names : undefined)) fs.writeFileSync(path.join(folder, `${name}.png`), Buffer.from(data, 'base64'));
+}
+
+/** Pictures of half the size, all or those of some names. */
+async function pictures(names) {
+  const found = [];
   for (const [name, width, height, mobile, keys, scheme] of [
     ['wide', 1280, 1000, false, '', 'light'], ['dark', 1280, 1000, false, '', 'dark'], ['wipe', 1280, 1000, false, '5', 'light'], ['sheet', 1280, 1000, false, '?', 'light'],
     ['maximum', 1280, 1000, false, '1m', 'dark'], ['large', 1280, 1000, false, 'oo', 'light'], ['phone', 390, 844, true, '', 'light'],
-  ]) {
+  ].filter(([name]) => names?.includes(name) ?? true)) {
     await send('Emulation.setEmulatedMedia', { features: [{ name: 'prefers-color-scheme', value: scheme }] });
     await open(width, height, mobile);
     if (keys) await ask('v.panes[0].canvas.focus()');
     for (const name of keys) await key(name);
     await ask('1');
-    const { data } = await send('Page.captureScreenshot', { captureBeyondViewport: !keys.includes('?') });
-    fs.writeFileSync(path.join(folder, `${name}.png`), Buffer.from(data, 'base64'));
+    const clip = { x: 0, y: 0, width, height, scale: 0.5 };
+    const { data } = await send('Page.captureScreenshot', { captureBeyondViewport: !keys.includes('?'), clip });
+    found.push([name, data]);
   }
+  return found;
 }
 
 async function picture(file) {
@@ -358,7 +416,9 @@ async function picture(file) {
   ({ sessionId: session } = await send('Target.attachToTarget', { targetId, flatten: true }));
   for (const domain of ['Page', 'Runtime', 'Network', 'Log']) await send(`${domain}.enable`);
   if (flags[0] === '--measure') await measure();
-  else if (flags[0] === '--shots') await shots(flags[1]);
+  else if (flags[0] === '--shots') await shots(...flags.slice(1));
+  else if (flags[0] === '--against') await against(flags[1]);
+  else if (flags[0] === '--model') await model();
   else if (flags[0] === '--picture') await picture(flags[1]);
   else {
     for (const [name, check] of Object.entries(checks)) {

@@ -16,6 +16,7 @@ use serde::Serialize;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf, is_separator};
 use trgs::output::{self, Destination};
+use trgs::primitives::Primitives;
 use trgs::scan::npz::Npz;
 use trgs::scan::surface::Mesh;
 use trgs::scan::volume_file::Slices;
@@ -245,6 +246,11 @@ pub(super) fn is_scan(path: &Path) -> bool {
 /// Whether a path is that of a model.
 pub(super) fn is_model(path: &Path) -> bool {
     kind(path) == Kind::Model && !holds_arrays(path)
+}
+
+/// The primitives of a file of a model.
+pub(super) fn read_model(path: &Path) -> Result<Primitives> {
+    Ok(model::read(path)?.0)
 }
 
 /// Whether an archive holds other arrays than those of a model: a volume or a stack.

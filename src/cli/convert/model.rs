@@ -39,10 +39,7 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
     if command.scanner.is_some() && !to_ply {
         return refuse("--scanner", "a .ply: only it holds confidences, or the command trgs confidence");
     }
-    let (primitives, known) = match extension(&command.source) {
-        "ply" => model::ply::read(&command.source)?,
-        _ => (model::read(&command.source)?, None),
-    };
+    let (primitives, known) = read(&command.source)?;
     let (confidence, frame) = match &command.scanner {
         Some(scan) => {
             let (confidence, frame) = confidence(&primitives, scan)?;
@@ -78,6 +75,14 @@ pub(super) fn convert(command: &Convert) -> Result<Output> {
         primitives: primitives.len(),
         confidence: confidence.and_then(|c| Spread::of(&c)),
     }))
+}
+
+/// The primitives of a file, and their confidence where the file has it.
+pub(super) fn read(path: &Path) -> Result<(Primitives, Option<Vec<f64>>)> {
+    match extension(path) {
+        "ply" => model::ply::read(path),
+        _ => Ok((model::read(path)?, None)),
+    }
 }
 
 /// The confidence of each primitive over a scan's training views, with default settings; and the frame of the scan.

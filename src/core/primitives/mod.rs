@@ -188,9 +188,19 @@ impl Parameters {
     /// # Panics
     /// If there is no primitive `i`.
     pub fn covariance(&self, i: usize) -> DMat3 {
-        let (rotation, _) = rotation::unit(self.quaternion[i]);
-        let root = DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::from_array(self.scale[i]));
+        let root = self.root(i);
         root * root.transpose()
+    }
+
+    /// The factor R·diag(s) of Σ of primitive `i`, scene units: Σ is its product with its transpose.
+    ///
+    /// Tests: those of [`Self::covariance`].
+    ///
+    /// # Panics
+    /// If there is no primitive `i`.
+    pub fn root(&self, i: usize) -> DMat3 {
+        let (rotation, _) = rotation::unit(self.quaternion[i]);
+        DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::from_array(self.scale[i]))
     }
 
     /// Reports the first non-finite number as an error of the given stage.

@@ -68,6 +68,7 @@ class Pane {
       context.drawImage(this.pictures[layer], h.start, v.start, h.count * h.scale, v.count * v.scale);
       context.restore();
     });
+    if (state.model) ellipses(this, context, h, v);
     const at = (voxel) => [h.pixel(voxel[plane.axes[0]]), v.pixel(voxel[plane.axes[1]])];
     const [[x, y], gap] = [at(state.cross).map((place) => Math.floor(place) + 0.5), 8 * ratio()];
     const lines = [[0, y, x - gap, y], [x + gap, y, width, y], [x, 0, x, y - gap], [x, y + gap, x, height]];

@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::Grid;
+use crate::primitives::Parameters;
 
 /// Voxel (x, y, z) holds 100 x + 10 y + z.
 fn digits(shape: [usize; 3]) -> Array3<f32> {
@@ -161,6 +161,52 @@ fn hounsfield_units_are_recognised_and_values_that_are_no_numbers_reported() {
 }
 
 #[test]
+fn primitives_are_ellipsoids_in_voxels_at_half_of_their_density() {
+    let grid = Grid::new([4, 6, 8], DVec3::new(-1.0, -1.0, -2.0), DVec3::new(1.0, 2.0, 2.0)).unwrap();
+    let volume = Volume::new(grid, Array3::zeros([4, 6, 8])).unwrap();
+    let parameters = Parameters {
+        mean: vec![[0.0, 0.5, -1.75], [0.25, 0.25, 0.25]],
+        scale: vec![[0.5, 1.0, 2.0], [0.1, 0.2, 0.3]],
+        // The first is turned by 90 degrees about z: its x is along y.
+        quaternion: vec![[0.5_f64.sqrt(), 0.0, 0.0, 0.5_f64.sqrt()], [1.0, 0.0, 0.0, 0.0]],
+        density: vec![0.25, 0.5],
+        nu: vec![1.0, 3.0],
+    };
+    let primitives = Primitives::new(parameters).unwrap();
+    let scene = || {
+        let scene = Scene::of_volumes("", vec![("v", &volume)], &Frame::default()).unwrap();
+        scene.with_primitives(&primitives, &grid, Some(vec![0.1, 0.9]))
+    };
+    let html = page("", "", &[scene()], Depth::Eight);
+    assert!(html.contains(&script(true)) && script(true).len() <= 32 * 1024);
+    let table = |scene: &Scene| -> Vec<Vec<f64>> {
+        scene.json(Depth::Eight)["model"].as_array().unwrap().iter().map(decoded).collect()
+    };
+    let columns = table(&scene());
+    let row = |columns: &[Vec<f64>]| columns.iter().map(|column| column[0]).collect::<Vec<_>>();
+    // At half of its density: (1 + x²)^-2 = 1/2.
+    let half = (2.0_f64.sqrt() - 1.0).sqrt();
+    let expected =
+        [1.5, 2.5, 0.0, 0.0, -half / 0.5, 0.0, half * 0.5 / 0.5, 0.0, 0.0, 0.0, 0.0, half * 2.0 / 0.5, 1.0, 0.1, 0.25];
+    let step = 4.0 / f64::from(u16::MAX);
+    assert!(
+        row(&columns).iter().zip(expected).all(|(found, expected)| (found - expected).abs() <= step),
+        "{:?}",
+        row(&columns)
+    );
+    let names: Vec<_> = scene().json(Depth::Eight)["model"].as_array().unwrap()[12..]
+        .iter()
+        .map(|column| column["name"].clone())
+        .collect();
+    assert_eq!(names, ["ν", "confidence", "density"]);
+    // Blocks of 2 × 2 × 2 voxels.
+    let mut reduced = scene();
+    reduced.model.reduce(DVec3::splat(2.0));
+    let row = row(&table(&reduced));
+    assert!((row[0] - 0.5).abs() <= step && (row[11] - half * 2.0).abs() <= step);
+}
+
+#[test]
 fn scenes_of_no_five_or_different_volumes_are_refused() {
     let of = |shapes: &[[usize; 3]]| {
         Scene::of_files("", shapes.iter().map(|shape| ("v".into(), file(digits(*shape)))).collect())
@@ -180,7 +226,7 @@ fn a_page_has_one_script_of_at_most_30_kb_and_names_its_digest() {
     assert_eq!(html.matches("<script>").count(), 1);
     assert_eq!(html.matches("<script ").count(), html.matches("<script type=\"application/json\">").count());
     assert_eq!(html.matches("</script>").count(), 3);
-    let script = script();
+    let script = script(false);
     assert!(script.len() <= 30 * 1024, "{} bytes", script.len());
     let digest = STANDARD.encode(Sha256::digest(script.as_bytes()));
     assert!(

@@ -8,7 +8,7 @@ const DRAGS = { cross: 'Crosshair', window: 'Window', slice: 'Slices', zoom: 'Zo
 /** Level and width in Hounsfield units. */
 const TISSUES = { 'Soft tissue': [40, 400], Lung: [-600, 1500], Bone: [500, 2000], Brain: [40, 80] };
 /** The control that a key takes to its next option. */
-const CYCLES = { o: 'layout', m: 'slab', p: 'preset', c: 'map', t: 'drag', l: 'axis', n: 'a', b: 'b' };
+const CYCLES = { o: 'layout', m: 'slab', p: 'preset', c: 'map', t: 'drag', e: 'model', l: 'axis', n: 'a', b: 'b' };
 const KEYS = `Arrows|move the crosshair; with Shift by 10
 Page up, Page down, wheel|next and previous slice; with Shift by 10
 Home, End|first and last slice
@@ -19,7 +19,7 @@ a p|automatic window; next preset
 1 to 6|one volume, side by side, with difference, difference, wipe, flicker
 n b space|next first, next second volume; exchange
 ( )|edge of the wipe
-o m c t|next planes, projection, colours, use of a drag
+o m c t e|next planes, projection, colours, use of a drag, primitives
 < >|fewer, more layers
 k l, Shift + drag|line from here to the crosshair; axis of the profile
 h r ?|crosshair; reset; this sheet`;
@@ -39,8 +39,9 @@ const same = (names) => Object.fromEntries(names.map((name) => [name, name]));
 const replaced = (list, at, value) => list.map((old, i) => (i === at ? value : old));
 
 class View {
-  constructor(root, scene, volumes) {
-    Object.assign(this, { root, scene, volumes, planes: scene.planes, frames: 0, inputs: {} });
+  constructor(root, scene, volumes, columns) {
+    const rows = columns.length && Array.from(columns[0].q, (_, n) => columns.map(({ offset, scale, q }) => offset + scale * q[n]));
+    Object.assign(this, { root, scene, volumes, columns, rows, planes: scene.planes, frames: 0, inputs: {} });
     this.state = this.start();
     this.build();
     this.arrange();
@@ -56,7 +57,7 @@ class View {
     return {
       cross: shape.map((count, axis) => (angles && !axis ? 0 : (count - 1) >> 1)),
       centre: shape.map((count) => (count - 1) / 2),
-      zoom: 1, wipe: 0.5, phase: 0, mark: null, drag: 'cross', crosshair: true, map,
+      zoom: 1, wipe: 0.5, phase: 0, mark: null, drag: 'cross', crosshair: true, map, model: '',
       window, reach,
       mode: third ? 'side' : second ? 'all' : 'one', pair: [0, second ? 1 : 0], slab: 'slice', thickness: 0,
       layout: is_one ? last.across : 'all', active: last.across, axis: last.axes[0],
@@ -139,12 +140,14 @@ class View {
 
   /** Name, label, options or null for a number, value in the state, change of the state, and whether it is of use. */
   controls() {
-    const { volumes, planes, scene, state } = this;
+    const { volumes, columns, planes, scene, state } = this;
     const { mode, pair: [a, b], slab, thickness, window: [low, high] } = state;
     const names = volumes.map(({ name }) => name);
     const presets = this.presets();
     const preset = Object.keys(presets).find((name) => presets[name].join() === state.window.join());
     const titles = Object.fromEntries(planes.map(({ across, title }) => [across, title]));
+    // Those before place the primitives.
+    const quantities = columns.slice(12).map(({ name, offset, scale }, i) => [i + 12, `${name}, ${text(offset)} to ${text(offset + 65535 * scale)}`]);
     const is_pair = mode !== 'side' && names.length > 2;
     const short = (value) => Number(value.toPrecision(4));
     return [
@@ -159,6 +162,7 @@ class View {
       ['high', 'to', null, short(high), (high) => ({ window: [low, high] }), true],
       ['map', 'Colours', same(Object.keys(tables).slice(0, -1)), state.map, (map) => ({ map }), true],
       ['drag', 'Drag', DRAGS, state.drag, (drag) => ({ drag }), true],
+      ['model', 'Primitives', { '': 'hidden', ...Object.fromEntries(quantities) }, state.model, (model) => ({ model }), columns.length],
       ['axis', 'Profile along', { ...scene.axes, mark: 'a line' }, state.mark ? 'mark' : state.axis,
         (to) => (to === 'mark' ? { mark: [0, 0, 0] } : { axis: Number(to), mark: null }), true],
     ];
@@ -316,7 +320,7 @@ class View {
 async function start(root) {
   const scene = JSON.parse(root.querySelector('script').textContent);
   if (!globalThis.DecompressionStream) root.textContent = 'The viewer needs a browser of 2023 or newer.';
-  else return new View(root, scene, await Promise.all(scene.volumes.map(decode)));
+  else return new View(root, scene, ...(await Promise.all([scene.volumes, scene.model].map((all) => Promise.all(all.map(decode))))));
 }
 
 if (globalThis.document) globalThis.trgsViews = Promise.all([...document.querySelectorAll('.trgs-viewer')].map(start));

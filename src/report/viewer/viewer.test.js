@@ -8,8 +8,8 @@ const vm = require('node:vm');
 const zlib = require('node:zlib');
 
 // The files of the page, in its order, in one scope.
-const files = ['volume.js', 'colour.js', 'pane.js', 'plots.js', 'viewer.js'];
-const names = ['decode', 'layers', 'cut', 'value', 'profile', 'position', 'paint', 'tables', 'text', 'View', 'KEYS', 'MODES', 'CYCLES'];
+const files = ['model.js', 'volume.js', 'colour.js', 'pane.js', 'plots.js', 'viewer.js'];
+const names = ['decode', 'layers', 'cut', 'value', 'profile', 'position', 'section', 'paint', 'tables', 'text', 'View', 'KEYS', 'MODES', 'CYCLES'];
 const source = files.map((file) => fs.readFileSync(path.join(__dirname, file), 'utf8')).join('\n');
 const viewer = vm.runInThisContext(`(() => { 'use strict'; ${source}\nreturn { ${names} }; })()`);
 
@@ -84,6 +84,27 @@ test('a position follows origin, spacing and directions', () => {
   assert.deepEqual(viewer.position(scene, [1, 1, 1]), [8, 21, 33]);
 });
 
+test('a plane cuts an ellipsoid in the ellipse of its points', () => {
+  const centre = [4, 5, 6];
+  const factor = [[2, 0.5, -0.3], [0.2, 1.5, 0.4], [-0.6, 0.1, 3]];
+  const plane = plain(2, 0, 1);
+  const [x, y, a, b, angle] = viewer.section([...centre, ...factor.flat()], plane, 7);
+  assert.ok(a > b && b > 0);
+  // The inverse of the factor takes points of the surface to the unit sphere.
+  const cross = (u, v) => [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+  const dot = (u, v) => u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+  const columns = [0, 1, 2].map((j) => factor.map((row) => row[j]));
+  const rows = [cross(columns[1], columns[2]), cross(columns[2], columns[0]), cross(columns[0], columns[1])];
+  const determinant = dot(columns[0], rows[0]);
+  for (const turn of [0, 1, 2, 3, 4, 5]) {
+    const [p, q] = [a * Math.cos(turn), b * Math.sin(turn)];
+    const point = [x + p * Math.cos(angle) - q * Math.sin(angle), y + p * Math.sin(angle) + q * Math.cos(angle), 7].map((at, axis) => at - centre[axis]);
+    const unit = rows.map((row) => dot(row, point) / determinant);
+    assert.ok(Math.abs(dot(unit, unit) - 1) < 1e-12);
+  }
+  assert.equal(viewer.section([...centre, 1, 0, 0, 0, 1, 0, 0, 0, 1], plane, 7.01), null);
+});
+
 test('a window maps its ends to the ends of the colours', () => {
   const pixels = new Uint32Array(5);
   viewer.paint([-1, 0, 1, 2, 3], [0, 2], viewer.tables.Grey, pixels);
@@ -110,7 +131,7 @@ test('numbers have four digits and a typographic minus', () => {
 
 test('the sheet of keys lists every key that acts', () => {
   const listed = new Set(viewer.KEYS.split('\n').flatMap((row) => row.split('|')[0].split(/[\s,]+/)));
-  const state = { active: 0, cross: [0, 0, 0], centre: [0, 0, 0], pair: [0, 1], wipe: 0.5, zoom: 1, thickness: 0, crosshair: true };
+  const state = { active: 0, cross: [0, 0, 0], centre: [0, 0, 0], pair: [0, 1], wipe: 0.5, zoom: 1, thickness: 0, crosshair: true, model: '' };
   const scene = { shape, planes: [plain(0, 1, 2)], window: [0, 1] };
   const view = Object.assign(Object.create(viewer.View.prototype), { state, scene, planes: scene.planes, volumes: [volume, volume], root: {} });
   for (const key of '+-0[]{}()<>akhr?123456'.split('').concat(Object.keys(viewer.CYCLES))) {

@@ -18,6 +18,8 @@ use trgs_core::primitives::{Parameters, Primitives};
 
 /// The constant spherical harmonic.
 const HARMONIC: f64 = 0.282_094_791_773_878_14;
+/// `√(2 ln 2)`: of a Gaussian.
+const HALF_WIDTH: f64 = 1.177_410_022_515_474_7;
 /// Least and greatest opacity: their logits are stored.
 const OPACITY: [f64; 2] = [1.0 / 255.0, 0.999];
 
@@ -65,9 +67,9 @@ pub fn write(path: impl AsRef<Path>, primitives: &Primitives, confidence: Option
     Ok(count)
 }
 
-/// Width of the Gaussian with the half width of a kernel of scale 1.
-fn width(nu: f64) -> f64 {
-    if nu.is_infinite() { 1.0 } else { (nu * (exp(2.0 / (nu + 3.0) * LN_2) - 1.0) / (2.0 * LN_2)).sqrt() }
+/// Distance from the centre of a kernel of scale 1 at which its density is half of that at the centre.
+pub fn half_width(nu: f64) -> f64 {
+    if nu.is_infinite() { HALF_WIDTH } else { (nu * (exp(2.0 / (nu + 3.0) * LN_2) - 1.0)).sqrt() }
 }
 
 /// A primitive as a splat; `None` without density.
@@ -75,7 +77,7 @@ fn splat(Parameters { mean, scale, quaternion, density, nu }: &Parameters, i: us
     if density[i] <= 0.0 {
         return None;
     }
-    let logs = scale[i].map(|scale| log(scale * width(nu[i])));
+    let logs = scale[i].map(|scale| log(scale * half_width(nu[i]) / HALF_WIDTH));
     let mean_width = exp((logs[0] + logs[1] + logs[2]) / 3.0);
     let absorbed = 1.0 - exp(-density[i] * TAU.sqrt() * mean_width);
     let opacity = absorbed.clamp(OPACITY[0], OPACITY[1]);
@@ -117,11 +119,12 @@ mod tests {
     #[test]
     fn a_splat_falls_to_half_where_its_kernel_does() {
         for nu in [0.5, 3.0, 30.0, 1e6] {
-            let half = width(nu) * (2.0 * LN_2).sqrt();
+            let half = half_width(nu);
             let kernel = exp(-(nu + 3.0) / 2.0 * log(1.0 + half * half / nu));
             within!((kernel - 0.5).abs());
         }
-        assert_eq!(width(f64::INFINITY), 1.0);
+        let half = half_width(f64::INFINITY);
+        within!((exp(-half * half / 2.0) - 0.5).abs());
     }
 
     #[test]
