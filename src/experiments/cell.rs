@@ -10,6 +10,7 @@ use crate::geometry::Volume;
 use crate::provenance::{commit, digest_bytes};
 use crate::reconstruction::{self, Reconstruction, Run};
 use crate::report::slice::{Cut, Picture, Window};
+use crate::report::viewer::{self, Depth, Scene};
 use crate::scan::Dataset;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -17,6 +18,9 @@ use std::ops::ControlFlow;
 
 /// Digits of an id: among a million cells, two equal ids are improbable.
 const ID_DIGITS: usize = 20;
+
+/// Voxels of a volume on the page of a cell: a table has hundreds of these files.
+const SHOWN_VOXELS: usize = 64 * 64 * 64;
 
 /// A run that is independent of all others and is needed only once.
 #[derive(Clone, Debug)]
@@ -138,12 +142,12 @@ impl Cell {
         Ok(scan)
     }
 
-    /// Runs the cell on its scan; also returns the [`picture`] of its result.
+    /// Runs the cell on its scan; also returns the [`picture`] of its result, and a page to scroll through it.
     pub(super) fn run(
         &self,
         dataset: &Dataset,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<(Finding, Vec<u8>)> {
+    ) -> Result<(Finding, Vec<u8>, String)> {
         let Reconstruction { primitives, volume, unfinished, log, .. } =
             Run::new(dataset, &self.config).observe(|_| go_on()).reconstruct()?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
@@ -172,7 +176,16 @@ impl Cell {
             metrics,
             primitives: primitives.map(|primitives| primitives.len()),
         };
-        Ok((finding, picture(&volume)))
+        Ok((finding, picture(&volume), self.page(dataset, &volume)?))
+    }
+
+    /// The truth and the result in the viewer.
+    fn page(&self, dataset: &Dataset, volume: &Volume) -> Result<String> {
+        let truth = dataset.truth.iter().map(|truth| ("truth", truth));
+        let shown = truth.chain([(self.config.method.title(), volume)]).collect();
+        let title = self.description();
+        let scene = Scene::of_volumes(&title, shown, &dataset.frame)?.within(SHOWN_VOXELS);
+        Ok(viewer::page(&title, &scene.summary(), &[scene], Depth::Eight))
     }
 }
 

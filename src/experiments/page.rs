@@ -92,30 +92,38 @@ impl Summary {
         }
         format!(
             "<section>\n<h2>Slices, {}</h2>\n{galleries}<p class=\"note\">Across z in the middle; densities from 0 to 1 from \
-             black to white. Decibels are PSNR_3D of the whole volume.</p>\n</section>\n",
+             black to white; a picture leads to a page with all slices. Decibels are PSNR_3D of the whole volume.</p>\n</section>\n",
             escape(&block.title())
         )
     }
 
     fn slices(&self, case: &Case, block: &super::summary::Block, store: &Store) -> String {
         let mut figures = String::new();
-        let mut add = |name: &str, psnr: Option<f64>, png: Vec<u8>| {
+        let mut add = |name: &str, psnr: Option<f64>, png: Vec<u8>, page: Option<String>| {
             let (data, name) = (BASE64_STANDARD.encode(png), escape(name));
             let psnr = psnr.map_or(String::new(), |value| format!(", {value:.2} dB"));
+            let [link, end] =
+                page.map_or_else(Default::default, |page| [format!("<a href=\"{page}\">"), "</a>".into()]);
             let _ = writeln!(
                 figures,
-                "<figure><img alt=\"{name}\" src=\"data:image/png;base64,{data}\"><figcaption>{name}{psnr}</figcaption></figure>"
+                "<figure>{link}<img alt=\"{name}\" src=\"data:image/png;base64,{data}\">{end}\
+                 <figcaption>{name}{psnr}</figcaption></figure>"
             );
         };
         let of_row = |row| Some((row, self.table.cell(row, case, self.scale, block.views, &block.noise, 0)?));
         let cells: Vec<_> = self.table.rows.iter().filter_map(of_row).collect();
         if let Some(png) = cells.first().and_then(|(_, cell)| store.picture_of_truth(cell)) {
-            add("truth", None, png);
+            add("truth", None, png, None);
         }
         for (row, cell) in &cells {
             if let Some(png) = store.picture(cell) {
                 let found = self.findings.iter().find(|finding| finding.id == cell.id);
-                add(&row.name, found.and_then(|finding| finding.metrics.get("psnr_3d").copied()), png);
+                add(
+                    &row.name,
+                    found.and_then(|finding| finding.metrics.get("psnr_3d").copied()),
+                    png,
+                    store.page(cell),
+                );
             }
         }
         figures

@@ -1,6 +1,6 @@
 //! A folder of finished cells that any number of processes can share.
 //!
-//! `cells/ID.json` is the result of a cell, `cells/ID.png` a slice of it. `cells/ID.lock` is locked by the process that
+//! `cells/ID.json` is the result of a cell, `cells/ID.png` a slice of it, `cells/ID.html` a page that shows it. `cells/ID.lock` is locked by the process that
 //! runs the cell: the system releases the lock of a process that dies, so a kill loses at most one cell.
 
 use super::cell::{Cell, Finding};
@@ -94,9 +94,10 @@ impl Store {
     }
 
     /// Stores the result of a cell.
-    pub(super) fn keep(&self, cell: &Cell, finding: &Finding, picture: &[u8]) -> Result<()> {
+    pub(super) fn keep(&self, cell: &Cell, (finding, picture, page): &(Finding, Vec<u8>, String)) -> Result<()> {
         let text = serde_json::to_string_pretty(finding).expect("a finding has string keys") + "\n";
         write_atomically(&self.path(&cell.id, "png"), |file| file.write_all(picture))?;
+        write_atomically(&self.path(&cell.id, "html"), |file| file.write_all(page.as_bytes()))?;
         write_atomically(&self.path(&cell.id, "json"), |file| file.write_all(text.as_bytes()))
     }
 
@@ -109,6 +110,11 @@ impl Store {
     /// The slice of a cell's result as a PNG file, if there is one.
     pub(super) fn picture(&self, cell: &Cell) -> Option<Vec<u8>> {
         std::fs::read(self.path(&cell.id, "png")).ok()
+    }
+
+    /// The page of a cell beside those of the tables, if there is one.
+    pub(super) fn page(&self, cell: &Cell) -> Option<String> {
+        self.path(&cell.id, "html").exists().then(|| format!("cells/{}.html", cell.id))
     }
 
     /// The slice of its truth as a PNG file, if there is one.

@@ -95,14 +95,16 @@ pub struct Estimate {
 /// Agreement of the order and signs of our figures with those of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Agreement {
-    /// Number of pairs of rows that differ in the paper.
+    /// Number of pairs of rows that differ in the paper, and here by more than their error.
     pub pairs: usize,
     /// Number of those pairs that have the same order here.
     pub pairs_kept: usize,
-    /// Number of rows that differ from the full model in the paper.
+    /// Number of pairs with the full model among them.
     pub signs: usize,
-    /// Number of those rows that differ with the same sign here.
+    /// Number of those that differ with the same sign here.
     pub signs_kept: usize,
+    /// Number of pairs that differ in the paper, and here by less than two standard errors over the cases.
+    pub unsure: usize,
 }
 
 impl Summary {
@@ -217,6 +219,10 @@ impl Agreement {
                 if paper_a == paper_b {
                     continue;
                 }
+                if is_unsure(&figures[a][column].by_case, &figures[b][column].by_case) {
+                    agreement.unsure += 1;
+                    continue;
+                }
                 let kept = usize::from((ours_a > ours_b) == (paper_a > paper_b) && ours_a != ours_b);
                 agreement.pairs += 1;
                 agreement.pairs_kept += kept;
@@ -228,6 +234,15 @@ impl Agreement {
         }
         agreement
     }
+}
+
+/// Whether two rows differ by less than two standard errors of the differences of their cases; not said of one case.
+fn is_unsure(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
+    let differences: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
+    let count = differences.len() as f64;
+    let Some(middle) = mean(differences.iter().copied()) else { return false };
+    let squares: f64 = differences.iter().map(|difference| (difference - middle) * (difference - middle)).sum();
+    differences.len() > 1 && middle.abs() < 2.0 * (squares / (count - 1.0) / count).sqrt()
 }
 
 /// Estimate from `[case][seed]` over the values present; `None` without any.
@@ -310,5 +325,15 @@ mod tests {
         let sentence = agreement.sentence("psnr_3d");
         assert!(sentence.contains("(2 of 3 pairs); no row") && !sentence.contains("0 of 0"), "{sentence}");
         assert!(!Agreement::default().sentence("psnr_3d").contains("holds"));
+        figures[3][0].cells = [0, 0];
+        // By case, a and b differ by 1 ± 1, a and c by 2 ± 0.
+        let by_case = [[0.0, 2.0], [3.0, 3.0], [2.0, 4.0], [4.0, 4.0]];
+        for (row, values) in figures.iter_mut().zip(by_case) {
+            row[0].by_case = values.map(Some).to_vec();
+        }
+        let unsure = Agreement::new(&figures, 0, 3);
+        assert!(!is_unsure(&figures[0][0].by_case, &figures[2][0].by_case) && unsure.unsure > 0);
+        assert_eq!(unsure.pairs + unsure.unsure, 5);
+        assert!(unsure.sentence("psnr_3d").contains("within two standard errors, not judged"));
     }
 }

@@ -2,6 +2,7 @@
 
 use super::summary::{Agreement, Block, Estimate, Figure, Summary, decimals};
 use super::table::TableRow;
+use crate::words::counted;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
@@ -62,13 +63,23 @@ impl Block {
 impl Agreement {
     /// A sentence on whether the paper's order and signs hold.
     pub(super) fn sentence(&self, metric: &str) -> String {
-        let Self { pairs, pairs_kept, signs, signs_kept } = *self;
-        if pairs == 0 {
+        let Self { pairs, pairs_kept, signs, signs_kept, unsure } = *self;
+        if pairs + unsure == 0 {
             return format!("{}: no two rows that differ in the paper are finished", title(metric));
         }
+        let beyond = match unsure {
+            0 => String::new(),
+            n => format!("; {} within two standard errors, not judged", counted(n, "pair")),
+        };
+        if pairs == 0 {
+            return format!("{}: no two rows differ{beyond}", title(metric));
+        }
         let all = |kept, of| if kept == of { "holds" } else { "does not hold" };
-        let order =
-            format!("{}: the paper’s order {} ({pairs_kept} of {pairs} pairs)", title(metric), all(pairs_kept, pairs));
+        let order = format!(
+            "{}: the paper’s order {} ({pairs_kept} of {pairs} pairs{beyond})",
+            title(metric),
+            all(pairs_kept, pairs)
+        );
         if signs == 0 {
             return format!("{order}; no row is compared with the full model");
         }
