@@ -151,7 +151,7 @@ impl Command {
             Self::Voxelize(command) => command.run(global),
             Self::Confidence(command) => command.run(),
             #[cfg(feature = "oracle")]
-            Self::Oracle(command) => command.run(),
+            Self::Oracle(command) => command.run(global),
             Self::Table(command) => command.run(global),
             Self::Report(command) => command.run(),
             #[cfg(feature = "oracle")]

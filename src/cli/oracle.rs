@@ -1,10 +1,11 @@
 //! `trgs oracle`: conformance vectors for other implementations.
 
 mod hunt;
+mod trace;
 
 use super::arguments::{Replace, choice, word};
 use super::messages::moved;
-use super::{Output, interrupt};
+use super::{Global, Output, interrupt};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
@@ -35,6 +36,7 @@ enum Command {
     Make(hunt::Make),
     Hunt(hunt::Hunt),
     Replay(hunt::Replay),
+    Trace(trace::Trace),
 }
 
 /// Selection of cases.
@@ -131,7 +133,7 @@ struct Check {
 }
 
 impl Oracle {
-    pub(super) fn run(&self) -> Result<Output> {
+    pub(super) fn run(&self, global: &Global) -> Result<Output> {
         match &self.command {
             Command::List(command) => command.run(),
             Command::Export(command) => command.run(),
@@ -140,6 +142,7 @@ impl Oracle {
             Command::Make(command) => command.run(),
             Command::Hunt(command) => command.run(),
             Command::Replay(command) => command.run(),
+            Command::Trace(command) => command.run(global),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! This program's own answers in both precisions: stage name → function that computes it.
 
+use super::iteration;
 use super::manifest::Case;
 use super::networks;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
@@ -161,7 +162,8 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         }
         "wavelet-routing" => {
             let means: Vec<_> = q.array::<Ix2>("means")?.outer_iter().map(|row| [row[0], row[1], row[2]]).collect();
-            let routing = wavelet::route(&q.scanner()?.grid, &means, &q.numbers("confidence")?, &wavelet_settings(q)?)?;
+            let routing =
+                wavelet::route(&q.scanner()?.grid, &means, &q.numbers("confidence")?, &q.wavelet_settings()?)?;
             one("high", routing.high.mapv(f64::from))
         }
         "wavelet-loss" => {
@@ -205,6 +207,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         }
         "noise" => one("noisy", noise(q)?),
         "random" => random(q)?,
+        iteration::STAGE => iteration::answer::<R>(q)?,
         "metrics" => metrics(q)?,
         "hash-corners" => networks::corners::<R>(q)?,
         "hash-code" => networks::hash_code::<R>(q)?,
@@ -330,22 +333,8 @@ fn haar<R: Real>(block: Array3<R>) -> (Array4<f64>, Array4<f64>) {
     (all.mapv(R::to_f64), bands.mapv(R::to_f64))
 }
 
-/// The settings of a question, with defaults for those it does not state.
-fn wavelet_settings(q: &Question) -> Result<wavelet::Settings> {
-    let default = wavelet::Settings::default();
-    let or = |key: &str, default: f64| if q.settings.contains_key(key) { q.setting(key) } else { Ok(default) };
-    Ok(wavelet::Settings {
-        neighbours: q.integer("neighbours")? as usize,
-        threshold: or("threshold", default.threshold)?,
-        enhancement: or("enhancement", default.enhancement)?,
-        suppress: or("suppress", default.suppress)?,
-        enhance: or("enhance", default.enhance)?,
-        levels: or("levels", default.levels as f64)? as usize,
-    })
-}
-
 fn wavelet_loss<R: Real>(q: &Question, block: &Array3<R>) -> Result<WaveletLoss<R>> {
-    let settings = wavelet_settings(q)?;
+    let settings = q.wavelet_settings()?;
     let high = q.array::<Ix3>("high")?.mapv(|count| count as u16);
     let routing = Routing { high, neighbours: settings.neighbours };
     Ok(wavelet::wavelet_loss(block.view(), &routing, &settings))

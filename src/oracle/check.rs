@@ -6,6 +6,7 @@ use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
 use super::fresh::{Ask, refusals};
+use super::iteration;
 use super::limits::{Element, Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
 use super::place::Errors;
@@ -260,7 +261,8 @@ fn declared(about: &Value, folder: &Path) -> Result<Option<Vec<String>>> {
         return Ok(None);
     }
     let stages: Option<Vec<String>> = serde_json::from_value(about["stages"].clone()).ok();
-    let known = |stages: &Vec<String>| stages.iter().all(|stage| STAGES.contains(&stage.as_str()));
+    let known =
+        |stages: &Vec<String>| stages.iter().all(|stage| stage == iteration::STAGE || STAGES.contains(&stage.as_str()));
     stages.filter(known).map(Some).ok_or_else(|| {
         let (got, expected) = (&about["stages"], format!("a list of {}", STAGES.join(", ")));
         Error::format(&folder.join(BACKEND), "stages", got, expected, "correct the names, or leave the list out")
@@ -317,6 +319,14 @@ fn check_case(
             };
             parts.push(part.judge(&got)?);
         }
+    }
+    // Outputs of an iteration are in the order of its computation: the first wrong one is the cause.
+    if case.stage == iteration::STAGE
+        && let Some(first) = parts.iter().position(|part| part.status == Status::Failed)
+    {
+        let message = format!("after {}, which is wrong already", parts[first].output);
+        let later = parts[first + 1..].iter_mut().filter(|part| part.status == Status::Failed);
+        later.for_each(|part| (part.message, part.looks_like) = (Some(message.clone()), None));
     }
     let mut status = parts.iter().map(|part| part.status).max().unwrap_or(Status::Failed);
     let mut excuse = None;

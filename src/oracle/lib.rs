@@ -25,6 +25,7 @@
 //! | [`compare`](mod@compare) | the comparison of two files outside the vectors |
 //! | [`fresh`] | questions that are generated, and their truth |
 //! | [`hunt`] | failures of a backend, found and shrunk |
+//! | [`iteration`] | one iteration of a run, with every intermediate array |
 //! | [`report`] | Markdown, JSON, JUnit |
 
 #![forbid(unsafe_code)]
@@ -43,6 +44,7 @@ pub mod difference;
 pub mod format;
 pub mod fresh;
 pub mod hunt;
+pub mod iteration;
 pub mod limits;
 pub mod manifest;
 mod networks;

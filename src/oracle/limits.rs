@@ -107,6 +107,7 @@ pub struct Rule {
     /// Limits per format.
     pub limits: BTreeMap<Format, Limits>,
     /// Largest errors of this program's own answers (for f16 and bf16: its f64 answers, rounded).
+    #[serde(default)]
     pub measured: BTreeMap<Format, Limits>,
 }
 

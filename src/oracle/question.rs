@@ -8,6 +8,7 @@ use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Scanner;
 use trgs_core::primitives::{Activation, Group, KernelKind, Parameters, Primitives, activation::Interval};
 use trgs_core::projector::Projection;
+use trgs_core::wavelet;
 use trgs_scan::dataset::Description;
 
 /// Inputs in this program's types. A diagnosis changes one of them and recomputes the outputs.
@@ -68,7 +69,10 @@ impl Question {
                 if array.iter().any(|x| x.is_nan()) {
                     return refuse(what, "NaN", "numbers");
                 }
-                if what == "nu" && role != "raw" && array.iter().any(|x| *x <= 0.0) {
+                if what == "nu"
+                    && !matches!(role.as_str(), "raw" | "first" | "second")
+                    && array.iter().any(|x| *x <= 0.0)
+                {
                     return refuse(what, "numbers that are not positive", "positive numbers");
                 }
             }
@@ -196,5 +200,20 @@ impl Question {
     pub(super) fn activation(&self) -> Result<Activation> {
         let kernel = if self.word("kernel")? == "gaussian" { KernelKind::Gaussian } else { KernelKind::StudentT };
         Ok(Activation { kernel, scale: self.interval("scale_range")?, nu: self.interval("nu_range")? })
+    }
+
+    /// The settings of the wavelet loss, with defaults for those that are not stated.
+    pub(super) fn wavelet_settings(&self) -> Result<wavelet::Settings> {
+        let default = wavelet::Settings::default();
+        let or =
+            |key: &str, default: f64| if self.settings.contains_key(key) { self.setting(key) } else { Ok(default) };
+        Ok(wavelet::Settings {
+            neighbours: self.integer("neighbours")? as usize,
+            threshold: or("threshold", default.threshold)?,
+            enhancement: or("enhancement", default.enhancement)?,
+            suppress: or("suppress", default.suppress)?,
+            enhance: or("enhance", default.enhance)?,
+            levels: or("levels", default.levels as f64)? as usize,
+        })
     }
 }

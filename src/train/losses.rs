@@ -173,7 +173,7 @@ impl<'a, R: Kernels> LossInputs<'a, R> {
 }
 
 /// The weight of the total variation in a resolved configuration.
-fn weight_of_tv(config: &Config) -> f64 {
+pub(super) fn weight_of_tv(config: &Config) -> f64 {
     config.loss.tv.fixed().expect("training resolves its configuration")
 }
 

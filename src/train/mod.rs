@@ -15,12 +15,14 @@ mod optimiser;
 mod record;
 mod start;
 mod state;
+mod trace;
 mod views;
 
 pub use checkpoint::{Checkpoint, Checkpoints, Decision};
 pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension, digest};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model};
+pub use trace::{Traced, trace};
 
 use crate::classical::density_unit::density_unit;
 use crate::confidence::{Coverage, nu_target, spearman};
@@ -87,13 +89,18 @@ pub fn train(
     observe: &mut Observe<'_>,
 ) -> Result<TrainedModel> {
     dataset.scanner.validate()?;
-    let unit = config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)?;
+    let unit = unit_of(dataset, config)?;
     let checkpoints = checkpoints.map(|checkpoints| (checkpoints, digest(dataset)));
     let dataset = &*in_unit(dataset, unit);
     match config.precision {
         Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(observe),
         Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(observe),
     }
+}
+
+/// The unit of density of a run.
+fn unit_of(dataset: &Dataset, config: &Plan) -> Result<f64> {
+    config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)
 }
 
 /// The range of the scales on a grid, scene units.

@@ -80,6 +80,22 @@ impl Optimiser {
         threads::join(move_positions, step_others);
     }
 
+    /// First and second moments of `m` primitives, as rows of parameters.
+    pub(super) fn moments(&self, m: usize) -> [Parameters; 2] {
+        let mut moments = [Parameters::zeros(m), Parameters::zeros(m)];
+        for (group, adam) in Group::ALL.into_iter().zip(&self.adam) {
+            let (_, first, second) = adam.state();
+            moments[0].group_mut(group).copy_from_slice(&first);
+            moments[1].group_mut(group).copy_from_slice(&second);
+        }
+        moments
+    }
+
+    /// Momentum of the positions.
+    pub(super) fn momentum(&self) -> &[[f64; 3]] {
+        self.sghmc.momentum()
+    }
+
     /// Adapts to a new population: the old rows that keep Adam's moments, and those that keep their momentum.
     pub(super) fn remap_rows(&mut self, moments: &[Option<usize>], momentum: &[Option<usize>]) {
         for (group, adam) in Group::ALL.into_iter().zip(&mut self.adam) {
@@ -87,6 +103,18 @@ impl Optimiser {
         }
         self.sghmc.remap_rows(momentum);
     }
+}
+
+/// The normal numbers of a primitive in the step after `done`.
+pub(super) fn normals(config: &Config, done: usize, id: u64) -> DVec3 {
+    let mut random = rng::stream(config.seed, Purpose::PositionNoise, done as u64, id);
+    let mut normal = || random.sample(StandardNormal);
+    DVec3::new(normal(), normal(), normal())
+}
+
+/// Steps of the burn-in: those of which fewer than this part of all are done.
+pub(super) fn burn_in(config: &Config) -> usize {
+    (config.sghmc.burn_in * config.iterations as f64).ceil() as usize
 }
 
 /// One step of the positions by SGHMC.
@@ -103,18 +131,14 @@ fn sample(
     let OptimiserConfig { horizon, longest, .. } = step.config.optimiser;
     let pace_root = pace(horizon, longest, step.config.iterations).sqrt();
     let (burn_in_friction, friction) = (settings.burn_in_friction / pace_root, settings.friction / pace_root);
-    let noise = |i: usize| {
-        let mut random = rng::stream(step.config.seed, Purpose::PositionNoise, step.done as u64, step.ids[i]);
-        let mut normal = || random.sample(StandardNormal);
-        DVec3::new(normal(), normal(), normal())
-    };
+    let noise = |i: usize| normals(step.config, step.done, step.ids[i]);
     if step.config.optimiser.position == PositionOptimiser::SghmcTextbook {
         direction.clear();
         direction.extend(gradient.mean.iter().map(|g| g.map(|g| g / settings.temperature)));
         let free = |i| NoiseInput { gate: 1.0, noise: noise(i), covariance: DMat3::ZERO };
         return sghmc.step(mean, direction, rate, Phase::Sampling(friction), free);
     }
-    let burning = (step.done as f64) < settings.burn_in * step.config.iterations as f64;
+    let burning = step.done < burn_in(step.config);
     let phase = if burning { Phase::BurnIn(burn_in_friction) } else { Phase::Sampling(friction) };
     let parameters = &step.physical.parameters;
     let noise_for = |i: usize| match gate(parameters.density[i], settings.density_reference) {

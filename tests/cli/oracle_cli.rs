@@ -16,6 +16,7 @@ fn help_has_examples() {
         "oracle make",
         "oracle hunt",
         "oracle replay",
+        "oracle trace",
         "compare",
     ] {
         let help = String::from_utf8(sandbox.run(&format!("{command} --help")).stdout).unwrap();
@@ -74,6 +75,48 @@ fn generated_questions_are_made_answered_and_checked() {
     assert_eq!(report["results"].as_array().unwrap().len(), 8);
     let message = sandbox.refused("oracle make more --stage metrics");
     assert!(message.contains("metrics") && message.contains("image-exact"), "{message}");
+}
+
+#[test]
+fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
+    let sandbox = Sandbox::with_scan();
+    let run = "--set iterations=40 --set model.points=40";
+    let made = sandbox.done(&format!("oracle trace scan step --iteration 20 {run}"));
+    assert_eq!(made["cases"], 1);
+    // The same iteration again, and another one.
+    sandbox.done(&format!("oracle trace scan again --iteration 20 {run}"));
+    sandbox.done(&format!("oracle trace scan other --iteration 21 {run}"));
+    let inputs = |folder: &str| sandbox.read(&format!("{folder}/manifest.json"));
+    assert_eq!(inputs("step"), inputs("again"));
+    assert_ne!(inputs("step"), inputs("other"));
+    for precision in ["f32", "f64"] {
+        sandbox.done(&format!("oracle answer {precision} --vectors step --precision {precision}"));
+        sandbox.done(&format!("oracle check {precision} --vectors step --precision {precision}"));
+    }
+    // Twice the momentum, and what follows from it.
+    let file = "f64/iteration/step-20/10-momentum.npy";
+    let momentum = npy::read_f64::<ndarray::Ix2>(&sandbox.path(file), "[M,3]").unwrap();
+    npy::write(&sandbox.path(file), (momentum * 2.0).view()).unwrap();
+    sandbox.done("oracle answer next --vectors other");
+    sandbox.write("f64/iteration/step-20/11-raw.npz", sandbox.read("next/iteration/step-21/11-raw.npz"));
+    let output = sandbox.run("oracle check f64 --vectors step --precision f64 --json");
+    assert_eq!(output.status.code(), Some(1));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let parts = report["results"][0]["parts"].as_array().unwrap();
+    let failed: Vec<_> = parts.iter().filter(|part| part["status"] == "failed").collect();
+    assert_eq!(failed[0]["output"], "10-momentum");
+    assert!(
+        failed.len() > 1 && failed[1..].iter().all(|part| part["message"].as_str().unwrap().starts_with("after 10-"))
+    );
+    for (change, part) in [
+        ("--iteration 41", "--iteration: got 41, expected 1 to 40"),
+        ("--iteration 3 --set optimiser.position=sghmc-textbook", "sghmc-textbook"),
+    ] {
+        let message = sandbox.refused(&format!("oracle trace scan no {run} {change}"));
+        assert!(message.contains(part), "{message}");
+    }
+    sandbox.done("simulate --phantom torso --out helix --size 12 --detector 14,15 --views 4 --test-views 0 --roll 3");
+    assert!(sandbox.refused(&format!("oracle trace helix no {run} --iteration 3")).contains("poses"));
 }
 
 #[cfg(unix)]

@@ -73,6 +73,16 @@ impl Sghmc {
         Self { momentum: vec![[0.0; 3]; m], burnt_in: false }
     }
 
+    /// Continues with this momentum; `burnt_in` says that a step of [`Phase::Sampling`] was made.
+    pub fn continued(momentum: Vec<[f64; 3]>, burnt_in: bool) -> Self {
+        Self { momentum, burnt_in }
+    }
+
+    /// The momentum of each position.
+    pub fn momentum(&self) -> &[[f64; 3]] {
+        &self.momentum
+    }
+
     /// Whether this is a state of `m` positions.
     pub fn fits(&self, m: usize) -> bool {
         self.momentum.len() == m && self.momentum.as_flattened().iter().all(|x| x.is_finite())

@@ -1,5 +1,7 @@
 //! The dimensions of each stage's questions: what can be left out, reordered, and counted.
 
+use crate::iteration;
+
 /// What the elements of a dimension are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Of {
@@ -79,6 +81,7 @@ pub(crate) fn outputs(stage: &str) -> &'static [&'static str] {
         "adam" | "sghmc" => &["trajectory"],
         "sghmc-gate" => &["gate"],
         "gradient-shadow" => &["shadow"],
+        iteration::STAGE => &iteration::OUTPUTS,
         _ => &["grad"],
     }
 }
@@ -163,6 +166,14 @@ pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
             ),
             of(Of::Elements, &[("directions", 0), ("noise", 0), ("rates", 0)], &[("trajectory", 0)], 1, false),
         ],
+        iteration::STAGE => {
+            let inputs =
+                ["raw", "first", "second", "momentum", "normals", "confidence", "nu_target"].map(|role| (role, 0));
+            let is_of_all =
+                |output: &&str| !["image", "cotangent", "losses", "rates"].iter().any(|end| output.ends_with(end));
+            let outputs: Vec<_> = iteration::OUTPUTS.into_iter().filter(is_of_all).map(|role| (role, 0)).collect();
+            vec![of(Of::Primitives, &inputs, &outputs, 1, true)]
+        }
         _ => Vec::new(),
     }
 }

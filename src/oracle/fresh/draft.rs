@@ -3,6 +3,7 @@
 use super::Ask;
 use super::dimensions::{Dimension, Of, dimensions};
 use super::flags::{REFUSALS, RELATIONS, VALUES};
+use crate::iteration;
 use crate::manifest::{Arrays, Case, FileRef, Level, Manifest, SCHEMA_VERSION, Vectors, decode, encode};
 use crate::question::Question;
 use ndarray::Axis;
@@ -11,6 +12,7 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
+use trgs_core::geometry::{Beam, Scanner};
 use trgs_scan::dataset::Description;
 use trgs_scan::digest::digest_bytes;
 
@@ -32,6 +34,26 @@ pub(crate) struct ScannerFile {
     pub(crate) s_voxel: [f64; 3],
     pub(crate) off_origin: [f64; 3],
     pub(crate) off_detector: [f64; 2],
+}
+
+impl From<&Scanner> for ScannerFile {
+    fn from(Scanner { beam, detector, grid }: &Scanner) -> Self {
+        let (mode, dso, dsd) = match *beam {
+            Beam::Cone { dso, dsd } => ("cone", dso, dsd),
+            Beam::Parallel { dso } => ("parallel", dso, 2.0 * dso),
+        };
+        Self {
+            mode: mode.into(),
+            dso,
+            dsd,
+            n_detector: [detector.rows, detector.columns],
+            s_detector: [detector.rows as f64 * detector.pitch_v, detector.columns as f64 * detector.pitch_u],
+            n_voxel: grid.shape,
+            s_voxel: grid.size().to_array(),
+            off_origin: (grid.min + grid.size() / 2.0).to_array(),
+            off_detector: [detector.offset_u, -detector.offset_v],
+        }
+    }
 }
 
 /// The inputs of a question.
@@ -167,7 +189,8 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
             add("scanner", "meta_data.json".into(), text);
         }
         let output = |role: &&str| {
-            let kind = if matches!(*role, "grad" | "physical" | "model" | "metrics") { "npz" } else { "npy" };
+            let is_archive = matches!(*role, "grad" | "physical" | "model" | "metrics");
+            let kind = if is_archive || iteration::is_archive(role) { "npz" } else { "npy" };
             ((*role).to_owned(), FileRef { file: format!("{}/{role}.{kind}", draft.id), sha256: None })
         };
         let Draft { id, stage, title, level, flags, settings, .. } = draft.clone();

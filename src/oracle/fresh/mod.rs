@@ -15,13 +15,16 @@ mod stages;
 pub(crate) mod truth;
 
 use crate::format::Format;
-use crate::manifest::{Level, Vectors};
+use crate::iteration;
+use crate::manifest::{Arrays, Level, Vectors};
 use draft::Draft;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::described;
 use trgs_core::error::Result;
+use trgs_core::geometry::Scanner;
 
 pub use dimensions::STAGES;
 
@@ -108,6 +111,27 @@ pub fn make(stages: &[String], seed: u64, count: usize, level: Level, ask: Ask) 
         all.extend(ask.drafts(stage, seed, 0, count, level).0.iter().flat_map(|base| ask.forms(base)));
     }
     Ok(draft::vectors(&all, &[("ask", json!(ask)), ("seed", json!(seed)), ("count", json!(count))]))
+}
+
+/// A traced iteration as a question without truth.
+pub fn traced(
+    name: &str,
+    title: String,
+    settings: Map<String, Value>,
+    scanner: &Scanner,
+    arrays: BTreeMap<String, Arrays>,
+) -> Vectors {
+    let draft = Draft {
+        id: format!("{}/{name}", iteration::STAGE),
+        stage: iteration::STAGE.into(),
+        title,
+        level: Level::Core,
+        flags: Vec::new(),
+        settings,
+        scanner: Some(scanner.into()),
+        arrays,
+    };
+    draft::vectors(&[draft], &[("ask", json!(Ask::Values))])
 }
 
 /// Adds the truth to generated questions, with the errors that an answer in `format` may have.

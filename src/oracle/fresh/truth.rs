@@ -10,7 +10,7 @@
 //! fractions of the distances in the scene, because a backend computes with coordinates of that size; amplitudes also by
 //! log Γ, which a backend in single precision takes differences of.
 
-use super::dimensions::{Of, dimensions};
+use super::dimensions::dimensions;
 use super::draft::Draft;
 use crate::answers::answer;
 use crate::format::Format;
@@ -169,7 +169,7 @@ fn smooth(question: &Question) -> Option<Question> {
 fn moved(question: &Question, sample: u64) -> Result<Question> {
     let mut rng = rng::stream(0, Purpose::Perturbation, sample, 0);
     let mut moved = question.clone();
-    let projects = dimensions(&question.stage).iter().any(|dimension| dimension.of == Of::Views);
+    let projects = question.settings.contains_key("angles");
     let mut reach = 1.0;
     if let Some(scanner) = &mut moved.scanner {
         if let (Beam::Cone { dso, .. }, true) = (scanner.beam, projects) {
