@@ -46,7 +46,7 @@ pub fn trace(
         Err(Error::invalid(what, got, expected, "trace another iteration, or another run"))
     };
     if !(1..=config.iterations).contains(&iteration) {
-        return refuse("--iteration", iteration.to_string(), format!("1 to {}", config.iterations));
+        return refuse("iteration", iteration.to_string(), format!("1 to {}", config.iterations));
     }
     if dataset.train.poses.is_some() {
         return refuse("scan", "views with poses".into(), "views of a circle".into());

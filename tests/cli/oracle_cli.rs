@@ -109,7 +109,7 @@ fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
         failed.len() > 1 && failed[1..].iter().all(|part| part["message"].as_str().unwrap().starts_with("after 10-"))
     );
     for (change, part) in [
-        ("--iteration 41", "--iteration: got 41, expected 1 to 40"),
+        ("--iteration 41", "iteration: got 41, expected 1 to 40"),
         ("--iteration 3 --set optimiser.position=sghmc-textbook", "sghmc-textbook"),
     ] {
         let message = sandbox.refused(&format!("oracle trace scan no {run} {change}"));
