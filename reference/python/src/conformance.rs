@@ -18,6 +18,12 @@ const LEVELS: [(&str, Level); 4] =
 const FORMATS: [(&str, Format); 4] =
     [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
 
+const ASKS: [(&str, fresh::Ask); 3] = [
+    ("values", fresh::Ask::Values),
+    ("relations", fresh::Ask::Relations),
+    ("refusals", fresh::Ask::Refusals),
+];
+
 static VECTORS: OnceLock<Vectors> = OnceLock::new();
 
 fn vectors() -> PyResult<&'static Vectors> {
@@ -169,9 +175,10 @@ pub(crate) fn conformance_hunt(
     seconds: Option<f64>,
     precision: &str,
     level: &str,
+    ask: &str,
 ) -> PyResult<String> {
     let (precision, level) = (word("precision", precision, &FORMATS)?, word("level", level, &LEVELS)?);
-    let ask = fresh::Ask::Values;
+    let ask = word("ask", ask, &ASKS)?;
     let settings = hunt::Settings { stages, seed, cases, precision, level, ask };
     let mut raised = None;
     let found = try_run(py, || {

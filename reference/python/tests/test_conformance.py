@@ -322,6 +322,38 @@ def test_a_hunt_shrinks_what_a_function_fails(tmp_path):
         conformance.hunt(raises, stage="kernel", cases=5, out=tmp_path / "raises")
 
 
+def test_a_hunt_asks_for_refusals_and_relations(tmp_path):
+    def covariances(case, refuses):
+        model = case.inputs["model"]
+        norm = np.linalg.norm(model["quaternion"], axis=1)
+        if refuses and not (np.all(norm > 0) and np.all(model["scale"] > 0)):
+            raise ValueError("no rotation")
+        w, x, y, z = (model["quaternion"] / np.where(norm > 0, norm, 1)[:, None]).T
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        roots = np.array(rows).transpose(2, 0, 1) * model["scale"][:, None, :]
+        return roots @ roots.transpose(0, 2, 1)
+
+    for refuses, failures in [(True, 0), (False, 1)]:
+        found = conformance.hunt(
+            lambda case: covariances(case, refuses), stage="covariance", ask="refusals", precision="f64", out=tmp_path / f"{refuses}"
+        )
+        assert len(found) == failures, found
+
+    def without_last(case):
+        whole = case.inputs["model"]
+        kept = trgs.Model(*(whole[name][:-1] for name in trgs.Parameters._fields))
+        return trgs.project(kept, case.scanner, case.settings["angles"], dtype=np.float64)
+
+    found = conformance.hunt(without_last, stage="image-exact", ask="relations", precision="f64", cases=20, out=tmp_path / "sum")
+    assert len(found) == 1
+    with pytest.raises(ValueError, match="`ask`: got values_"):
+        conformance.hunt(covariances, stage="covariance", ask="values_", out=tmp_path / "none")
+
+
 def test_truth_and_inputs_are_those_of_an_export(tmp_path):
     folder = tmp_path / "vectors"
     assert conformance.export(folder, stage="image-exact") > 10

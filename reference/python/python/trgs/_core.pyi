@@ -590,5 +590,6 @@ def conformance_hunt(
     seconds: float | None,
     precision: str,
     level: str,
+    ask: str,
 ) -> str: ...
 def conformance_export(folder: _Path, stages: Sequence[str], level: str, blind: bool) -> int: ...

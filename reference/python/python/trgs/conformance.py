@@ -42,6 +42,7 @@ from ._core import (
 
 Level = Literal["core", "optional", "stress", "large"]
 Precision = Literal["f64", "f32", "f16", "bf16"]
+Ask = Literal["values", "relations", "refusals"]
 Answer = ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
 # A wheel with several extension modules carries the vectors as files. Otherwise they are part of the module.
@@ -255,13 +256,15 @@ def hunt(
     seconds: float | None = None,
     precision: Precision = "f32",
     level: Level = "core",
+    ask: Ask = "values",
 ) -> list[dict[str, Any]]:
     """Asks a function generated questions until it fails, and shrinks each failure.
 
     Parameters
     ----------
     function : callable
-        Gets a `Case`; returns the only output, or a mapping of all outputs by role. An exception of it is a failure.
+        Gets a `Case`; returns the only output, or a mapping of all outputs by role. An exception of it is a failure, but
+        for questions without an answer.
     stage : str or sequence of str
     out : str or os.PathLike
         Folder for the shrunk questions, which `trgs oracle replay` asks again: new, empty, or of the same hunt.
@@ -272,6 +275,8 @@ def hunt(
         Stops after this time.
     precision, level
         As of `Case.check` and `find`.
+    ask : str
+        `values`; `relations` between answers, which need no truth; `refusals` of questions without an answer.
 
     Returns
     -------
@@ -300,7 +305,7 @@ def hunt(
                 np.save(path, arrays[""]) if "" in arrays else np.savez(path, **arrays)
         return None
 
-    found = conformance_hunt(backend, out, _stages(stage), seed, cases, seconds, precision, level)
+    found = conformance_hunt(backend, out, _stages(stage), seed, cases, seconds, precision, level, ask)
     findings: list[dict[str, Any]] = json.loads(found)["findings"]
     return findings
 
