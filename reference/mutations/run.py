@@ -63,7 +63,7 @@ def failed_test(folder, target):
         outcome = run("cargo", "test", *selection, "--profile", "mutants", "--locked", folder=folder, target=target)
         if outcome.returncode:
             lines = [line.split() for line in outcome.stdout.splitlines() if line.endswith("FAILED")]
-            return f"{selection[-1].lstrip('-')}: {lines[0][1] if lines else 'no test reported'}"
+            return f"{selection[-1].strip('-:')}: {lines[0][1] if lines else 'no test reported'}"
     return None
 
 
