@@ -185,6 +185,8 @@ impl Placed {
         let grid = &dataset.scanner.grid;
         let run = volumes.first().filter(|named| named.is_run).map(|named| named.path.clone());
         let config = run.as_ref().map(|run| Config::read(run.join("config.toml"), Method::TrGs)).transpose()?;
+        let config = config.unwrap_or_default();
+        config.validate()?;
         let of_run = run.map(|run| run.join("model.npz")).filter(|model| model.exists());
         let first = of_run.or_else(|| models.first().filter(|_| volumes.is_empty()).cloned());
         let primitives = first.map(|path| convert::read_model(&path)).transpose()?;
@@ -194,7 +196,7 @@ impl Placed {
             Ok((name(path), Volume::new(*grid, values)?))
         };
         let volumes = volumes.into_iter().map(of).chain(models.iter().map(of_model)).collect::<Result<_>>()?;
-        Ok(Self { volumes, primitives, config: config.unwrap_or_default() })
+        Ok(Self { volumes, primitives, config })
     }
 
     /// The true volume and these; `None` if there is none.

@@ -35,7 +35,8 @@ pub struct Traced {
 /// `observe` is called after every iteration; `Break` stops.
 ///
 /// # Errors
-/// Those of [`super::train`]; for views with poses, an iteration that the run does not have, and SGHMC in the textbook's form.
+/// Those of [`super::train`]; for another method, views with poses, an iteration that the run does not have, and SGHMC in the
+/// textbook's form.
 pub fn trace(
     dataset: &Dataset,
     config: &Plan,
@@ -47,6 +48,9 @@ pub fn trace(
     };
     if !(1..=config.iterations).contains(&iteration) {
         return refuse("iteration", iteration.to_string(), format!("1 to {}", config.iterations));
+    }
+    if !config.method.fits_primitives() {
+        return refuse("method", config.method.title().into(), "one that fits primitives".into());
     }
     if dataset.train.poses.is_some() {
         return refuse("scan", "views with poses".into(), "views of a circle".into());

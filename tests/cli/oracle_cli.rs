@@ -111,6 +111,7 @@ fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
     for (change, part) in [
         ("--iteration 41", "iteration: got 41, expected 1 to 40"),
         ("--iteration 3 --set optimiser.position=sghmc-textbook", "sghmc-textbook"),
+        ("--iteration 3 --set method=fdk", "method: got FDK, expected one that fits primitives"),
     ] {
         let message = sandbox.refused(&format!("oracle trace scan no {run} {change}"));
         assert!(message.contains(part), "{message}");

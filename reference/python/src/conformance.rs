@@ -18,11 +18,8 @@ const LEVELS: [(&str, Level); 4] =
 const FORMATS: [(&str, Format); 4] =
     [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
 
-const ASKS: [(&str, fresh::Ask); 3] = [
-    ("values", fresh::Ask::Values),
-    ("relations", fresh::Ask::Relations),
-    ("refusals", fresh::Ask::Refusals),
-];
+const ASKS: [(&str, fresh::Ask); 3] =
+    [("values", fresh::Ask::Values), ("relations", fresh::Ask::Relations), ("refusals", fresh::Ask::Refusals)];
 
 static VECTORS: OnceLock<Vectors> = OnceLock::new();
 
