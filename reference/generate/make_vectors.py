@@ -14,6 +14,7 @@ import sys
 import time
 from pathlib import Path
 
+import jsonschema
 import mpmath
 import numpy as np
 from mpmath import mp
@@ -22,6 +23,7 @@ from cases import CASES, FLAGS, INPUTS
 from files import file_bytes, json_bytes, sha256
 
 VECTORS = Path(__file__).resolve().parent.parent / "vectors"
+SCHEMA = VECTORS.parent / "manifest.schema.json"
 
 
 def chosen(only):
@@ -80,6 +82,18 @@ def write(only):
 
 # ---------------------------------------------------------------------------- check
 
+def check_schema(stored, wrong):
+    """The manifest's form; one without the stage of its first case must be refused."""
+    schema = json.loads(SCHEMA.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    wrong += [f"manifest: {error.json_path}: {error.message}" for error in validator.iter_errors(stored)]
+    first, *others = stored["cases"]
+    lacking = {key: value for key, value in first.items() if key != "stage"}
+    if validator.is_valid({**stored, "cases": [lacking, *others]}):
+        wrong.append("manifest.schema.json: accepts a case without a stage")
+
+
 def check_files(case, row, wrong):
     """The case's description, inputs and digests."""
     groups = files_of(case)
@@ -126,6 +140,7 @@ def check(fraction, seed, only):
     wrong, compared = [], 0
     if list(rows) != [case.id for case in CASES]:
         wrong.append("manifest: its cases are not those of the scripts")
+    check_schema(stored, wrong)
     if stored["flags"] != FLAGS:
         wrong.append("manifest: its flags are not those of the scripts")
     present = {str(path.relative_to(VECTORS)) for path in VECTORS.rglob("*") if path.is_file()}
