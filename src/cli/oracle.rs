@@ -119,7 +119,7 @@ struct Check {
     /// Arithmetic of the backend; selects tolerances and the ulp
     #[arg(long, default_value = "f32", value_parser = choice(&Format::ALL))]
     precision: Format,
-    /// Report to write: FILE.json, FILE.md and FILE.xml (JUnit)
+    /// Report to write: FILE.json, FILE.md, FILE.html and FILE.xml (JUnit)
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
     /// File of accepted failures

@@ -33,11 +33,10 @@ pub(crate) const OUTPUTS: [&str; 11] = [
     "11-raw",
 ];
 
-/// Whether an output is an archive with the arrays of a model.
+/// Whether an output is one of these and an archive with the arrays of a model.
 pub(crate) fn is_archive(output: &str) -> bool {
-    ["physical", "gradient", "first", "second", "raw"]
-        .iter()
-        .any(|end| output.get(2..).is_some() && output.ends_with(end))
+    let is_model = ["physical", "gradient", "first", "second", "raw"].iter().any(|end| output.ends_with(end));
+    is_model && OUTPUTS.contains(&output)
 }
 
 /// The block of a setting with the indices of its first voxel and its shape; `None` where the loss is not due.

@@ -1,6 +1,8 @@
-//! The report of a check as Markdown for readers, JSON for programs and JUnit for CI servers.
+//! The report of a check as Markdown and HTML for readers, JSON for programs and JUnit for CI servers.
 
 use super::check::{CaseResult, PartResult, Report, Status};
+use pulldown_cmark::html::push_html;
+use pulldown_cmark::{Event, Options as ParserOptions, Parser};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -9,24 +11,32 @@ use trgs_core::error::{Error, Result};
 use trgs_core::setting::Setting;
 use trgs_scan::output::write_atomically;
 
-/// Writes `file.json`, `file.md` and `file.xml`.
+const STYLE: &str = "
+:root { color-scheme: light dark; }
+body { max-width: 80rem; margin: 2rem auto; padding: 0 1rem; font: 16px/1.5 system-ui, sans-serif; }
+table { display: block; overflow-x: auto; border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: 0.3rem 0.8rem 0.3rem 0; border-bottom: 1px solid; text-align: left; vertical-align: top; }
+";
+
+/// Writes `file.json`, `file.md`, `file.html` and `file.xml`.
 ///
 /// # Errors
 /// For a path that does not end in `.json`; [`Error::Write`] with the error of the operating system.
-pub fn write(report: &Report, path: impl AsRef<Path>) -> Result<[PathBuf; 3]> {
+pub fn write(report: &Report, path: impl AsRef<Path>) -> Result<[PathBuf; 4]> {
     let path = path.as_ref();
     if path.extension().is_none_or(|extension| extension != "json") {
         return Err(Error::invalid(
             Setting::Report,
             path.display(),
             "a file ending in .json",
-            "end the name with .json: the .md and .xml are written beside it",
+            "end the name with .json: the .md, .html and .xml are written beside it",
         ));
     }
-    let paths = [path.to_owned(), path.with_extension("md"), path.with_extension("xml")];
+    let paths = ["json", "md", "xml", "html"].map(|extension| path.with_extension(extension));
     write_atomically(&paths[0], |out| Ok(serde_json::to_writer_pretty(out, report)?))?;
     write_atomically(&paths[1], |out| out.write_all(markdown(report).as_bytes()))?;
     write_atomically(&paths[2], |out| out.write_all(junit(report).as_bytes()))?;
+    write_atomically(&paths[3], |out| out.write_all(html(report).as_bytes()))?;
     Ok(paths)
 }
 
@@ -190,6 +200,23 @@ fn one_line(backend: &serde_json::Value) -> String {
         about.map(|(_, v)| v.as_str().map_or_else(|| v.to_string(), Into::into)).collect::<Vec<String>>().join(" ")
     });
     words.unwrap_or_else(|| backend.to_string())
+}
+
+/// The Markdown as a page that loads nothing. Names and messages come from a backend, so its HTML is text.
+fn html(report: &Report) -> String {
+    let text = markdown(report);
+    let events = Parser::new_ext(&text, ParserOptions::ENABLE_TABLES).map(|event| match event {
+        Event::Html(html) | Event::InlineHtml(html) => Event::Text(html),
+        other => other,
+    });
+    let title = attribute(text.lines().next().unwrap_or_default().trim_start_matches("# "));
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
+         <title>{title}</title>\n<style>{STYLE}</style>\n"
+    );
+    push_html(&mut page, events);
+    page
 }
 
 /// One test suite of JUnit per stage, one test per case.

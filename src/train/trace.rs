@@ -167,8 +167,8 @@ fn archive(values: &Parameters) -> BTreeMap<String, ArrayD<f64>> {
     Group::ALL.map(of).into()
 }
 
-#[cfg(test)]
 #[cfg(feature = "oracle")]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::{Config, DensityControl, Method};

@@ -143,7 +143,7 @@ fn a_hunt_starts_the_backend_and_its_finding_is_replayed() {
 }
 
 #[test]
-fn a_failed_check_ends_with_1_and_writes_its_three_reports() {
+fn a_failed_check_ends_with_1_and_writes_its_four_reports() {
     let sandbox = Sandbox::new();
     sandbox.done("oracle answer own --stage covariance,kernel");
     let case = sandbox.done("oracle list --stage kernel")["cases"][0].clone();
@@ -156,6 +156,7 @@ fn a_failed_check_ends_with_1_and_writes_its_three_reports() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains("FAILED") && text.contains("a factor of 2"), "{text}");
     assert_eq!(text.trim_end(), sandbox.text("report.md").trim_end());
+    assert!(sandbox.text("report.html").contains("a factor of 2"));
     assert!(sandbox.text("report.xml").contains("a factor of 2") && sandbox.text("report.json").contains("looks_like"));
 
     let id = case["id"].as_str().unwrap();
