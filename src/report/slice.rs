@@ -9,7 +9,7 @@
 //! | z | x | y |
 
 use crate::geometry::Volume;
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, ArrayView3, Axis};
 
 /// Names of the axes of a volume.
 pub const AXES: [&str; 3] = ["x", "y", "z"];
@@ -49,12 +49,32 @@ impl Window {
     /// The range from 0, or from a negative minimum, to the 99.9th percentile of a volume.
     ///
     /// Both ends are rounded to two digits.
-    pub fn of(volume: &Volume) -> Self {
-        let values: Vec<f32> = volume.values.iter().copied().collect();
+    pub fn of(values: ArrayView3<f32>) -> Self {
+        let values: Vec<f32> = values.iter().copied().filter(|value| value.is_finite()).collect();
         let low = f64::from(values.iter().copied().fold(0.0, f32::min));
         let high = significant(quantile(values, 0.999), 2);
         Self { low, high: if high > low { high } else { low + 1.0 } }
     }
+}
+
+/// Slices across z side by side, `[row, column]`, from the top left, in about as many rows as columns: at most `most` of them,
+/// evenly spaced with both ends, and the index of each. `signs` are 1 where x runs to the right and y downwards, or else -1.
+///
+/// # Panics
+/// For a volume without voxels.
+pub fn contact_sheet(values: ArrayView3<f32>, most: usize, signs: [i8; 2]) -> (Array2<f32>, Vec<usize>) {
+    let (width, height, depth) = values.dim();
+    let count = depth.min(most);
+    let indices: Vec<usize> = (0..count).map(|i| (i * (depth - 1) + (count - 1) / 2) / (count - 1).max(1)).collect();
+    let columns = (1..).find(|columns| columns * columns >= count).expect("a number has a root");
+    let mut sheet = Array2::zeros((height * count.div_ceil(columns), width * columns));
+    for (place, &index) in indices.iter().enumerate() {
+        let (row, column) = (place / columns * height, place % columns * width);
+        let mut slice = values.index_axis(Axis(2), index).reversed_axes();
+        signs.into_iter().zip([1, 0]).filter(|(sign, _)| *sign < 0).for_each(|(_, axis)| slice.invert_axis(Axis(axis)));
+        slice.indexed_iter().for_each(|((v, u), value)| sheet[[row + v, column + u]] = *value);
+    }
+    (sheet, indices)
 }
 
 impl Picture {
@@ -135,7 +155,21 @@ mod tests {
 
     #[test]
     fn a_volume_of_zeros_still_has_a_window() {
-        let zeros = Volume::new(Grid::cube(2), Array3::zeros((2, 2, 2))).unwrap();
-        assert_eq!(Window::of(&zeros), Window { low: 0.0, high: 1.0 });
+        let zeros = Array3::zeros((2, 2, 2));
+        assert_eq!(Window::of(zeros.view()), Window { low: 0.0, high: 1.0 });
+    }
+
+    #[test]
+    fn a_contact_sheet_has_the_slices_from_the_top_left() {
+        let values = volume().values;
+        let (sheet, indices) = contact_sheet(values.view(), 64, [1, -1]);
+        assert_eq!(indices, [0, 1, 2, 3]);
+        let rows = [[20., 120., 21., 121.], [10., 110., 11., 111.], [0., 100., 1., 101.]];
+        let below = rows.map(|row| row.map(|value| value + 2.0));
+        assert_eq!(sheet, ndarray::arr2(&[rows, below].concat()));
+        // Of three, the ends and the middle; a place is left free.
+        let (sheet, indices) = contact_sheet(values.view(), 3, [-1, 1]);
+        assert_eq!(indices, [0, 2, 3]);
+        assert_eq!([sheet.row(0).to_vec(), sheet.row(3).to_vec()], [[100., 0., 102., 2.], [103., 3., 0., 0.]]);
     }
 }

@@ -344,6 +344,11 @@ fn surfaces_slices_and_splats_say_how_they_were_made() {
         assert_eq!([&found["kind"], &found["volume"]], [&json!("surface"), &chosen["volume"]]);
     }
     assert_eq!(sandbox.read("given.stl"), sandbox.read("surface.stl"));
+    let found = sandbox.done("convert scan/vol_gt.npy sheet.png");
+    assert_eq!([&found["kind"], &found["shape"]], [&json!("contact sheet"), &json!([12, 12, 12])]);
+    assert!(found["notes"][0].as_str().unwrap().starts_with("12 slices across z"), "{found}");
+    // Four columns of three.
+    assert_eq!(volume_file::read(sandbox.path("sheet.png")).unwrap().values.dim(), (48, 36, 1));
     let found = sandbox.done("convert scan/vol_gt.npy slices --slices png");
     assert_eq!([&found["kind"], &found["shape"]], [&json!("slices"), &json!([12, 12, 12])]);
     assert!(found["notes"][0].as_str().unwrap().starts_with("a stored number n is the value 0.0"), "{found}");

@@ -1,12 +1,15 @@
 //! `trgs view`: the page, and what it does in a browser.
 
 use crate::program::{Sandbox, stderr};
+use glam::{DMat3, DVec3};
 use ndarray::Array3;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;
-use trgs::scan::npy;
+use trgs::geometry::Grid;
+use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::{Frame, Phantom, Unit, npy};
 
 /// The scenes of a page, as its script reads them.
 fn scenes(sandbox: &Sandbox, page: &str) -> Vec<Value> {
@@ -59,6 +62,19 @@ fn the_viewer_works_in_chromium() {
     sandbox.done("view run small --out model.html");
     drive("model.html", &["--model"], 1);
     drive("run/report.html", &["--model"], 1);
+    // In millimetres, once as it is and once with the axes in another order.
+    let volume = Phantom::by_name("letters", 0).unwrap().voxelize(&Grid::cube(50), 1);
+    let straight = VolumeFile { unit: Some(Unit::Millimetre), ..Frame::default().file(&volume) };
+    let turned = VolumeFile {
+        values: straight.values.clone().permuted_axes([1, 2, 0]).as_standard_layout().into_owned(),
+        directions: DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X),
+        ..straight.clone()
+    };
+    for (name, file) in [("straight", straight), ("turned", turned)] {
+        volume_file::write(sandbox.path(&format!("{name}.nii.gz")), &file).unwrap();
+        sandbox.done(&format!("view {name}.nii.gz --out {name}.html"));
+        drive(&format!("{name}.html"), &["--letters"], 1);
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 // The page shows two volumes `a` and `b` of 16³ voxels: (x + 16·y + 256·z)/4096, and the same plus 0.25. Each check prints a
 // line; the exit code is 1 if one fails. Instead, of any page, --measure prints times, --shots DIR writes pictures,
 // --against DIR compares such pictures with those of a folder, --picture FILE writes one of the first viewer with the last of
-// its planes alone, and --model checks that the first viewer draws primitives.
+// its planes alone, --model checks that the first viewer draws primitives, and --letters that it shows the phantom `letters`.
 'use strict';
 const assert = require('node:assert/strict');
 const { spawn } = require('node:child_process');
@@ -349,6 +349,35 @@ async function model() {
   console.log('ok: primitives are drawn');
 }
 
+/** The letters on the sides of the phantom `letters`, 50³ voxels of a patient, as the planes of the viewer show them. */
+async function letters() {
+  await open(1280, 900);
+  const expected = [
+    ['Sagittal', -0.65, true, '####. #...# #...# ####. #.#.. #..#. #...#'],
+    ['Coronal', -0.65, false, '.###. #...# #...# ##### #...# #...# #...#'],
+    ['Axial', 0.65, true, '.#### #.... #.... .###. ....# ....# ####.'],
+  ];
+  for (const [title, depth, is_mirrored, rows] of expected) {
+    const found = await ask(`(() => {
+      const plane = v.planes.find((plane) => plane.title === '${title}');
+      const { origin, spacing, directions, shape } = v.scene;
+      // The patient's axis across the plane, and the slice there.
+      const side = { Sagittal: 0, Coronal: 1, Axial: 2 }['${title}'];
+      const along = directions[plane.across][side] * spacing[plane.across];
+      const index = Math.round((${depth} - origin[side]) / along);
+      v.set({ cross: v.state.cross.map((old, axis) => (axis === plane.across ? index : old)) });
+      const values = v.cut(plane, 0);
+      const width = shape[plane.axes[0]];
+      const at = (row, column) => values[Math.round(24.5 + 3 * (row - 3)) * width + Math.round(24.5 + 3 * (column - 2))];
+      return [0, 1, 2, 3, 4, 5, 6].map((row) => [0, 1, 2, 3, 4].map((column) => (at(row, column) > 0.5 ? '#' : '.')).join(''));
+    })()`);
+    // A side that is seen from within the patient shows its letter mirrored.
+    const read = found.map((row) => (is_mirrored ? [...row].reverse().join('') : row)).join(' ');
+    assert.equal(read, rows, title);
+  }
+  console.log('ok: the letters are on their sides');
+}
+
 /** Means of the differences of 16 × 16 pixels between two PNG files, levels of 255. */
 const differences = (a, b) => ask(`await (async () => {
   const pixels = async (data) => {
@@ -419,6 +448,7 @@ async function picture(file) {
   else if (flags[0] === '--shots') await shots(...flags.slice(1));
   else if (flags[0] === '--against') await against(flags[1]);
   else if (flags[0] === '--model') await model();
+  else if (flags[0] === '--letters') await letters();
   else if (flags[0] === '--picture') await picture(flags[1]);
   else {
     for (const [name, check] of Object.entries(checks)) {

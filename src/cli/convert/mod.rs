@@ -31,6 +31,7 @@ use trgs::{Error, Result};
   trgs convert thorax_in_hu.nii.gz thorax.npy --mu-water 1
   trgs convert run bone.stl --level 0.4
   trgs convert run slices --slices dicom
+  trgs convert run sheet.png
   trgs convert run/model.npz model.ply --scanner scan
   trgs convert run/model.npz splats.ply --splats
   trgs convert run/model.npz point_cloud.npz --r2
@@ -195,6 +196,7 @@ impl Convert {
             (Kind::Model, Kind::Model) => model::convert(self),
             (Kind::Volume, _) if is_surface => surface::convert(self),
             (Kind::Volume, Kind::Scan) if let Some(format) = self.slices => surface::slices(self, format),
+            (Kind::Volume, Kind::Volume) if extension(&self.out) == "png" => surface::sheet(self),
             // An unknown extension leads to an error that lists the known ones.
             (Kind::Volume, Kind::Volume) => volume::convert(self),
             _ => Err(self.impossible(source, out)),

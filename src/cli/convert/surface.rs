@@ -1,15 +1,21 @@
-//! Conversion of volumes to surfaces and to folders of slices.
+//! Conversion of volumes to surfaces, folders of slices and contact sheets.
 
 use super::volume::{converted, read};
 use super::{Convert, extension};
 use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
 use serde::Serialize;
+use std::io::Write;
 use std::path::Path;
 use trgs::Result;
-use trgs::output::{Destination, Kind, check_file, stage_folder};
+use trgs::output::{Destination, Kind, check_file, stage_folder, write_atomically};
+use trgs::report::slice::{Picture, Window, contact_sheet};
 use trgs::scan::surface::{Mesh, otsu};
 use trgs::scan::volume_file::{Scaling, Slices, write_slices};
+use trgs::words::counted;
+
+/// Most slices of a contact sheet.
+const MOST_SLICES: usize = 64;
 
 /// The result of a surface.
 #[derive(Serialize)]
@@ -62,4 +68,22 @@ pub(super) fn slices(command: &Convert, format: Slices) -> Result<Output> {
     moved(&destination);
     let scaling = format!("a stored number n is the value {offset:.6e} + {step:.6e} n");
     Ok(Output::list(&converted(&command.out, "slices", &volume, [scaling].into_iter().chain(note).collect())))
+}
+
+/// A picture of the slices across z.
+pub(super) fn sheet(command: &Convert) -> Result<Output> {
+    let (volume, note) = read(command)?;
+    // Of a patient, left is on the right and the front on top; of other volumes, y runs upwards.
+    let has_sides = volume.unit.is_some() && volume.origin.is_some();
+    let sides = [volume.directions.x_axis.x, volume.directions.y_axis.y];
+    let signs = if has_sides { sides.map(|along| if along < 0.0 { -1 } else { 1 }) } else { [1, -1] };
+    let window = Window::of(volume.values.view());
+    let (sheet, indices) = contact_sheet(volume.values.view(), MOST_SLICES, signs);
+    check_file(&command.out)?;
+    let png = Picture::grey(&sheet, window).png();
+    interrupt::shielded(|| write_atomically(&command.out, |file| file.write_all(&png)))?;
+    let Window { low, high } = window;
+    let shown =
+        format!("{} across z from the top left, {low} to {high} as black to white", counted(indices.len(), "slice"));
+    Ok(Output::list(&converted(&command.out, "contact sheet", &volume, [shown].into_iter().chain(note).collect())))
 }

@@ -62,7 +62,7 @@ pub(super) fn converted<'a>(
 /// What the written file does not keep, or the place that it states without knowing it.
 fn note(volume: &VolumeFile, ending: &str, is_of_a_scan: bool) -> Option<String> {
     let is_tiff = ending.starts_with("tif");
-    let drops = ["npy", "raw"].contains(&ending) || is_tiff && volume.unit.is_none();
+    let drops = ["npy", "raw", "png"].contains(&ending) || is_tiff && volume.unit.is_none();
     match (volume.spacing, volume.unit) {
         (None, _) if !drops => {
             Some("no spacing is known: 1 is written; --scanner SCAN gives that of a scan".into())
