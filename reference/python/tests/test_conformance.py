@@ -350,7 +350,7 @@ def test_a_hunt_asks_for_refusals_and_relations(tmp_path):
 
     found = conformance.hunt(without_last, stage="image-exact", ask="relations", precision="f64", cases=20, out=tmp_path / "sum")
     assert len(found) == 1
-    with pytest.raises(ValueError, match="`ask`: got values_"):
+    with pytest.raises(ValueError, match='ask: got "values_"'):
         conformance.hunt(covariances, stage="covariance", ask="values_", out=tmp_path / "none")
 
 
