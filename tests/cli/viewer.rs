@@ -56,7 +56,7 @@ fn the_viewer_works_in_chromium() {
     sandbox.done("simulate --phantom torso --out scan --size 64 --detector 64 --views 25");
     sandbox.done("reconstruct scan --out fdk --method fdk");
     sandbox.done("view fdk scan --out fdk.html");
-    drive("fdk.html", &["--against", "reference/screens"], 5);
+    drive("fdk.html", &["--against", "reference/screens"], 4);
     sandbox.done("simulate --phantom torso --out small --size 16 --detector 16 --views 4 --test-views 0");
     sandbox.done("reconstruct small --out run --iterations 20");
     sandbox.done("view run small --out model.html");
