@@ -188,14 +188,17 @@ impl Placed {
         let config = config.unwrap_or_default();
         config.validate()?;
         let of_run = run.map(|run| run.join("model.npz")).filter(|model| model.exists());
-        let first = of_run.or_else(|| models.first().filter(|_| volumes.is_empty()).cloned());
-        let primitives = first.map(|path| convert::read_model(&path)).transpose()?;
-        let of = |named: Named| Ok((named.name, arrange(&dataset.frame, named.file, grid, &named.path)?));
-        let of_model = |path: &PathBuf| {
-            let values = voxelize::<f32>(&convert::read_model(path)?, grid, FAST_CUTOFF);
-            Ok((name(path), Volume::new(*grid, values)?))
+        let models = models.iter().map(|path| Ok((name(path), convert::read_model(path)?)));
+        let models = models.collect::<Result<Vec<_>>>()?;
+        let primitives = match of_run {
+            Some(path) => Some(convert::read_model(&path)?),
+            None => models.first().filter(|_| volumes.is_empty()).map(|(_, primitives)| primitives.clone()),
         };
-        let volumes = volumes.into_iter().map(of).chain(models.iter().map(of_model)).collect::<Result<_>>()?;
+        let of = |named: Named| Ok((named.name, arrange(&dataset.frame, named.file, grid, &named.path)?));
+        let of_model = |(name, primitives): (String, Primitives)| {
+            Ok((name, Volume::new(*grid, voxelize::<f32>(&primitives, grid, FAST_CUTOFF))?))
+        };
+        let volumes = volumes.into_iter().map(of).chain(models.into_iter().map(of_model)).collect::<Result<_>>()?;
         Ok(Self { volumes, primitives, config })
     }
 

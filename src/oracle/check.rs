@@ -261,10 +261,10 @@ fn declared(about: &Value, folder: &Path) -> Result<Option<Vec<String>>> {
         return Ok(None);
     }
     let stages: Option<Vec<String>> = serde_json::from_value(about["stages"].clone()).ok();
-    let known =
-        |stages: &Vec<String>| stages.iter().all(|stage| stage == iteration::STAGE || STAGES.contains(&stage.as_str()));
+    let all: Vec<_> = STAGES.into_iter().chain([iteration::STAGE]).collect();
+    let known = |stages: &Vec<String>| stages.iter().all(|stage| all.contains(&stage.as_str()));
     stages.filter(known).map(Some).ok_or_else(|| {
-        let (got, expected) = (&about["stages"], format!("a list of {}", STAGES.join(", ")));
+        let (got, expected) = (&about["stages"], format!("a list of {}", all.join(", ")));
         Error::format(&folder.join(BACKEND), "stages", got, expected, "correct the names, or leave the list out")
     })
 }

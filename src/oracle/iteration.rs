@@ -33,11 +33,9 @@ pub(crate) const OUTPUTS: [&str; 11] = [
     "11-raw",
 ];
 
-/// Whether an output is one of these and an archive with the arrays of a model.
-pub(crate) fn is_archive(output: &str) -> bool {
-    let is_model = ["physical", "gradient", "first", "second", "raw"].iter().any(|end| output.ends_with(end));
-    is_model && OUTPUTS.contains(&output)
-}
+/// Those that are archives with the arrays of a model.
+pub(crate) const ARCHIVES: [&str; 6] =
+    ["01-physical", "05-gradient", "06-raw-gradient", "08-first", "09-second", "11-raw"];
 
 /// The block of a setting with the indices of its first voxel and its shape; `None` where the loss is not due.
 fn block(q: &Question, key: &str, grid: &Grid) -> Result<Option<Grid>> {
@@ -98,13 +96,13 @@ pub(super) fn answer<R: Kernels>(q: &Question) -> Result<Outputs> {
     let total = data.total + (q.setting("tv_weight")? * tv_value + wavelet_value + nu_value);
     let losses = vec![data.l1, data.d_ssim, tv_value, wavelet_value, nu_value, total];
 
-    let mut all = parameters(OUTPUTS[0], &physical.parameters);
-    all.extend(one(OUTPUTS[1], image.mapv(R::to_f64)));
-    all.extend(one(OUTPUTS[2], cotangent.mapv(R::to_f64)));
-    all.extend(one(OUTPUTS[3], Array1::from(losses)));
-    all.extend(parameters(OUTPUTS[4], &gradient));
+    let mut all = parameters("01-physical", &physical.parameters);
+    all.extend(one("02-image", image.mapv(R::to_f64)));
+    all.extend(one("03-cotangent", cotangent.mapv(R::to_f64)));
+    all.extend(one("04-losses", Array1::from(losses)));
+    all.extend(parameters("05-gradient", &gradient));
     activation.vjp(&physical, &mut gradient);
-    all.extend(parameters(OUTPUTS[5], &gradient));
+    all.extend(parameters("06-raw-gradient", &gradient));
     update(q, &physical.parameters, &gradient, &mut raw, &mut all)?;
     Ok(all)
 }
@@ -125,7 +123,7 @@ fn update(
     for (group, &rate) in Group::ALL.into_iter().zip(&rates) {
         let beta = [q.setting("beta1")?, q.setting("beta2")?];
         let (m, v) = (first.group(group), second.group(group));
-        let mut adam = Adam::continued(beta, q.setting("epsilon")?, q.integer("steps")? as u32, m, v);
+        let mut adam = Adam::continued(beta, q.setting("epsilon")?, done as u32, m, v);
         if group == Group::Mean && q.word("position")? == "sghmc" {
             let mut direction = vec![[0.0; 3]; raw.len()];
             adam.direction(gradient.group(group), direction.as_flattened_mut());
@@ -137,11 +135,11 @@ fn update(
         first.group_mut(group).copy_from_slice(&m);
         second.group_mut(group).copy_from_slice(&v);
     }
-    all.extend(one(OUTPUTS[6], Array1::from(rates)));
-    all.extend(parameters(OUTPUTS[7], &first));
-    all.extend(parameters(OUTPUTS[8], &second));
-    all.extend(one(OUTPUTS[9], ArrayView2::from(momentum.as_slice()).to_owned()));
-    all.extend(parameters(OUTPUTS[10], raw));
+    all.extend(one("07-rates", Array1::from(rates)));
+    all.extend(parameters("08-first", &first));
+    all.extend(parameters("09-second", &second));
+    all.extend(one("10-momentum", ArrayView2::from(momentum.as_slice()).to_owned()));
+    all.extend(parameters("11-raw", raw));
     Ok(())
 }
 

@@ -62,4 +62,10 @@ pub use format::Format;
 pub use limits::Tolerances;
 pub use manifest::{Case, Level, Vectors};
 pub use outputs::Outputs;
+
+/// For the training that is traced.
+#[doc(hidden)]
+pub mod internals {
+    pub use crate::outputs::{one, parameters};
+}
 pub use question::Question;

@@ -9,7 +9,8 @@ use trgs_core::primitives::{Group, Parameters};
 /// The outputs of a case, by role.
 pub type Outputs = BTreeMap<String, Arrays>;
 
-pub(super) fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
+/// One array as an output.
+pub fn one<D: Dimension>(role: &str, array: Array<f64, D>) -> Outputs {
     [(role.to_owned(), [(String::new(), array.into_dyn())].into())].into()
 }
 
@@ -23,7 +24,8 @@ pub(super) fn valued<R: Real, D: Dimension>(value: f64, gradient: Array<R, D>) -
     two(("value", Array1::from(vec![value])), ("gradient", gradient.mapv(R::to_f64)))
 }
 
-pub(super) fn parameters(role: &str, values: &Parameters) -> Outputs {
+/// Parameters as an output, an archive by group.
+pub fn parameters(role: &str, values: &Parameters) -> Outputs {
     let m = values.len();
     let array = |group: Group| {
         let shape = if group.width() == 1 { IxDyn(&[m]) } else { IxDyn(&[m, group.width()]) };

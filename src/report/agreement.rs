@@ -92,31 +92,25 @@ impl Agreement {
         })
     }
 
-    /// Residual relative to the measured values, and in units of the noise where that is known.
-    pub fn residual(&self) -> (f64, Option<f64>) {
-        (self.relative, self.noise.filter(|noise| *noise > 0.0).map(|noise| self.residual / noise))
-    }
-
     /// What a file of results holds.
     pub fn figures(&self) -> Figures {
-        let (relative, per_noise) = self.residual();
+        let per_noise = self.noise.filter(|noise| *noise > 0.0).map(|noise| self.residual / noise);
         Figures {
             views: if self.is_fitted { "training" } else { "test" },
             count: self.views.len(),
-            relative,
+            relative: self.relative,
             per_noise,
         }
     }
 
     /// Whether the residual is no more than noise.
     pub fn is_explained(&self) -> bool {
-        self.residual().1.is_some_and(|ratio| ratio <= EXPLAINED[0])
+        self.figures().per_noise.is_some_and(|ratio| ratio <= EXPLAINED[0])
     }
 
     /// The answer to whether the volume is good.
     pub(super) fn verdict(&self) -> String {
-        let (relative, ratio) = self.residual();
-        let count = self.views.len();
+        let Figures { count, relative, per_noise: ratio, .. } = self.figures();
         let views = match self.is_fitted {
             true => format!("{count} of the views that it was fitted to"),
             false => format!("{count} test views, which were not used to make it"),
@@ -271,7 +265,7 @@ mod tests {
         // An error of the volume is not noise.
         let wrong = Projections { images: &clean.images * 0.9, ..clean.clone() };
         let found = Agreement::new([&noisy, &wrong], &noisy, &scanner(), true).unwrap();
-        assert!(found.residual().1.unwrap() > 3.0 && !found.is_explained());
+        assert!(found.figures().per_noise.unwrap() > 3.0 && !found.is_explained());
         let text = found.verdict();
         assert!(text.contains("does not explain the views") && text.contains("does not prove"), "{text}");
     }
@@ -318,6 +312,6 @@ mod tests {
         let [all, none] = found.seen;
         assert!(all > 0.0 && none > all);
         assert_eq!(found.map.values[[0, 0, 0]], 1.0);
-        assert!(found.residual().1.is_none() && found.verdict().contains("no noise that can be measured"));
+        assert!(found.figures().per_noise.is_none() && found.verdict().contains("no noise that can be measured"));
     }
 }

@@ -15,6 +15,7 @@ mod optimiser;
 mod record;
 mod start;
 mod state;
+#[cfg(feature = "oracle")]
 mod trace;
 mod views;
 
@@ -22,7 +23,8 @@ pub use checkpoint::{Checkpoint, Checkpoints, Decision};
 pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension, digest};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model};
-pub use trace::{Traced, trace};
+#[cfg(feature = "oracle")]
+pub use trace::trace;
 
 use crate::classical::density_unit::density_unit;
 use crate::confidence::{Coverage, nu_target, spearman};

@@ -81,6 +81,7 @@ impl Optimiser {
     }
 
     /// First and second moments of `m` primitives, as rows of parameters.
+    #[cfg(feature = "oracle")]
     pub(super) fn moments(&self, m: usize) -> [Parameters; 2] {
         let mut moments = [Parameters::zeros(m), Parameters::zeros(m)];
         for (group, adam) in Group::ALL.into_iter().zip(&self.adam) {
@@ -92,6 +93,7 @@ impl Optimiser {
     }
 
     /// Momentum of the positions.
+    #[cfg(feature = "oracle")]
     pub(super) fn momentum(&self) -> &[[f64; 3]] {
         self.sghmc.momentum()
     }

@@ -6,31 +6,21 @@ use super::views::random_block;
 use super::{Plan, Trainer};
 use crate::config::{PositionOptimiser, Precision};
 use crate::error::{Error, Result};
-use crate::geometry::{Grid, Scanner};
+use crate::geometry::Grid;
 use crate::numeric::rng::Purpose;
 use crate::optim::schedule::pace;
-use crate::primitives::{Group, KernelKind, Parameters};
+use crate::oracle::internals::{one, parameters};
+use crate::oracle::{Vectors, fresh};
+use crate::primitives::KernelKind;
 use crate::projector::{Kernels, Projection};
 use crate::scan::dataset::Dataset;
-use ndarray::{Array1, ArrayD, ArrayView2, IxDyn};
+use ndarray::{Array1, ArrayView2};
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use trgs_methods::internals::in_unit;
 
-/// Settings and arrays of an iteration, as the stage `iteration` of the oracle has them; lengths in scene units, densities in
-/// the run's unit.
-#[derive(Clone, Debug)]
-pub struct Traced {
-    /// The geometry.
-    pub scanner: Scanner,
-    /// Numbers and words.
-    pub settings: Map<String, Value>,
-    /// By role, and within an archive by name.
-    pub arrays: BTreeMap<String, BTreeMap<String, ArrayD<f64>>>,
-}
-
-/// Runs a configuration up to `iteration`, counted from 1, and returns what that one starts from.
+/// Runs a configuration up to `iteration`, counted from 1, and returns what that one starts from: a question of the oracle's
+/// stage `iteration`, lengths in scene units, densities in the run's unit.
 ///
 /// `observe` is called after every iteration; `Break` stops.
 ///
@@ -42,7 +32,7 @@ pub fn trace(
     config: &Plan,
     iteration: usize,
     observe: &mut dyn FnMut(usize) -> ControlFlow<()>,
-) -> Result<Traced> {
+) -> Result<Vectors> {
     let refuse = |what: &str, got: String, expected: String| {
         Err(Error::invalid(what, got, expected, "trace another iteration, or another run"))
     };
@@ -67,7 +57,7 @@ pub fn trace(
 }
 
 impl<R: Kernels> Trainer<'_, R> {
-    fn traced(mut self, iteration: usize, observe: &mut dyn FnMut(usize) -> ControlFlow<()>) -> Result<Traced> {
+    fn traced(mut self, iteration: usize, observe: &mut dyn FnMut(usize) -> ControlFlow<()>) -> Result<Vectors> {
         while self.state.iteration + 1 < iteration {
             let next = self.state.iteration + 1;
             self.step(next)?;
@@ -82,21 +72,21 @@ impl<R: Kernels> Trainer<'_, R> {
         let [first, second] = state.optimiser.moments(count);
         let normals: Vec<[f64; 3]> = state.ids.iter().map(|&id| normals(self.config, done, id).to_array()).collect();
         let of_all = |values: &[f64]| if values.is_empty() { vec![1.0; count] } else { values.to_vec() };
-        let rows = |rows: &[[f64; 3]]| plain(ArrayView2::from(rows).to_owned().into_dyn());
-        let image = self.dataset.train.image(view).mapv(f64::from);
+        let rows = |rows: &[[f64; 3]]| ArrayView2::from(rows).to_owned();
         let arrays = [
-            ("raw", archive(&state.raw)),
-            ("first", archive(&first)),
-            ("second", archive(&second)),
-            ("momentum", rows(state.optimiser.momentum())),
-            ("normals", rows(&normals)),
-            ("confidence", plain(Array1::from(of_all(&state.confidence)).into_dyn())),
-            ("nu_target", plain(Array1::from(of_all(&self.targets)).into_dyn())),
-            ("target", plain(image.into_dyn())),
+            parameters("raw", &state.raw),
+            parameters("first", &first),
+            parameters("second", &second),
+            one("momentum", rows(state.optimiser.momentum())),
+            one("normals", rows(&normals)),
+            one("confidence", Array1::from(of_all(&state.confidence))),
+            one("nu_target", Array1::from(of_all(&self.targets))),
+            one("target", self.dataset.train.image(view).mapv(f64::from)),
         ];
-        let arrays = arrays.map(|(role, arrays)| (role.to_owned(), arrays)).into();
+        let title = format!("Iteration {iteration} of {} of {}", self.config.iterations, self.dataset.name);
         let settings = self.settings(done, self.dataset.train.angles[view]);
-        Ok(Traced { scanner: self.dataset.scanner, settings, arrays })
+        let arrays = arrays.into_iter().flatten().collect();
+        Ok(fresh::traced(&format!("step-{iteration}"), title, settings, &self.dataset.scanner, arrays))
     }
 
     fn settings(&self, done: usize, angle: f64) -> Map<String, Value> {
@@ -126,7 +116,6 @@ impl<R: Kernels> Trainer<'_, R> {
             "rates": rates,
             "length": config.iterations,
             "done": done,
-            "steps": done,
             "pace": pace(o.horizon, o.longest, config.iterations),
             "beta1": o.beta[0],
             "beta2": o.beta[1],
@@ -154,36 +143,15 @@ fn indices(grid: &Grid, block: &Grid) -> Value {
     json!([first, block.shape].concat())
 }
 
-fn plain(array: ArrayD<f64>) -> BTreeMap<String, ArrayD<f64>> {
-    [(String::new(), array)].into()
-}
-
-fn archive(values: &Parameters) -> BTreeMap<String, ArrayD<f64>> {
-    let of = |group: Group| {
-        let shape = if group.width() == 1 { vec![values.len()] } else { vec![values.len(), group.width()] };
-        let array = ArrayD::from_shape_vec(IxDyn(&shape), values.group(group).to_vec()).expect("rows of one width");
-        (group.key().to_owned(), array)
-    };
-    Group::ALL.map(of).into()
-}
-
-#[cfg(feature = "oracle")]
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::{Config, DensityControl, Method};
-    use crate::oracle::{Outputs, Question, answers, fresh};
+    use crate::geometry::Scanner;
+    use crate::oracle::{Question, answers};
     use crate::scan::simulate::{Object, simulate};
     use crate::scan::{Noise, Phantom};
     use crate::tolerances::relative;
-
-    /// The oracle's answer to a traced iteration, in double precision.
-    fn answer(traced: &Traced) -> Outputs {
-        let Traced { scanner, settings, arrays } = traced.clone();
-        let vectors = fresh::traced("step", String::new(), settings, &scanner, arrays);
-        let question = Question::new(&vectors, &vectors.manifest.cases[0]).unwrap();
-        answers::answer(&question, trgs_core::numeric::Precision::F64).unwrap()
-    }
 
     #[test]
     fn the_answer_to_an_iteration_is_what_the_next_one_starts_from() {
@@ -200,11 +168,14 @@ mod tests {
             // With and without wavelets, in the burn-in and after it.
             for iteration in [1, 3, 8, 12 - 1] {
                 let at = |iteration| trace(&dataset, &plan, iteration, &mut |_| ControlFlow::Continue(())).unwrap();
-                let (found, next) = (answer(&at(iteration)), at(iteration + 1));
+                let (this, next) = (at(iteration), at(iteration + 1));
+                let [case, following] = [&this, &next].map(|vectors| &vectors.manifest.cases[0]);
+                let question = Question::new(&this, case).unwrap();
+                let found = answers::answer(&question, trgs_core::numeric::Precision::F64).unwrap();
                 for (output, role) in
                     [("08-first", "first"), ("09-second", "second"), ("10-momentum", "momentum"), ("11-raw", "raw")]
                 {
-                    for (name, expected) in &next.arrays[role] {
+                    for (name, expected) in &next.arrays(&following.inputs[role]).unwrap() {
                         let found = &found[output][name];
                         let error = found.iter().zip(expected).map(|(a, b)| relative(*a, *b)).fold(0.0, f64::max);
                         within!(error, "{method:?} {iteration} {output} {name}");

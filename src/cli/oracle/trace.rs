@@ -9,11 +9,9 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use trgs::Result;
 use trgs::config::{Config, Method, Preset};
-use trgs::oracle::fresh;
 use trgs::output::{Destination, Kind};
 use trgs::scan::Dataset;
-use trgs::train::{Traced, trace};
-use trgs::words;
+use trgs::train::trace;
 
 /// Write what an iteration of a run starts from, as a question for a backend's training
 ///
@@ -62,14 +60,11 @@ impl Trace {
         let dataset = Dataset::read(&self.dataset)?;
         let plan = config.plan(&dataset.scanner, dataset.train.len())?;
         let mut steps = Steps::new("iterations", global);
-        let Traced { scanner, settings, arrays } = trace(&dataset, &plan, self.iteration, &mut |done| {
+        let vectors = trace(&dataset, &plan, self.iteration, &mut |done| {
             steps.see(done, self.iteration);
             if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })?;
         drop(steps);
-        let (n, name) = (self.iteration, words::name(&self.dataset));
-        let title = format!("Iteration {n} of {} of {name}", plan.iterations);
-        let vectors = fresh::traced(&format!("step-{n}"), title, settings, &scanner, arrays);
         let cases: Vec<_> = vectors.manifest.cases.iter().collect();
         let files = interrupt::shielded(|| vectors.export(destination.clone(), true, &cases))?;
         moved(&destination);

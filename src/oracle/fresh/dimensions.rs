@@ -169,9 +169,8 @@ pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
         iteration::STAGE => {
             let inputs =
                 ["raw", "first", "second", "momentum", "normals", "confidence", "nu_target"].map(|role| (role, 0));
-            let is_of_all =
-                |output: &&str| !["image", "cotangent", "losses", "rates"].iter().any(|end| output.ends_with(end));
-            let outputs: Vec<_> = iteration::OUTPUTS.into_iter().filter(is_of_all).map(|role| (role, 0)).collect();
+            let outputs: Vec<_> =
+                iteration::ARCHIVES.into_iter().chain(["10-momentum"]).map(|role| (role, 0)).collect();
             vec![of(Of::Primitives, &inputs, &outputs, 1, true)]
         }
         _ => Vec::new(),

@@ -190,7 +190,7 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
         }
         let output = |role: &&str| {
             let is_archive = matches!(*role, "grad" | "physical" | "model" | "metrics");
-            let kind = if is_archive || iteration::is_archive(role) { "npz" } else { "npy" };
+            let kind = if is_archive || iteration::ARCHIVES.contains(role) { "npz" } else { "npy" };
             ((*role).to_owned(), FileRef { file: format!("{}/{role}.{kind}", draft.id), sha256: None })
         };
         let Draft { id, stage, title, level, flags, settings, .. } = draft.clone();

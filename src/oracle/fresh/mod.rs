@@ -16,11 +16,11 @@ pub(crate) mod truth;
 
 use crate::format::Format;
 use crate::iteration;
-use crate::manifest::{Arrays, Level, Vectors};
+use crate::manifest::{Level, Vectors};
+use crate::outputs::Outputs;
 use draft::Draft;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::described;
 use trgs_core::error::Result;
@@ -114,13 +114,7 @@ pub fn make(stages: &[String], seed: u64, count: usize, level: Level, ask: Ask) 
 }
 
 /// A traced iteration as a question without truth.
-pub fn traced(
-    name: &str,
-    title: String,
-    settings: Map<String, Value>,
-    scanner: &Scanner,
-    arrays: BTreeMap<String, Arrays>,
-) -> Vectors {
+pub fn traced(name: &str, title: String, settings: Map<String, Value>, scanner: &Scanner, arrays: Outputs) -> Vectors {
     let draft = Draft {
         id: format!("{}/{name}", iteration::STAGE),
         stage: iteration::STAGE.into(),
