@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use trgs::Result;
 use trgs::config::Precision;
 use trgs::oracle::check::{check, select};
-use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, fresh, report, waivers};
+use trgs::oracle::{Format, Level, Options, Question, Tolerances, Vectors, answers, fresh, plain, report, waivers};
 use trgs::output::{Destination, Kind, stage_folder};
 
 /// Check values, gradients and optimiser steps of another implementation
@@ -78,6 +78,9 @@ struct Export {
     /// Leave out the truth
     #[arg(long)]
     blind: bool,
+    /// json: manifest.json and archives; plain: manifest.tsv and .npy files alone
+    #[arg(long, value_name = "FORMAT", default_value = "json", value_parser = ["json", "plain"])]
+    format: String,
     #[command(flatten)]
     replace: Replace,
     #[command(flatten)]
@@ -185,7 +188,10 @@ impl Export {
         let vectors = self.selection.source.vectors()?;
         let cases = select(&vectors, self.selection.level, &self.selection.source.stage)?;
         let destination = self.selection.source.destination(&self.folder, Kind::Vectors, "oracle export", self.replace);
-        let files = interrupt::shielded(|| vectors.export(destination.clone(), self.blind, &cases))?;
+        let files = interrupt::shielded(|| match &*self.format {
+            "plain" => plain::export(&vectors, destination.clone(), self.blind, &cases),
+            _ => vectors.export(destination.clone(), self.blind, &cases),
+        })?;
         moved(&destination);
         Ok(Output::list(&Written { folder: &self.folder, cases: cases.len(), files: files + 2 }))
     }

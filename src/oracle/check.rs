@@ -8,8 +8,9 @@ use super::format::Format;
 use super::fresh::{Ask, refusals};
 use super::iteration;
 use super::limits::{Element, Excess, Tolerances};
-use super::manifest::{Arrays, Case, FileRef, Level, Vectors, decode};
+use super::manifest::{Arrays, Case, FileRef, Level, Vectors};
 use super::place::Errors;
+use super::plain::answered;
 use super::question::Question;
 use super::waivers::Waiver;
 use ndarray::ArrayD;
@@ -370,10 +371,8 @@ fn check_refusal(folder: &Path, case: &Case) -> CaseResult {
 
 /// The arrays of the backend's file, or an outcome with a message.
 fn read_answer(folder: &Path, file: &FileRef) -> std::result::Result<Arrays, (Status, String)> {
-    let path = folder.join(&file.file);
-    match trgs_scan::input::read(&path) {
-        Ok(bytes) => decode(&bytes, &path).map_err(|error| (Status::Failed, error.to_string())),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err((Status::Missing, "no such file".into())),
+    match answered(&folder.join(&file.file)) {
+        Ok(found) => found.ok_or_else(|| (Status::Missing, "no such file".into())),
         Err(error) => Err((Status::Failed, error.to_string())),
     }
 }

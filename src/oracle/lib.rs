@@ -50,6 +50,7 @@ pub mod manifest;
 mod networks;
 mod outputs;
 mod place;
+pub mod plain;
 mod population;
 pub mod question;
 pub mod report;

@@ -71,6 +71,9 @@ pub struct Case {
     pub level: Level,
     /// Special properties; the manifest explains each word.
     pub flags: Vec<String>,
+    /// SHA-256 of the section of PROTOCOL.md that defines the stage; in exports.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub protocol: Option<String>,
     /// Settings that are not arrays: numbers and words.
     pub settings: Map<String, Value>,
     /// Inputs, by role.
@@ -212,6 +215,10 @@ impl Vectors {
         let mut manifest =
             Manifest { cases: cases.iter().map(|&case| case.clone()).collect(), ..self.manifest.clone() };
         manifest.generator.entry(ORIGIN).or_insert_with(|| self.digest.clone().into());
+        let sections = protocol_sections();
+        for case in &mut manifest.cases {
+            case.protocol = sections.get(&*case.stage).map(|text| digest_bytes(text.as_bytes()));
+        }
         let staged = stage_folder(folder.into().of(Kind::Vectors))?;
         let mut files: BTreeMap<PathBuf, &FileRef> = BTreeMap::new();
         for case in cases {
@@ -238,6 +245,15 @@ impl Vectors {
         staged.commit()?;
         Ok(files.len())
     }
+}
+
+/// The section of [`PROTOCOL`] that defines each stage, by the table of stages.
+pub fn protocol_sections() -> BTreeMap<&'static str, &'static str> {
+    let sections: BTreeMap<&str, &str> = (PROTOCOL.split("\n## ").skip(1))
+        .filter_map(|section| section.split_once(". ").map(|(number, _)| (number, section)))
+        .collect();
+    let rows = PROTOCOL.lines().filter_map(|line| line.strip_prefix("| `")?.split_once("` | "));
+    rows.filter_map(|(stage, rest)| Some((stage, *sections.get(rest.split(" |").next()?)?))).collect()
 }
 
 /// The arrays in the bytes of a `.npy` or `.npz` file; `path` gives the format and names it in errors.

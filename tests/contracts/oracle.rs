@@ -9,7 +9,7 @@ use trgs::config::Precision;
 use trgs::oracle::check::{PartResult, Status};
 use trgs::oracle::limits::{Limits, Rule};
 use trgs::oracle::{
-    Case, Format, Level, Options, Question, Tolerances, Vectors, answers, check, iteration, report, waivers,
+    Case, Format, Level, Options, Question, Tolerances, Vectors, answers, check, iteration, plain, report, waivers,
 };
 
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -231,6 +231,51 @@ fn a_blind_export_has_the_inputs_and_nothing_of_the_truth() {
     let report = judge(&vectors, &blind, Format::F64, &[]);
     assert_eq!(report.count(Status::Missing), report.results.len());
     assert!(!report.passed());
+}
+
+#[test]
+fn a_plain_export_has_the_same_numbers_without_json_and_archives() {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    let cases: Vec<_> = vectors.manifest.cases.iter().collect();
+    let [blind, open] = ["blind", "open"].map(|name| folder.path().join(name));
+    plain::export(&vectors, &blind, true, &cases).unwrap();
+    plain::export(&vectors, &open, false, &cases).unwrap();
+    let table = std::fs::read_to_string(blind.join(plain::TABLE)).unwrap();
+    let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split('\t').collect()).collect();
+    assert!(lines.iter().all(|line| line.len() == 4) && lines[0] == ["*", "vectors", "", vectors.origin()]);
+    let numbers = |text: &str| text.split(' ').map(|number| number.parse::<f64>().unwrap()).collect::<Vec<_>>();
+    let value = |case: &str, kind: &str, name: &str| {
+        let found = lines.iter().find(|line| line[..3] == [case, kind, name]);
+        found.unwrap_or_else(|| panic!("{case} {kind} {name}"))[3]
+    };
+    for case in &cases {
+        assert_eq!(serde_json::json!(case.level), value(&case.id, "level", ""));
+        for (name, expected) in &case.settings {
+            let text = value(&case.id, "setting", name);
+            match expected.as_array() {
+                Some(list) => assert_eq!(numbers(text), list.iter().map(|n| n.as_f64().unwrap()).collect::<Vec<_>>()),
+                None => assert_eq!(text, expected.to_string().trim_matches('"')),
+            }
+        }
+        for (role, file) in case.inputs.iter().filter(|(_, file)| !file.file.ends_with(".json")) {
+            for (name, array) in vectors.arrays(file).unwrap() {
+                let name = if name.is_empty() { role.clone() } else { format!("{role}.{name}") };
+                let path = blind.join(value(&case.id, "input", &name));
+                assert_eq!(trgs::scan::npy::read(&path).unwrap().numbers.into_f64(), array, "{} {name}", case.id);
+            }
+        }
+    }
+    let scanned = cases.iter().find(|case| case.inputs.contains_key("scanner")).unwrap();
+    assert!(value(&scanned.id, "scanner", "DSO").parse::<f64>().unwrap() > 0.0);
+    assert_eq!(numbers(value(&scanned.id, "scanner", "nVoxel")).len(), 3);
+    // The truth passes as an answer in this form, and nothing of it is in the blind export.
+    assert!(judge(&vectors, &open.join("expected"), Format::F64, &[]).passed());
+    let report = judge(&vectors, &blind, Format::F64, &[]);
+    assert_eq!(report.count(Status::Missing), report.results.len());
+    // An array that is missing is named.
+    let lost = lines.iter().find(|line| line[1] == "output" && line[2].contains('.')).unwrap();
+    std::fs::remove_file(open.join("expected").join(lost[3])).unwrap();
+    assert_eq!(judge(&vectors, &open.join("expected"), Format::F64, &[]).count(Status::Failed), 1);
 }
 
 /// This program's answers to one stage in a folder, to be modified.

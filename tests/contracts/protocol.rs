@@ -4,7 +4,7 @@ use crate::common::vectors::vectors;
 use crate::root;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use trgs::oracle::manifest::{PROTOCOL, PROTOCOL_FILE};
+use trgs::oracle::manifest::{PROTOCOL, PROTOCOL_FILE, protocol_sections};
 use trgs::oracle::{Case, Level, Vectors};
 
 /// The columns of the row of a stage.
@@ -86,6 +86,25 @@ fn every_function_of_the_generator_that_is_named_exists() {
         found += 1;
     }
     assert!(found >= 30, "{found} functions of the generator are named");
+}
+
+#[test]
+fn the_newest_version_is_that_of_the_manifest_and_each_case_has_the_digest_of_its_section() {
+    let (vectors, folder) = (vectors(), tempfile::tempdir().unwrap());
+    let versions = PROTOCOL.split("\n## 18. ").nth(1).unwrap();
+    let newest: Vec<&str> = versions.lines().nth(6).unwrap().split('|').map(str::trim).collect();
+    assert_eq!(newest[2].trim_matches('`'), vectors.digest, "a change of the vectors is a version: {newest:?}");
+    let stages: BTreeSet<&str> = vectors.manifest.cases.iter().map(|case| &*case.stage).collect();
+    assert_eq!(newest[3], format!("{}, {}", vectors.manifest.cases.len(), stages.len()));
+    let cases: Vec<_> = vectors.manifest.cases.iter().collect();
+    vectors.export(&folder.path().join("vectors"), true, &cases).unwrap();
+    let exported = Vectors::open(folder.path().join("vectors")).unwrap();
+    let sections = protocol_sections();
+    assert!(sections["adam"].starts_with("10. Optimisers") && sections["image-exact"].starts_with("4. Projections"));
+    for case in &exported.manifest.cases {
+        let expected = trgs::scan::digest::digest_bytes(sections[&*case.stage].as_bytes());
+        assert_eq!(case.protocol.as_ref(), Some(&expected), "{}", case.id);
+    }
 }
 
 #[test]

@@ -196,7 +196,8 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
         let Draft { id, stage, title, level, flags, settings, .. } = draft.clone();
         let outputs = super::dimensions::outputs(&draft.stage).iter().map(output).collect();
         let (equations, allowances) = (Vec::new(), BTreeMap::new());
-        cases.push(Case { id, stage, title, equations, level, flags, settings, inputs, outputs, allowances });
+        let protocol = None;
+        cases.push(Case { id, stage, title, equations, level, flags, protocol, settings, inputs, outputs, allowances });
     }
     let mut about: Map<String, Value> =
         [("program".to_owned(), json!(concat!("trgs ", env!("CARGO_PKG_VERSION"))))].into_iter().collect();

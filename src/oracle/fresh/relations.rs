@@ -8,7 +8,7 @@ use super::dimensions::{Of, dimensions};
 use super::draft::Draft;
 use super::flags::RELATIONS;
 use super::truth::{insert, reordered, reversed, zeros};
-use crate::manifest::{Arrays, Case, Vectors, decode};
+use crate::manifest::{Arrays, Case, Vectors};
 use crate::outputs::Outputs;
 use ndarray::{ArrayD, Axis, IxDyn, concatenate};
 use serde_json::json;
@@ -239,8 +239,8 @@ pub(crate) fn complete(vectors: &mut Vectors, folder: &Path) -> Result<()> {
 /// An answer of the right shape.
 fn answered(vectors: &Vectors, index: usize, folder: &Path, shape: &Outputs) -> Option<Outputs> {
     let read = |(role, arrays): (&String, &Arrays)| {
-        let path = folder.join(&vectors.manifest.cases[index].outputs[role].file);
-        let mut got = decode(&trgs_scan::input::read(&path).ok()?, &path).ok()?;
+        let file = &vectors.manifest.cases[index].outputs[role].file;
+        let mut got = crate::plain::answered(&folder.join(file)).ok().flatten()?;
         got.retain(|name, _| arrays.contains_key(name));
         let fits = arrays.iter().all(|(name, array)| got.get(name).is_some_and(|got| got.shape() == array.shape()));
         fits.then(|| (role.clone(), got))

@@ -10,8 +10,9 @@ use crate::format::Format;
 use crate::fresh::draft::{self, Draft};
 use crate::fresh::{Ask, refusals, relations, truth};
 use crate::limits::Tolerances;
-use crate::manifest::{Arrays, Level, Vectors, decode};
+use crate::manifest::{Arrays, Level, Vectors};
 use crate::outputs::Outputs;
+use crate::plain::answered;
 use crate::waivers;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -387,10 +388,7 @@ impl Asker<'_, '_> {
         (self.backend)(&reversed, &questions, &again)?;
         for case in &vectors.manifest.cases {
             for (role, file) in &case.outputs {
-                let [first, second] = [answers, &again].map(|folder| {
-                    let path = folder.join(&file.file);
-                    decode(&trgs_scan::input::read(&path).ok()?, &path).ok()
-                });
+                let [first, second] = [answers, &again].map(|folder| answered(&folder.join(&file.file)).ok().flatten());
                 if bits(first) != bits(second) {
                     let message = format!("{role} has other bits when asked again in the reversed order of questions");
                     differing.insert(case.id.clone(), message);
