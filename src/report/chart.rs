@@ -43,7 +43,11 @@ pub(super) fn line_chart(curves: &[Curve], axes: &Axes<'_>) -> Option<String> {
     let across = |x: f64| if axes.is_logarithmic { log10(x) } else { x };
     let visible = |&&(x, y): &&(f64, f64)| x.is_finite() && y.is_finite() && y > 0.0;
     let points = || curves.iter().flat_map(|curve| curve.points.iter().filter(visible));
-    let (x_min, x_max) = range(points().map(|p| across(p.0)))?;
+    let (x_min, x_max) = match range(points().map(|p| across(p.0)))? {
+        // A choice of which all but one value was given has one point.
+        (low, high) if low == high => (low - 0.5, high + 0.5),
+        ends => ends,
+    };
     let (y_min, y_max) = range(points().map(|p| log10(p.1)))?;
     let (y_min, y_max) = (y_min - 0.05, y_max + 0.05);
     let [left, right, top, bottom] = MARGIN;
@@ -167,6 +171,16 @@ mod tests {
         assert_eq!(logarithmic_ticks(log10(0.018), log10(0.032)), [0.02, 0.025, 0.03]);
         assert_eq!(logarithmic_ticks(log10(0.0628), log10(0.0661)), [0.063, 0.064, 0.065, 0.066]);
         assert_eq!(logarithmic_ticks(log10(3.99), log10(4.41)), [4.0, 4.1, 4.2, 4.3, 4.4]);
+    }
+
+    #[test]
+    fn a_single_point_is_in_the_middle() {
+        for is_logarithmic in [false, true] {
+            let curve = Curve { name: "error", points: vec![(1e-3, 0.03)] };
+            let svg = line_chart(&[curve], &Axes { is_logarithmic, mark: Some(1e-3), ..AXES }).unwrap();
+            assert!(svg.contains(&format!("cx=\"{:.1}\"", (MARGIN[0] + WIDTH - MARGIN[1]) / 2.0)), "{svg}");
+            assert!(svg.len() < 2000, "{} ticks", svg.matches("v5").count());
+        }
     }
 
     #[test]
