@@ -11,6 +11,7 @@ use crate::classical::algebraic::{SartSettings, TvSettings, cgls_arrays};
 use crate::classical::fdk;
 use crate::config::{Config, DensityControl, Finish, Method, Plan, Precision, Sampling, Start};
 use crate::error::{Error, Result};
+use crate::geometry::Scanner;
 use crate::projector;
 use crate::scan::dataset::DatasetInfo;
 use crate::setting::Setting;
@@ -144,6 +145,8 @@ fn tv(config: &Config, sizes: &Sizes) -> Vec<Allocation> {
 /// The sizes that the rows of a run follow from.
 struct Run {
     sizes: Sizes,
+    /// What the training sees.
+    seen: Sizes,
     /// Rows of a view.
     rows: usize,
     /// Primitives at the start.
@@ -155,35 +158,39 @@ struct Run {
 
 impl Run {
     fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
-        let (grid, detector) = (&scan.scanner.grid, scan.scanner.detector.pixels());
+        let grid = config.seen(&scan.scanner).grid;
         let points = match config.initialisation.from {
             Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => config.model.points.min(grid.voxels()),
             Start::Random | Start::Model => config.model.points,
             Start::Dataset => scan.points,
         };
-        let sizes = Sizes {
-            detector,
-            pixels: views * detector,
-            voxels: grid.voxels(),
-            slice: grid.shape[1] * grid.shape[2],
-            slices: grid.shape[0],
-            column: grid.shape[2],
+        let sizes = |scanner: &Scanner| Sizes {
+            detector: scanner.detector.pixels(),
+            pixels: views * scanner.detector.pixels(),
+            voxels: scanner.grid.voxels(),
+            slice: scanner.grid.shape[1] * scanner.grid.shape[2],
+            slices: scanner.grid.shape[0],
+            column: scanner.grid.shape[2],
             real: match config.precision {
                 Precision::F32 => F32,
                 Precision::F64 => F64,
             },
             threads,
         };
-        let (rows, most) = (scan.scanner.detector.rows, most_primitives(points, config));
-        Self { sizes, rows, points, most, test: scan.test }
+        let seen = config.seen(&scan.scanner);
+        let (rows, most) = (seen.detector.rows, most_primitives(points, config));
+        let (sizes, seen) = (sizes(&scan.scanner), sizes(&seen));
+        Self { sizes, seen, rows, points, most, test: scan.test }
     }
 
     fn training(&self, config: &Config) -> Vec<Phase> {
-        let Self { sizes, most: m, .. } = self;
+        let Self { sizes: whole, seen: sizes, most: m, .. } = self;
         let (m, real, d) = (*m, sizes.real, sizes.detector);
+        let averaged = if config.coarse > 1 { sizes.pixels } else { 0 };
         let in_units = config.density_unit.fixed() != Some(1.0);
         let lasting = |count: usize| {
             vec![
+                allocation("projections on longer pixels", averaged, F32),
                 allocation("views as SSIM compares with them: image, mean, variance", sizes.pixels, 3 * real),
                 allocation("projections in units of density", if in_units { sizes.pixels } else { 0 }, F32),
                 // Raw values, two moments each, momentum, id, c, its target, pull and views.
@@ -237,23 +244,23 @@ impl Run {
                     physical,
                     prepared,
                     allocation("primitives on the grid", m, projector::bytes::GRID),
-                    allocation("volume, in slices, together and in single precision", sizes.voxels, 2 * real + F32),
+                    allocation("volume, in slices, together and in single precision", whole.voxels, 2 * real + F32),
                 ],
             ),
         ];
         if config.sampling != Sampling::Point {
-            let volumes = allocation("volume, and its interpolant as it is solved for", sizes.voxels, F64 + 3 * F32);
+            let volumes = allocation("volume, and its interpolant as it is solved for", whole.voxels, F64 + 3 * F32);
             phases.push(Phase { name: "sampling", allocations: vec![volumes] });
         }
         if config.finish != Finish::None {
-            let mut allocations = tv(config, sizes);
-            allocations.push(allocation("volume of the primitives", sizes.voxels, F32));
-            allocations.push(allocation("corrected projections", sizes.pixels, F32));
+            let mut allocations = tv(config, whole);
+            allocations.push(allocation("volume of the primitives", whole.voxels, F32));
+            allocations.push(allocation("corrected projections", whole.pixels, F32));
             phases.push(Phase { name: "finish", allocations });
         }
         if config.has_pilot() {
             let run = [
-                allocation("volume of the run", sizes.voxels, F32),
+                allocation("volume of the run", whole.voxels, F32),
                 allocation("primitives of the run", m, NUMBERS * F64),
                 allocation("views of the pilot run and those held out", sizes.pixels, F32),
             ];

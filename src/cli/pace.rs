@@ -76,7 +76,11 @@ impl Pace<'_> {
             if config.has_pilot() && !self.is_decided {
                 let samplings = if config.sampling == Sampling::Auto { 2.0 } else { 1.0 };
                 parts.push(("the pilot run", PILOT_PART * n * iteration));
-                parts.push(("the choice of the finish", samplings * choice));
+                // Weights are chosen on longer voxels, and one of them is judged on the scan as it is.
+                let coarse = config.coarse.max(1) as f64;
+                let weights = samplings * choice / (coarse * coarse * coarse);
+                let whole = if coarse > 1.0 { 0.5 * samplings * choice } else { 0.0 };
+                parts.push(("the choice of the finish", weights + whole));
             } else if config.has_open_finish() && !self.is_decided {
                 parts.push((WEIGHT, choice));
             }

@@ -151,7 +151,7 @@ impl Reconstruct {
             }
             tell_of_decision(saved, &config);
         } else if config.method.fits_primitives() && config.initialisation.from == Start::Model {
-            let (_, of_model) = primitives_of_model(&dataset.scanner.grid, &config)?;
+            let (_, of_model) = primitives_of_model(&config.seen(&dataset.scanner).grid, &config)?;
             of_model.iter().for_each(|remark| tracing::warn!("{remark}"));
             remarks.extend(of_model.iter().map(Text::from));
         }

@@ -382,7 +382,7 @@ fn confidence(dataset: &Dataset, config: &Config, primitives: &Primitives) -> Op
     if config.method != Method::TrGs || !config.confidence.enabled && !config.wavelet.enabled {
         return None;
     }
-    let settings = config.confidence.settings(dataset.scanner.grid.spacing.min_element());
+    let settings = config.confidence.settings(config.seen(&dataset.scanner).grid.spacing.min_element());
     Some(Coverage::new(settings).confidence(primitives, &dataset.scanner, &dataset.train))
 }
 

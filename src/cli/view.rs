@@ -213,7 +213,7 @@ impl Placed {
         let scene = Scene::of_volumes(&format!("Volumes on the grid of {}", name(path)), all, &dataset.frame)?;
         let Some(primitives) = &self.primitives else { return Ok(Some(scene)) };
         let Dataset { scanner, train, .. } = dataset;
-        let settings = self.config.confidence.settings(scanner.grid.spacing.min_element());
+        let settings = self.config.confidence.settings(self.config.seen(scanner).grid.spacing.min_element());
         let confidence = Coverage::new(settings).confidence(primitives, scanner, train);
         Ok(Some(scene.with_primitives(primitives, &scanner.grid, Some(confidence))))
     }

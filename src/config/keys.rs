@@ -131,6 +131,7 @@ pub(super) mod ranges {
     pub(in crate::config) const NEIGHBOURS: Range<usize> = range("1 to 255", |k| (1..=255).contains(k));
     pub(in crate::config) const GRIDS: Range<usize> = range("1 to 16, or 0: as the scan says", |n| *n <= 16);
     pub(in crate::config) const DOUBLINGS: Range<u32> = range("1 to 24, or 0: as the scan says", |n| *n <= 24);
+    pub(in crate::config) const COARSE: Range<usize> = range("1 to 64, or 0: as the scan says", |n| *n <= 64);
     pub(in crate::config) const SAMPLES: Range<usize> =
         range("an even number up to 65,536, or 0: as the scan says", |n| n.is_multiple_of(2) && *n <= 1 << 16);
 }

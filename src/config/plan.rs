@@ -5,6 +5,7 @@
 //!
 //! | key | value | reason |
 //! |---|---|---|
+//! | `coarse` | 1; 2 from 256 voxels a side, 4 from 512 | the training needs minutes; primitives are longer than such voxels |
 //! | `iterations` | 140 a training view, 1,000 to 5,000 | every view is seen as often, however many there are |
 //! | `model.points` | ¾ n² | primitives lie on surfaces; 49,152 at 256³ |
 //! | `density_control.cap` | 2 n², at most a primitive for 8 rays | the same; a primitive has 12 numbers |
@@ -36,6 +37,8 @@ const FEWEST_ITERATIONS: usize = 1000;
 const MOST_ITERATIONS: usize = 5000;
 /// Fewest primitives that a run starts from, and that its cap is.
 const FEWEST_POINTS: usize = 64;
+/// Voxels a side that the training sees at least, where there are as many.
+const SEEN: usize = 128;
 /// Rays for a primitive.
 const RAYS: usize = 8;
 /// Cells of the finest level of a hash grid along a voxel, and most doublings of anything.
@@ -101,6 +104,10 @@ impl Config {
         if !config.method.fits_primitives() {
             return config;
         }
+        let longest = scanner.grid.shape.into_iter().fold(1, usize::max);
+        let doublings = if config.rules == Rules::Paper { 0 } else { (longest / SEEN).max(1).ilog2() };
+        fill(&mut config.coarse, 1 << doublings);
+        let scanner = &config.seen(scanner);
         let side = cbrt(scanner.grid.voxels() as f64);
         if config.rules == Rules::Paper {
             config.fill_as_in_the_paper(side);
@@ -128,6 +135,11 @@ impl Config {
 }
 
 impl Config {
+    /// The scanner as the training sees it, with `coarse` times as long voxels.
+    pub fn seen(&self, scanner: &Scanner) -> Scanner {
+        scanner.coarser(self.coarse.max(1))
+    }
+
     /// Whether a pilot run chooses the sampling or settings of the finish.
     pub fn has_pilot(&self) -> bool {
         self.method.fits_primitives() && self.tv.pilot && (self.sampling == Sampling::Auto || self.has_open_finish())
@@ -182,12 +194,30 @@ mod tests {
             (config.iterations, config.model.points, config.density_control.cap, config.density_control.every)
         };
         assert_eq!(of(64, 128, 18), (2520, 3072, 8192, 42));
-        assert_eq!(of(256, 512, 50), (5000, 49_152, 131_072, 83));
+        assert_eq!(of(255, 512, 50), (5000, 48_769, 130_050, 83));
         let weight = |voxels| Config::of(Method::TrGs).resolved(&scanner(voxels, 128), 18).loss.tv;
-        assert_eq!([weight(256), weight(64)], [Auto::Fixed(0.05), Auto::Fixed(0.0125)]);
+        assert_eq!([weight(128), weight(64)], [Auto::Fixed(0.025), Auto::Fixed(0.0125)]);
         // Few rays make fewer primitives.
         assert_eq!(of(64, 32, 6), (1000, 768, 768, 16));
         assert_eq!(of(2, 2, 1), (1000, 64, 64, 16));
+    }
+
+    #[test]
+    fn the_training_of_large_volumes_sees_longer_voxels() {
+        let plan = |voxels, pixels| Config::of(Method::TrGs).resolved(&scanner(voxels, pixels), 50);
+        assert_eq!(
+            [2, 128, 255, 256, 511, 512, 1024].map(|voxels| plan(voxels, 2 * voxels).coarse),
+            [1, 1, 1, 2, 2, 4, 8]
+        );
+        // All that follows from the volume follows from the one that is seen.
+        assert_eq!(Config { coarse: 1, ..plan(256, 512) }, plan(128, 256));
+        let mut long = scanner(64, 128);
+        long.grid.shape[2] = 256;
+        assert_eq!(Config::of(Method::TrGs).resolved(&long, 50).coarse, 2);
+        let set = Config { coarse: 1, ..Config::of(Method::TrGs) }.resolved(&scanner(256, 512), 50);
+        assert_eq!((set.coarse, set.model.points), (1, 49_152));
+        let paper = Config { rules: Rules::Paper, ..Config::of(Method::TrGs) }.resolved(&scanner(256, 256), 50);
+        assert_eq!((paper.coarse, paper.model.points), (1, 50_000));
     }
 
     #[test]

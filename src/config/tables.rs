@@ -35,6 +35,8 @@ keys! {
         finish: Finish = Finish::Tv;
         /// Attenuation per scene unit that counts as 1 in primitives, asd-pocs and networks. auto: from the projections.
         density_unit: Auto<f64> = Auto::Auto, POSITIVE_OR_AUTO;
+        /// Length of the voxels that the training sees, in voxels of the scan. 0: 1; 2 from 256 voxels a side, 4 from 512.
+        coarse: usize = 0, COARSE;
         /// Iterations between two reports.
         report_every: usize = 100, AT_LEAST_1;
         /// Iterations between two checkpoints.

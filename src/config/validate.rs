@@ -183,6 +183,7 @@ mod tests {
                 _ => continue,
             };
             let follows_from_the_scan = [
+                "coarse",
                 "iterations",
                 "model.points",
                 "confidence.every",

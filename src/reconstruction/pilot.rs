@@ -10,6 +10,8 @@
 //! error = ‖A x - p'‖ / ‖p'‖     p': views held out, corrected where the views of the fit are corrected
 //! ```
 //!
+//! Where the training sees longer voxels, weights are chosen on those, and all else on the scan as it is.
+//!
 //! Each sampling is a model of the scan. With the interpolant, `A x` predicts the views held out; with point samples, the
 //! projections F of the primitives do, changed by `A (x - x₀)` as the finish changes the volume.
 //!
@@ -24,9 +26,11 @@ use crate::config::{Config, Plan, Precision, Sampling, Start};
 use crate::error::Result;
 use crate::geometry::{Projections, Volume};
 use crate::numeric::Real;
+use crate::primitives::Primitives;
+use crate::projector::{Field, Kernels};
 use crate::reconstruction::Evidence;
 use crate::scan::{Dataset, interpolant};
-use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, train};
+use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, seen, train};
 use std::ops::ControlFlow;
 use trgs_methods::internals::{FinishSearch, choose_finish, pilot_folds};
 
@@ -74,16 +78,33 @@ pub(super) fn choose(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>
     }
 }
 
-fn choose_as<R: Real>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
+fn choose_as<R: Kernels>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    let Some([train_views, held_views]) = pilot_folds(&projector, &dataset.train) else { return Ok(None) };
+    let Some(folds) = pilot_folds(&projector, &dataset.train) else { return Ok(None) };
     let config = shorter(config);
-    let held = dataset.train.select(&held_views);
-    let part = dataset.of_views(&train_views);
+    let part = dataset.of_views(&folds[0]);
     let mut watch = |iteration, record: Option<&Record>| observe(Progress::Pilot(iteration, record));
-    let pilot = train(&part, &config, None, &mut watch)?;
-    let mut choice_of = |sampling| finish_of::<R>(&pilot, sampling, [&part.train, &held], &projector, &config, observe);
-    let mut found = match config.sampling {
+    let TrainedModel { primitives, volume, .. } = train(&part, &config, None, &mut watch)?;
+    let views = |scan: &Dataset| [0, 1].map(|i| scan.train.select(&folds[i]));
+    let whole = Scale { projector, views: views(dataset), volume, factor: 1.0 };
+    let coarse = match &*seen(dataset, &config) {
+        seen if config.coarse > 1 => {
+            let projector = VoxelProjector::new(&seen.scanner, config.algebraic.rays)?;
+            let values = Field::<R>::new(&primitives, config.cutoff).voxels(&seen.scanner.grid);
+            let volume = Volume::new(seen.scanner.grid, values.mapv(|value| value.to_f64() as f32))?;
+            Some(Scale { projector, views: views(seen), volume, factor: config.coarse as f64 })
+        }
+        _ => None,
+    };
+    let mut judge =
+        |scale: &Scale, sampling, weight| finish_of::<R>(&primitives, scale, sampling, weight, &config, observe);
+    let mut choice_of = |sampling| -> Result<Choice> {
+        let Some(coarse) = &coarse else { return judge(&whole, sampling, None) };
+        let coarse = judge(coarse, sampling, None)?;
+        let whole = judge(&whole, sampling, Some(coarse.value))?;
+        Ok(Choice { cost: coarse.cost + whole.cost, ..whole })
+    };
+    let (sampled, mut choice) = match config.sampling {
         Sampling::Auto => {
             let [interpolant, point] = [choice_of(Sampling::Interpolant)?, choice_of(Sampling::Point)?];
             let evidence = Evidence { point: error(&point), interpolant: error(&interpolant) };
@@ -92,45 +113,65 @@ fn choose_as<R: Real>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_
                 true => (Sampling::Interpolant, interpolant),
                 false => (Sampling::Point, point),
             };
-            let choice = Choice { cost, ..choice };
-            Found { sampled: Sampled { sampling, evidence: Some(evidence) }, choice }
+            (Sampled { sampling, evidence: Some(evidence) }, Choice { cost, ..choice })
         }
-        sampling => Found { sampled: Sampled { sampling, evidence: None }, choice: choice_of(sampling)? },
+        sampling => (Sampled { sampling, evidence: None }, choice_of(sampling)?),
     };
     // One iteration of the training projects one view.
-    found.choice.cost += config.iterations as f64 / dataset.train.len() as f64;
-    Ok(Some(found))
+    choice.cost += config.iterations as f64 / dataset.train.len() as f64;
+    Ok(Some(Found { sampled, choice }))
 }
 
-/// The finish of the pilot's volume, sampled as `sampling`, that the second of the `views` asks for.
+/// Voxels on which a finish of the pilot's volume is judged.
+struct Scale {
+    projector: VoxelProjector,
+    /// Views of the fit and those held out.
+    views: [Projections; 2],
+    /// The volume of the pilot's primitives.
+    volume: Volume,
+    /// Length of a voxel in voxels of the scan. λ is relative to the largest entry of Aᵀp, so the same functional has a
+    /// weight that is so many times as small.
+    factor: f64,
+}
+
+/// The finish of the pilot's volume, sampled as `sampling`, that the views held out ask for; its weight can be given.
 fn finish_of<R: Real>(
-    pilot: &TrainedModel,
+    primitives: &Primitives,
+    scale: &Scale,
     sampling: Sampling,
-    views: [&Projections; 2],
-    projector: &VoxelProjector,
+    weight: Option<f64>,
     config: &Config,
     observe: &mut Observe<'_>,
 ) -> Result<Choice> {
+    let Scale { projector, views, volume, factor } = scale;
     let interpolated: Volume;
     let (start, first, fewest, near) = match sampling {
         Sampling::Interpolant => {
-            interpolated = interpolant(&pilot.volume);
+            interpolated = interpolant(volume);
             (&interpolated, FIRST, 0, 0.0)
         }
-        _ => (&pilot.volume, LEAST, SHORTEST, NEAR_CORRECTED),
+        _ => (volume, LEAST, SHORTEST, NEAR_CORRECTED),
     };
     let search = FinishSearch {
-        weight: config.tv.weight.fixed(),
+        weight: config.tv.weight.fixed().or(weight).map(|weight| weight / factor),
         iterations: config.tv.finish_iterations.fixed(),
         share: config.tv.share.fixed(),
         range: [fewest, MOST_ITERATIONS],
         first,
         near,
     };
-    let of = |views| target(views, projector.scanner(), &pilot.primitives, start, sampling, projector, config);
-    let [train, held] = [of(views[0])?, of(views[1])?];
-    let mut watch = |key: &str, trial: Option<&Trial>| -> ControlFlow<()> { observe(Progress::Choosing(key, trial)) };
-    choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, &mut watch)
+    let of = |views| target(views, projector.scanner(), primitives, start, sampling, projector, config);
+    let [train, held] = [of(&views[0])?, of(&views[1])?];
+    let mut watch = |key: &str, trial: Option<&Trial>| -> ControlFlow<()> {
+        let trial = trial.map(|trial| Trial { value: trial.value * factor, ..*trial });
+        observe(Progress::Choosing(key, trial.as_ref()))
+    };
+    let mut found = choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, &mut watch)?;
+    found.value *= factor;
+    found.curve.iter_mut().for_each(|trial| trial.value *= factor);
+    // An iteration projects so many times fewer rays through so many times fewer voxels.
+    found.cost /= factor * factor * factor;
+    Ok(found)
 }
 
 /// The least error of a choice.
@@ -221,6 +262,37 @@ mod tests {
         assert!(unfinished.choice.is_none() && unfinished.unfinished.is_none());
         assert_eq!(unfinished.sampled, Some(sampled));
         assert_eq!(unfinished.volume, found.unfinished.unwrap());
+    }
+
+    #[test]
+    fn a_coarse_pilot_has_its_weight_from_longer_voxels_and_all_else_from_the_scan() {
+        let (scan, mut config) = (scan(8), Config { coarse: 2, sampling: Sampling::Auto, ..config() });
+        let choose = |scan: &Dataset, config: &Config| {
+            let mut trials = Vec::new();
+            let plan = config.plan(&scan.scanner, scan.train.len()).unwrap();
+            let plan = plan.changed(|plan| plan.density_unit = Auto::Fixed(1.0));
+            let mut watch = |progress: Progress<'_>| {
+                if let Progress::Choosing(_, Some(trial)) = progress {
+                    trials.push(trial.value);
+                }
+                ControlFlow::Continue(())
+            };
+            let Found { sampled, choice } = choose(scan, &plan, &mut watch).unwrap().unwrap();
+            (sampled, choice, trials)
+        };
+        let (sampled, choice, trials) = choose(&scan, &config);
+        let coarse = Config { coarse: 1, sampling: sampled.sampling, ..config.clone() };
+        let (_, expected, tried) = choose(&scan.coarser(2), &coarse);
+        assert_eq!((choice.value, choice.curve.len()), (2.0 * expected.value, 1));
+        assert!(tried.iter().all(|value| trials.contains(&(2.0 * value))));
+        assert!(sampled.evidence.is_some() && choice.iterations.is_some() && choice.share.is_some());
+        // Iterations and share are those of the pilot's primitives on the voxels of the scan.
+        config.sampling = sampled.sampling;
+        let alone = choose(&scan, &config).1;
+        assert_eq!((alone.value, alone.iterations, alone.share), (choice.value, choice.iterations, choice.share));
+        config.tv.weight = Auto::Fixed(choice.value);
+        let fixed = choose(&scan, &config).1;
+        assert_eq!((fixed.value, fixed.iterations, fixed.share), (choice.value, choice.iterations, choice.share));
     }
 
     #[test]

@@ -45,6 +45,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use record::Losses;
 use state::State;
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -73,6 +74,9 @@ pub struct TrainedModel {
 
 /// Reconstructs a dataset by fitting primitives to its training views.
 ///
+/// The training sees the scan on pixels and voxels that are `config.coarse` times as long. The volume is on the dataset's
+/// grid.
+///
 /// With `checkpoints` the state is written to a file at intervals, at the end, and when `observe` stops the run. A resumed
 /// run has the same bits. [`Checkpoint::extend`] continues a run beyond its end.
 ///
@@ -91,13 +95,19 @@ pub fn train(
     observe: &mut Observe<'_>,
 ) -> Result<TrainedModel> {
     dataset.scanner.validate()?;
+    let (grid, checkpoints) = (dataset.scanner.grid, checkpoints.map(|checkpoints| (checkpoints, digest(dataset))));
+    let dataset = &*seen(dataset, config);
     let unit = unit_of(dataset, config)?;
-    let checkpoints = checkpoints.map(|checkpoints| (checkpoints, digest(dataset)));
     let dataset = &*in_unit(dataset, unit);
     match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(observe),
+        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(&grid, observe),
+        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(&grid, observe),
     }
+}
+
+/// The scan as the training sees it.
+pub(crate) fn seen<'a>(dataset: &'a Dataset, config: &Config) -> Cow<'a, Dataset> {
+    if config.coarse > 1 { Cow::Owned(dataset.coarser(config.coarse)) } else { Cow::Borrowed(dataset) }
 }
 
 /// The unit of density of a run.
@@ -193,7 +203,8 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(trainer)
     }
 
-    fn run(mut self, observe: &mut Observe<'_>) -> Result<TrainedModel> {
+    /// Trains; `grid` is that of the volume.
+    fn run(mut self, grid: &Grid, observe: &mut Observe<'_>) -> Result<TrainedModel> {
         let (began, before) = (Instant::now(), self.state.seconds);
         let iterations = self.config.iterations;
         while self.state.iteration < iterations {
@@ -223,8 +234,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let mut primitives = self.activation.forward(&self.state.raw);
         primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let field = Field::<R>::new(&primitives, self.config.cutoff);
-        let grid = self.dataset.scanner.grid;
-        let volume = Volume::new(grid, field.voxels(&grid).mapv(|value| value.to_f64() as f32))?;
+        let volume = Volume::new(*grid, field.voxels(grid).mapv(|value| value.to_f64() as f32))?;
         let State { log, continued, .. } = self.state;
         Ok(TrainedModel { primitives, volume, log, unit: self.unit, continued, decision: self.decision })
     }

@@ -48,6 +48,7 @@ pub fn trace(
     if config.optimiser.position == PositionOptimiser::SghmcTextbook {
         return refuse("optimiser.position", "sghmc-textbook".into(), "sghmc or adam".into());
     }
+    let dataset = &*super::seen(dataset, config);
     let unit = super::unit_of(dataset, config)?;
     let dataset = &*in_unit(dataset, unit);
     match config.precision {

@@ -4,7 +4,7 @@ use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
-use trgs::geometry::{Beam, Detector, Grid, Scanner};
+use trgs::geometry::{Beam, Detector, Deviation, Grid, Scanner};
 use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
@@ -50,6 +50,41 @@ fn run(dataset: &Dataset, config: &Config) -> TrainedModel {
 fn bits(result: &TrainedModel) -> Vec<u64> {
     let parameters = &result.primitives.parameters;
     Group::ALL.into_iter().flat_map(|group| parameters.group(group)).map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn a_coarse_training_is_that_of_the_coarser_scan_with_the_volume_of_the_whole_one() {
+    let dataset = scan();
+    let mut posed = dataset.clone();
+    let deviation = Deviation { axis_shift: 0.02, ..Deviation::none(&dataset.scanner) };
+    posed.train.poses = Some(posed.train.angles.iter().map(|&angle| deviation.pose(angle)).collect());
+    let mut flat = dataset.clone();
+    (flat.scanner.grid.shape[2], flat.scanner.grid.spacing.z, flat.truth) = (1, 2.0, None);
+    for (dataset, what) in [(&dataset, "circle"), (&posed, "poses"), (&flat, "one slice")] {
+        let coarse = |factor| {
+            let mut config = busy(Method::TrGs);
+            config.coarse = factor;
+            config
+        };
+        let config = coarse(2);
+        let (found, seen) = (run(dataset, &config), dataset.coarser(2));
+        assert_eq!((seen.scanner.grid.shape[0], seen.scanner.detector.columns), (10, 20));
+        let expected = run(&seen, &coarse(1));
+        assert!(bits(&found) == bits(&expected), "{what}");
+        assert_eq!(found.volume.grid, dataset.scanner.grid);
+        let volume = Field::<f32>::new(&found.primitives, config.cutoff).voxels(&dataset.scanner.grid);
+        assert_eq!(found.volume.values, volume, "{what}");
+        assert_ne!(bits(&run(dataset, &coarse(1))), bits(&found));
+        let (folder, plan) = (tempfile::tempdir().unwrap(), planned(dataset, &config));
+        let file = folder.path().join("checkpoint");
+        let mut stop = |iteration, _: Option<&_>| {
+            if iteration == 23 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        train(dataset, &plan, Some(Checkpoints { file: file.clone(), from: None }), &mut stop).unwrap_err();
+        let from = Some(Checkpoint::read(&file).unwrap());
+        let resumed = train(dataset, &plan, Some(Checkpoints { file, from }), &mut |_, _| ControlFlow::Continue(()));
+        assert!(bits(&resumed.unwrap()) == bits(&found), "{what}: other bits after a stop");
+    }
 }
 
 /// The eight settings of the table of optimisers and density control.

@@ -60,6 +60,7 @@
 //! ([`Trajectory`]). Everything that needs a view takes it from [`View`]: it has the beam and the detector of that view.
 
 mod arrays;
+mod coarser;
 mod pose;
 
 pub use arrays::{Projections, Volume, check_finite};

@@ -252,12 +252,24 @@ impl Dataset {
 
     /// A scan with these training views alone, without test views and truth.
     pub fn of_views(&self, views: &[usize]) -> Self {
+        self.of(self.scanner, self.train.select(views))
+    }
+
+    /// The training views with pixels and voxels `factor` times as long, averaged; without test views and truth.
+    #[must_use]
+    pub fn coarser(&self, factor: usize) -> Self {
+        let scanner = self.scanner.coarser(factor);
+        self.of(scanner, self.train.averaged(scanner.detector.rows, scanner.detector.columns))
+    }
+
+    /// Other training views of the same object.
+    fn of(&self, scanner: Scanner, train: Projections) -> Self {
         Self {
             scale: self.scale,
             frame: self.frame,
             noise: self.noise,
             initial_points: self.initial_points.clone(),
-            ..Self::new(self.name.as_str(), self.scanner, self.train.select(views))
+            ..Self::new(self.name.as_str(), scanner, train)
         }
     }
 

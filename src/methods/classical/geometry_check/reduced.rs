@@ -3,9 +3,7 @@
 use super::Convention;
 use super::stated::Stated;
 use glam::DVec3;
-use ndarray::{Array2, Array3, ArrayView2};
 use trgs_core::geometry::{Beam, Detector, Deviation, Grid, Projections, Scanner};
-use trgs_core::numeric::threads;
 
 /// Largest extent of the grid, as a fraction of the distance to the source.
 const REACH: f64 = 0.95;
@@ -33,10 +31,7 @@ impl Reduced {
     /// The grid has three voxels for four pixels of the longer side.
     pub(super) fn new(views: &Projections, stated: &Stated, pixels: usize) -> Self {
         let Scanner { beam, detector: d, grid } = stated.scanner;
-        let used = views.len();
         let [rows, columns] = [d.rows, d.columns].map(|n| n.div_ceil(n.div_ceil(pixels)));
-        let images = threads::map(used, |i| reduce(views.image(i), rows, columns));
-        let images = Array3::from_shape_vec((used, rows, columns), images.into_iter().flatten().collect());
         let detector = Detector {
             rows,
             columns,
@@ -45,8 +40,7 @@ impl Reduced {
             offset_u: 0.0,
             offset_v: 0.0,
         };
-        let images = images.expect("every image has as many pixels");
-        let views = Projections { poses: None, angles: views.angles.clone(), images };
+        let views = Projections { poses: None, ..views.averaged(rows, columns) };
         Self { beam, detector, grid: symmetric(&grid, &beam, (3 * rows.max(columns)).div_ceil(4)), views }
     }
 
@@ -99,53 +93,9 @@ fn symmetric(grid: &Grid, beam: &Beam, voxels: usize) -> Grid {
     Grid { shape, min: -size / 2.0, spacing: DVec3::splat(spacing) }
 }
 
-/// The mean over each of `rows` × `columns` equal parts of an image.
-fn reduce(image: ArrayView2<'_, f32>, rows: usize, columns: usize) -> Array2<f32> {
-    let (across, along) = (shares(image.ncols(), columns), shares(image.nrows(), rows));
-    Array2::from_shape_fn((rows, columns), |(row, column)| {
-        let line = |v: usize| across[column].iter().map(|&(u, share)| share * f64::from(image[[v, u]])).sum::<f64>();
-        along[row].iter().map(|&(v, share)| share * line(v)).sum::<f64>() as f32
-    })
-}
-
-/// For each of `parts` equal parts of `n` elements: the elements it overlaps and their weights.
-fn shares(n: usize, parts: usize) -> Vec<Vec<(usize, f64)>> {
-    let width = n as f64 / parts as f64;
-    let part = |i: usize| {
-        let (from, to) = (i as f64 * width, (i + 1) as f64 * width);
-        let elements = (from as usize..n).take_while(move |&k| (k as f64) < to - 1e-9);
-        elements.map(move |k| (k, (to.min((k + 1) as f64) - from.max(k as f64)) / width)).collect()
-    };
-    (0..parts).map(part).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tolerances::largest;
-
-    #[test]
-    fn shares_add_up_to_one_and_elements_to_their_width() {
-        for (n, parts) in [(128, 64), (101, 51), (7, 3), (5, 5), (1, 1)] {
-            let shares = shares(n, parts);
-            let mut used = vec![0.0; n];
-            for part in &shares {
-                within!((part.iter().map(|(_, share)| share).sum::<f64>() - 1.0).abs());
-                part.iter().for_each(|&(k, share)| used[k] += share * n as f64 / parts as f64);
-            }
-            within!("elements", largest(used.iter().map(|used| used - 1.0)), "{n} {parts}: {used:?}");
-        }
-    }
-
-    #[test]
-    fn the_mean_of_an_image_stays_and_a_gradient_stays_one() {
-        let image = Array2::from_shape_fn((6, 10), |(v, u)| (2 * v + 3 * u) as f32);
-        let reduced = reduce(image.view(), 3, 5);
-        assert_eq!(
-            reduced,
-            Array2::from_shape_fn((3, 5), |(v, u)| (2.0 * (2.0 * v as f32 + 0.5)) + 3.0 * (2.0 * u as f32 + 0.5))
-        );
-    }
 
     #[test]
     fn the_grid_holds_all_mirror_images_of_a_shifted_volume_and_stays_away_from_the_source() {
