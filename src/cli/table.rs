@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
 use std::time::Instant;
 use trgs::config::Method;
-use trgs::experiments::{self, Case, Cell, Done, Matching, NAMES, Scale, Store, Summary};
+use trgs::experiments::{self, Case, Cell, Done, Judged, Matching, NAMES, Predictions, Scale, Store, Summary};
 use trgs::numeric::threads;
 use trgs::output::{Destination, Kind, SharedFolder};
 use trgs::words;
@@ -41,6 +41,7 @@ const PAGE: &str = ".html";
   trgs table own.toml --out out/own --seeds 3
   trgs table ablation --out out/tables --list-cells
   trgs table ablation --out out/tables --cell 0123456789abcdef0123
+  trgs table volume --size 256 --data data/r2_gaussian --out out/paper --against reference/results/predictions.json
 
 Cells finished in DIR are not run again: an interrupted run continues, and several processes may share DIR.")]
 pub(super) struct Table {
@@ -60,6 +61,9 @@ pub(super) struct Table {
     /// List the cells and run nothing
     #[arg(long)]
     list_cells: bool,
+    /// Compare the finished table with the predictions of a file; the exit code is 1 if a figure is outside its interval
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["list_cells", "cell"])]
+    against: Option<PathBuf>,
 }
 
 /// The arguments of a table.
@@ -229,6 +233,9 @@ impl Table {
             let remedy = "rename the folder, or give a link to it: trgs report reads its name from the table's folder";
             return Err(Error::invalid("--data", words::name(folder), "a name in UTF-8", remedy));
         }
+        let predictions = self.against.as_deref().map(Predictions::read).transpose()?;
+        let predicted: Vec<_> =
+            predictions.iter().flat_map(|all| tables.iter().map(|table| all.of(table))).collect::<Result<_>>()?;
         let cases = what.cases(&tables)?;
         let cells_of = |table: &experiments::Table| table.cells(&cases, what.scale(table), what.seeds);
         if self.list_cells {
@@ -256,7 +263,15 @@ impl Table {
         }
         remember(&tables, &what, out, &folder)?;
         let written = tables.iter().map(|table| what.write(table, &cases, out, &folder)).collect::<Result<Vec<_>>>()?;
-        Ok(answer(out, &written))
+        if predicted.is_empty() {
+            return Ok(answer(out, &written));
+        }
+        let mut judged = Vec::new();
+        for (table, predictions) in tables.iter().zip(predicted) {
+            let summary = Summary::new(table, &cases, what.scale(table), what.seeds, &store)?;
+            judged.extend(predictions.into_iter().map(|prediction| prediction.judged(&summary)));
+        }
+        Ok(judgement(out, &written, &judged))
     }
 
     /// The name of the table, and the arguments with the definition if it is a file.
@@ -298,6 +313,25 @@ pub(super) fn answer(out: &Path, written: &[Written]) -> Output {
         &json!({ "out": words::name(out), "tables": written }),
         ["table", "cells", "order as in the paper", "signs", "page"],
         rows,
+    )
+}
+
+/// The result of the command with predictions.
+fn judgement(out: &Path, written: &[Written], judged: &[Judged]) -> Output {
+    let inside = judged.iter().filter(|judged| judged.is_inside).count();
+    let rows = judged.iter().map(|Judged { prediction: p, found, is_inside }| {
+        let found = found.map_or_else(|| "none".into(), |found| format!("{found:.3}"));
+        let interval = format!("{:.3} to {:.3}", p.low, p.high);
+        let outcome = if *is_inside { "inside" } else { "OUTSIDE" };
+        let row = p.minus.as_ref().map_or_else(|| p.row.clone(), |minus| format!("{} − {minus}", p.row));
+        [row, p.views.to_string(), p.noise.clone(), p.metric.clone(), interval, found, outcome.into()]
+    });
+    Output::judged_table(
+        &json!({ "out": words::name(out), "tables": written, "predictions": judged }),
+        ["row", "views", "noise", "metric", "predicted", "found", ""],
+        rows,
+        &[format!("{inside} of {} figures are in their intervals", judged.len())],
+        inside == judged.len(),
     )
 }
 

@@ -16,6 +16,7 @@ mod conditions;
 mod page;
 #[cfg(feature = "plots")]
 mod plot;
+mod predictions;
 mod runner;
 mod scale;
 mod store;
@@ -26,6 +27,7 @@ mod text;
 pub use case::Case;
 pub use cell::{Cell, Finding};
 pub use conditions::{Conditions, Damage, Rays};
+pub use predictions::{Judged, Prediction, Predictions};
 pub use runner::{Done, Observe, run};
 pub use scale::{Matching, Scale};
 pub use store::Store;

@@ -129,6 +129,11 @@ impl Table {
         Some(self)
     }
 
+    /// Whether the paper's figures are those on measured scans.
+    pub fn is_measured(&self) -> bool {
+        self.paper.get("data").is_some_and(|data| data == "real")
+    }
+
     /// The table with other settings in all rows that fit primitives.
     ///
     /// # Errors

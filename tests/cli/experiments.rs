@@ -183,6 +183,48 @@ fn a_table_of_a_file_runs_and_its_pages_are_made_again() {
 }
 
 #[test]
+fn a_table_is_judged_by_predictions() {
+    let sandbox = Sandbox::new();
+    let own = "title = 'own'\nmetrics = ['psnr_3d']\nviews = [6]\nnoise = ['low']\nfull = 'a'\n\
+               rows = [{ name = 'a', method = 'sart' }, { name = 'b', method = 'fdk' }]\n";
+    sandbox.write("own.toml", own);
+    let table = format!("table own.toml --out out {TINY}");
+    sandbox.done(&table);
+    let lines = lines_of(&sandbox, "out/own.csv");
+    let ours = |row: &str| lines.iter().find(|line| line["row"] == row).unwrap()["ours"].parse::<f64>().unwrap();
+    let prediction = |row: &str, middle: f64| {
+        let [low, high] = [middle - 0.1, middle + 0.1];
+        format!(
+            r#"{{"table":"own","measured":false,"row":"{row}","views":6,"noise":"low","metric":"psnr_3d","low":{low},"expected":{middle},"high":{high}}}"#
+        )
+    };
+    let judged = |predictions: &[String]| {
+        sandbox.write("p.json", format!(r#"{{"about":"","predictions":[{}]}}"#, predictions.join(",")));
+        sandbox.run(&format!("{table} --against p.json"))
+    };
+    let difference = prediction("a", ours("a") - ours("b")).replace("\"views\"", "\"minus\":\"b\",\"views\"");
+    let right = [prediction("a", ours("a")), prediction("b", ours("b")), difference];
+    let output = judged(&right);
+    assert_eq!(output.status.code(), Some(0), "{}", crate::program::stderr(&output));
+    let output = judged(&[right[0].clone(), prediction("b", ours("b") + 0.2)]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("OUTSIDE") && text.contains("1 of 2 figures"), "{text}");
+    // Refused before anything runs.
+    let other = right[0].replace("\"own\"", "\"volume\"");
+    for (predictions, words) in [
+        (vec![prediction("c", 1.0)], "\"c\""),
+        (vec![other], "none for it"),
+        (vec![right[0].replace("low\":", "floor\":")], "floor"),
+        (vec![right[0].replace("\"high\":", "\"high\":-")], "at most"),
+    ] {
+        let output = judged(&predictions);
+        let error = crate::program::stderr(&output);
+        assert!(output.status.code() == Some(2) && error.contains(words), "{words}: {error}");
+    }
+}
+
+#[test]
 fn an_id_follows_from_configuration_and_data() {
     let sandbox = Sandbox::new();
     let first = |arguments: &str| cells(&sandbox, &format!("threshold {arguments}"), "id")[0].clone();
