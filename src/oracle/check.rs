@@ -245,6 +245,22 @@ pub(crate) fn is_deterministic(folder: &Path) -> Result<bool> {
     Ok(backend(folder)?.is_some_and(|about| about["deterministic"] == true))
 }
 
+/// The environment variable that a backend names as the switch of its number of threads.
+///
+/// # Errors
+/// For a description that is unreadable, or names no variable.
+pub(crate) fn thread_switch(folder: &Path) -> Result<Option<String>> {
+    let Some(about) = backend(folder)?.filter(|about| !about["threads"].is_null()) else { return Ok(None) };
+    let name = about["threads"].as_str().unwrap_or_default();
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    if name.is_empty() || name.starts_with(|c: char| c.is_ascii_digit()) || !name.chars().all(plain) {
+        let expected = "the name of an environment variable, such as OMP_NUM_THREADS";
+        let path = folder.join(BACKEND);
+        return Err(Error::format(&path, "threads", &about["threads"], expected, "correct it, or leave it out"));
+    }
+    Ok(Some(name.into()))
+}
+
 /// Refuses answers to other vectors, if the backend says which it answered.
 fn answered_these(about: &Value, vectors: &Vectors, folder: &Path) -> Result<()> {
     match about["vectors"].as_str() {

@@ -181,7 +181,7 @@ impl Replay {
 fn start(command: &[String], questions: &Path, answers: &Path) -> Result<Option<String>> {
     let program = Path::new(&command[0]);
     let mut started = Command::new(program);
-    started.args(&command[1..]).arg(questions).arg(answers).stdin(Stdio::null());
+    started.args(&command[1..]).arg(questions).arg(answers).stdin(Stdio::null()).envs(hunt::environment(questions)?);
     let output = started.output().map_err(|source| Error::read(program, source))?;
     if output.status.success() {
         return Ok(None);

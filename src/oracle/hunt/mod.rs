@@ -30,6 +30,10 @@ const FIRST: usize = 24;
 const LATER: usize = 96;
 /// Questions of one stage in a batch of level `large`: two of each kind of scene.
 const LARGE: usize = 10;
+/// Numbers of threads with which a deterministic backend is asked again.
+const THREADS: [&str; 2] = ["1", "3"];
+/// File among the questions with the environment variables that a backend is to be started with.
+const ENVIRONMENT: &str = "environment.json";
 
 /// An implementation that answers questions: the folder of the questions, and the folder for its answers.
 ///
@@ -228,6 +232,21 @@ fn question(small: &Draft, settings: &Settings) -> Vectors {
     draft::vectors(&ask.forms(small), &generator)
 }
 
+/// The environment variables with which a backend is to be started for the questions of a folder.
+///
+/// # Errors
+/// For a file that is there and cannot be read.
+pub fn environment(questions: &Path) -> Result<BTreeMap<String, String>> {
+    let path = questions.join(ENVIRONMENT);
+    if !path.exists() {
+        return Ok(BTreeMap::new());
+    }
+    let text = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+    let expected = "an object of names and texts";
+    serde_json::from_slice(&text)
+        .map_err(|error| Error::format(&path, "environment", error, expected, "make the questions again"))
+}
+
 /// Asks a backend generated questions again, such as a shrunk one, and judges the answers.
 ///
 /// # Errors
@@ -373,25 +392,40 @@ impl Asker<'_, '_> {
         Ok(results)
     }
 
-    /// Asks a backend that says it is deterministic once more, in the reversed order; the questions with other bits.
+    /// Asks a backend that says it is deterministic again, in the reversed order: once, or with each of [`THREADS`] where it
+    /// names a switch for them; the questions with other bits.
     fn differing(&mut self, vectors: &Vectors, answers: &Path) -> Result<BTreeMap<String, String>> {
         let mut differing = BTreeMap::new();
         if !check::is_deterministic(answers)? {
             return Ok(differing);
         }
-        let scratch = tempfile::tempdir().map_err(|source| Error::write(&std::env::temp_dir(), source))?;
-        let (questions, again) = (scratch.path().join("vectors"), scratch.path().join("answers"));
         let mut reversed = vectors.clone();
         reversed.manifest.cases.reverse();
-        write_plainly(&reversed, &questions)?;
-        trgs_scan::output::create_folder(&again)?;
-        (self.backend)(&reversed, &questions, &again)?;
-        for case in &vectors.manifest.cases {
-            for (role, file) in &case.outputs {
-                let [first, second] = [answers, &again].map(|folder| answered(&folder.join(&file.file)).ok().flatten());
-                if bits(first) != bits(second) {
-                    let message = format!("{role} has other bits when asked again in the reversed order of questions");
-                    differing.insert(case.id.clone(), message);
+        let settings = match check::thread_switch(answers)? {
+            Some(variable) => THREADS.map(|threads| Some((variable.clone(), threads))).to_vec(),
+            None => vec![None],
+        };
+        for setting in settings {
+            let scratch = tempfile::tempdir().map_err(|source| Error::write(&std::env::temp_dir(), source))?;
+            let (questions, again) = (scratch.path().join("vectors"), scratch.path().join("answers"));
+            write_plainly(&reversed, &questions)?;
+            trgs_scan::output::create_folder(&again)?;
+            let mut how = "in the reversed order of questions".to_owned();
+            if let Some((variable, threads)) = setting {
+                how += &format!(" with {variable}={threads}");
+                let path = questions.join(ENVIRONMENT);
+                let text = json!({ variable: threads }).to_string();
+                std::fs::write(&path, text).map_err(|source| Error::write(&path, source))?;
+            }
+            (self.backend)(&reversed, &questions, &again)?;
+            for case in &vectors.manifest.cases {
+                for (role, file) in &case.outputs {
+                    let [first, second] =
+                        [answers, &again].map(|folder| answered(&folder.join(&file.file)).ok().flatten());
+                    if bits(first) != bits(second) {
+                        let message = || format!("{role} has other bits when asked again {how}");
+                        differing.entry(case.id.clone()).or_insert_with(message);
+                    }
                 }
             }
         }

@@ -130,6 +130,37 @@ fn a_backend_that_says_it_is_deterministic_is_asked_twice() {
 }
 
 #[test]
+fn a_deterministic_backend_with_a_switch_for_threads_is_asked_with_other_numbers_of_them() {
+    // A backend whose sums depend on the number of threads, if it is right in all else.
+    let hunt = |wrong_with: &'static str, switch: &'static str| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut asked = Vec::new();
+        let mut hunt = Hunt::open(folder.path(), settings("covariance", 6)).unwrap();
+        let found = hunt.run(folder.path(), None, &mut |vectors, questions, answers| {
+            let variables = environment(questions)?;
+            let threads = variables.get(switch).map_or("8", String::as_str);
+            asked.push(threads.to_owned());
+            for case in &vectors.manifest.cases {
+                let mut outputs = answer(&Question::new(vectors, case)?, Precision::F64)?;
+                let array = outputs.get_mut("covariance").unwrap().get_mut("").unwrap();
+                array.mapv_inplace(|x| if threads == wrong_with { x * (1.0 + 1e-15) } else { x });
+                answers::write(answers, case, &outputs)?;
+            }
+            let about = json!({"deterministic": true, "threads": switch});
+            std::fs::write(answers.join("backend.json"), about.to_string()).unwrap();
+            Ok(None)
+        });
+        (found.map(|()| hunt), asked)
+    };
+    let (right, asked) = hunt("", "OMP_NUM_THREADS");
+    assert!(right.unwrap().findings.is_empty() && asked == ["8", "1", "3"], "{asked:?}");
+    let (wrong, _) = hunt("3", "OMP_NUM_THREADS");
+    assert!(wrong.unwrap().findings[0].error.contains("OMP_NUM_THREADS=3"));
+    let (refused, _) = hunt("", "OMP NUM");
+    assert!(refused.unwrap_err().to_string().contains("environment variable"));
+}
+
+#[test]
 fn a_description_names_the_vectors_and_the_stages_that_were_answered() {
     let (vectors, folder) = (Vectors::embedded().unwrap(), tempfile::tempdir().unwrap());
     let exported = folder.path().join("vectors");
