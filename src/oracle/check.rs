@@ -331,7 +331,7 @@ fn check_case(
                 expected,
                 allowance,
                 conditions: &conditions,
-                format: options.format,
+                format: tolerances.judged_as(&case.stage, options.format),
                 explain,
             };
             parts.push(part.judge(&got)?);

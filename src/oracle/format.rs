@@ -6,7 +6,7 @@ use trgs_core::described;
 described! {
     /// A binary floating-point format.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-    #[serde(rename_all = "lowercase")]
+    #[serde(into = "&str", try_from = "String")]
     pub enum Format {
         /// IEEE 754 double precision.
         F64,
@@ -16,12 +16,16 @@ described! {
         F16,
         /// bfloat16: the upper half of single precision.
         Bf16,
+        /// Single precision in which the factors of matrix products are rounded to 11 bits, as TF32 tensor cores do.
+        Tf32,
+        /// The same with factors in half precision, and its range.
+        F16F32,
     }
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::F64, Self::F32, Self::F16, Self::Bf16];
+    pub const ALL: [Self; 6] = [Self::F64, Self::F32, Self::F16, Self::Bf16, Self::Tf32, Self::F16F32];
 
     /// Its name in files, flags and reports.
     pub fn name(self) -> &'static str {
@@ -30,6 +34,8 @@ impl Format {
             Self::F32 => "f32",
             Self::F16 => "f16",
             Self::Bf16 => "bf16",
+            Self::Tf32 => "tf32",
+            Self::F16F32 => "f16+f32",
         }
     }
 
@@ -38,7 +44,8 @@ impl Format {
         match self {
             Self::F64 => (52, -1022, 1023),
             Self::F32 => (23, -126, 127),
-            Self::F16 => (10, -14, 15),
+            Self::F16 | Self::F16F32 => (10, -14, 15),
+            Self::Tf32 => (10, -126, 127),
             Self::Bf16 => (7, -126, 127),
         }
     }
@@ -68,6 +75,21 @@ impl Format {
         let step = self.ulp(x);
         let rounded = (x / step).round_ties_even() * step;
         if rounded.abs() > self.largest() { f64::INFINITY.copysign(x) } else { rounded }
+    }
+}
+
+impl From<Format> for &str {
+    fn from(format: Format) -> Self {
+        format.name()
+    }
+}
+
+impl TryFrom<String> for Format {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        let expected = || format!("{name:?} is none of {}", Self::ALL.map(Self::name).join(", "));
+        Self::ALL.into_iter().find(|format| format.name() == name).ok_or_else(expected)
     }
 }
 

@@ -14,7 +14,7 @@
 //! | [`manifest`] | cases, levels, files with digests; built into the program |
 //! | [`question`] | a case with its inputs read |
 //! | [`answers`] | this program's answers, in f32 and f64 |
-//! | [`format`](mod@format) | f64, f32, f16, bf16: units in the last place |
+//! | [`format`](mod@format) | f64, f32, f16, bf16, tf32, f16+f32: units in the last place |
 //! | [`difference`] | the norms of an error |
 //! | `condition` | the error of each element that rounding causes |
 //! | `place` | the rows, views, primitives or tiles that are wrong |

@@ -17,6 +17,9 @@ const TEXT: &str = include_str!(concat!(env!("TRGS_REFERENCE"), "/tolerances.tom
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerances {
+    /// Stages with matrix products.
+    #[serde(default)]
+    pub products: Vec<String>,
     /// Rules in order: the last rule that matches an array applies.
     #[serde(rename = "rule")]
     pub rules: Vec<Rule>,
@@ -216,8 +219,19 @@ impl Tolerances {
         Ok(table)
     }
 
+    /// The format whose limits a stage has: where only factors of products are rounded, that of the factors in the stages with
+    /// products, and single precision in the others.
+    pub fn judged_as(&self, stage: &str, format: Format) -> Format {
+        match format {
+            Format::Tf32 | Format::F16F32 if self.products.iter().any(|known| known == stage) => Format::F16,
+            Format::Tf32 | Format::F16F32 => Format::F32,
+            format => format,
+        }
+    }
+
     /// The rule for one array of a case's output.
     pub fn rule(&self, case: &Case, part: &str, format: Format) -> Option<&Rule> {
+        let format = self.judged_as(&case.stage, format);
         self.rules.iter().rev().find(|rule| rule.fits(case, part) && rule.limits.contains_key(&format))
     }
 

@@ -15,8 +15,14 @@ use trgs::oracle::{Format, Level, Options, Outputs, Tolerances, Vectors, answers
 
 const LEVELS: [(&str, Level); 4] =
     [("core", Level::Core), ("optional", Level::Optional), ("stress", Level::Stress), ("large", Level::Large)];
-const FORMATS: [(&str, Format); 4] =
-    [("f64", Format::F64), ("f32", Format::F32), ("f16", Format::F16), ("bf16", Format::Bf16)];
+const FORMATS: [(&str, Format); 6] = [
+    ("f64", Format::F64),
+    ("f32", Format::F32),
+    ("f16", Format::F16),
+    ("bf16", Format::Bf16),
+    ("tf32", Format::Tf32),
+    ("f16+f32", Format::F16F32),
+];
 
 const ASKS: [(&str, fresh::Ask); 3] =
     [("values", fresh::Ask::Values), ("relations", fresh::Ask::Relations), ("refusals", fresh::Ask::Refusals)];

@@ -90,7 +90,7 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
     for_what_cancels(&question, &mut condition)?;
     let unit = match format {
         Format::F64 => Format::F64.ulp(1.0),
-        Format::F32 | Format::F16 | Format::Bf16 => Format::F32.ulp(1.0),
+        _ => Format::F32.ulp(1.0),
     };
     let share = 0.5 * (4.0 * Format::F64.ulp(1.0) + ROUNDINGS * unit);
     add(&mut allowance, &condition, share);

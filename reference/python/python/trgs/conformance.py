@@ -41,7 +41,7 @@ from ._core import (
 )
 
 Level = Literal["core", "optional", "stress", "large"]
-Precision = Literal["f64", "f32", "f16", "bf16"]
+Precision = Literal["f64", "f32", "f16", "bf16", "tf32", "f16+f32"]
 Ask = Literal["values", "relations", "refusals"]
 Answer = ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -111,7 +111,7 @@ class Case:
 
         Parameters
         ----------
-        precision : {"f64", "f32", "f16", "bf16"}
+        precision : {"f64", "f32", "f16", "bf16", "tf32", "f16+f32"}
             The arithmetic of the backend: it selects limits.
         **answers
             Role → array of any number type; of a model or gradient a mapping of its arrays, or the five of them in order.
