@@ -108,6 +108,28 @@ fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
     assert!(
         failed.len() > 1 && failed[1..].iter().all(|part| part["message"].as_str().unwrap().starts_with("after 10-"))
     );
+    // Trainers with another friction, another decay of the rates, and another gate of the noise.
+    let manifest = sandbox.text("step/manifest.json");
+    let setting = |text: &str, name: &str, change: fn(&mut serde_json::Value)| {
+        let mut manifest: serde_json::Value = serde_json::from_str(text).unwrap();
+        change(&mut manifest["cases"][0]["settings"][name]);
+        manifest.to_string()
+    };
+    let double = |value: &mut serde_json::Value| *value = (2.0 * value.as_f64().unwrap()).into();
+    for (wrong, first) in [
+        (setting(&manifest, "friction", double), "10-momentum"),
+        (setting(&manifest, "length", |value| *value = 30.into()), "07-rates"),
+        (setting(&manifest, "reference", double), "10-momentum"),
+    ] {
+        assert_ne!(wrong, manifest);
+        sandbox.write("step/manifest.json", wrong);
+        sandbox.done("oracle answer foreign --vectors step --precision f64 --overwrite");
+        sandbox.write("step/manifest.json", &manifest);
+        let output = sandbox.run("oracle check foreign --vectors step --precision f64 --json");
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let mut parts = report["results"][0]["parts"].as_array().unwrap().iter();
+        assert_eq!(parts.find(|part| part["status"] == "failed").unwrap()["output"], first);
+    }
     for (change, part) in [
         ("--iteration 41", "iteration: got 41, expected 1 to 40"),
         ("--iteration 3 --set optimiser.position=sghmc-textbook", "sghmc-textbook"),
