@@ -137,9 +137,10 @@ def markdown(summary, rules, runs, claims):
         rules = rules.replace(name, f"[{name}]({name})")
     lines += [wrapped(f"{rules} The same page [with plots](VERDICT.html)."), ""]
     lines += rows_of_markdown(runs)
+    lines += [wrapped("Means over the numbers of views; of a series that meets the operating point at some, over those."), ""]
     series = [place for place in range(len(SERIES)) if any(claim["brief"][1 + place] for claim in claims)]
     brief = [[claim["claim"], claim["brief"][0], *(claim["brief"][1 + place] for place in series), verdict_of(claim)] for claim in claims]
-    lines += rows_of_markdown([["mean over the numbers of views", "paper", *([*SERIES.values()][place] for place in series), ""], *brief])
+    lines += rows_of_markdown([["", "paper", *([*SERIES.values()][place] for place in series), ""], *brief])
     for claim in claims:
         lines += [f"## {claim['claim']}", "", wrapped(f"**{claim['verdict'][0].upper()}{claim['verdict'][1:]}.** ({claim['source']})"), ""]
         lines += [*(wrapped(f"- {name}: {text}", "  ") for name, text in claim["rows"]), ""]
