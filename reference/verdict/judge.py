@@ -175,8 +175,17 @@ def judged():
     }
 
 
+def rounded(value):
+    """Numbers to six digits: the last ones differ between versions of SciPy."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: rounded(inner) for key, inner in value.items()}
+    return [rounded(inner) for inner in value] if isinstance(value, list) else value
+
+
 def main():
-    found = judged()
+    found = rounded(judged())
     # A line for each claim and each reading.
     lists = [f'"{key}": [\n' + ",\n".join(json.dumps(row, ensure_ascii=False) for row in found[key]) + "\n]" for key in ("claims", "readings")]
     text = f'{{"rules": "{found["rules"]}",\n' + ",\n".join(lists) + "}\n"
