@@ -18,6 +18,7 @@ import os
 import shlex
 import subprocess
 from pathlib import Path
+from urllib.parse import quote
 
 from snakemake.exceptions import WorkflowError
 
@@ -68,7 +69,9 @@ rule table:
             csv.writer(file).writerows([head, *rows])
         def cells(row):
             failed = row[4] != "finished"
-            link = html.escape(row[0]) if failed else f'<a href="runs/{html.escape(row[0])}/report.html">{html.escape(row[0])}</a>'
+            link = html.escape(row[0])
+            if not failed:
+                link = f'<a href="runs/{quote(row[0])}/report.html">{link}</a>'
             numbers = [f"{value:.4g}" if isinstance(value, float) else value for value in row[5:]]
             texts = [link, *(html.escape(str(value)) for value in [*row[1:5], *numbers])]
             return f'<tr{" class=failed" if failed else ""}>' + "".join(f"<td>{text}</td>" for text in texts) + "</tr>"

@@ -63,10 +63,9 @@ def missed(claim, found):
     return "precision: the interval has zero and half of the paper's effect in it"
 
 
-def judged():
-    """The claims that are differences: name, source, rows of text, verdict, plot."""
+def judged(figures):
+    """The claims that are differences: name, source, means, rows of text, verdict, plot."""
     claims = tomllib.loads((HERE / "claims.toml").read_text())["claim"]
-    figures = json.loads((HERE / "verdict" / "judged.json").read_text())
     for claim, found in zip(claims, figures["claims"], strict=True):
         assert claim["claim"] == found["claim"], "judged.json is of other claims; run judge.py"
         metric = claim.get("metric", "psnr_3d")
@@ -92,9 +91,9 @@ def judged():
         yield {"claim": claim["claim"], "source": claim["source"], "brief": brief, "rows": rows, "verdict": found["outcome"], "plot": plot}
 
 
-def readings():
+def readings_of(figures):
     """Rows of the table of readings."""
-    for row in json.loads((HERE / "verdict" / "judged.json").read_text())["readings"]:
+    for row in figures["readings"]:
         compared = (f"{part['what']} {spread(part['mean'], part['error'], part['metric'])}" for part in row["compared"])
         yield row["reading"], row["prediction"], "; ".join(compared) or "not run"
 
@@ -105,20 +104,20 @@ def verdict_of(claim):
 
 
 def content():
-    """Summary, runs, and all claims."""
+    """Summary, digests, runs, all claims and readings."""
     table = tomllib.loads((HERE / "verdict.toml").read_text())
-    rules = json.loads((HERE / "verdict" / "judged.json").read_text())["rules"]
+    figures = json.loads((HERE / "verdict" / "judged.json").read_text())
     others = [
         {**claim, "rows": [("Paper", claim["paper"]), ("Here", claim["ours"]), ("Command", claim["command"])], "brief": [""] * 4, "plot": None}
         for claim in table["claim"]
     ]
-    claims = [*judged(), *others]
+    claims = [*judged(figures), *others]
     counts = [f"{verdict}: {sum(verdict_of(claim) == verdict for claim in claims)}" for verdict in VERDICTS]
     summary = [*table["summary"].strip().split("\n\n"), f"{len(claims)} claims. {'; '.join(counts)}."]
     runs = [["series", *table["runs"]["columns"]], *table["runs"]["rows"]]
     predictions = hashlib.sha256((HERE / "predictions.json").read_bytes()).hexdigest()
-    digests = f"Rules: PROTOCOL-OF-VERDICT.md, SHA-256 {rules}. Predictions for the paper's own scans: predictions.json, SHA-256 {predictions}."
-    return summary, digests, runs, claims
+    digests = f"Rules: PROTOCOL-OF-VERDICT.md, SHA-256 {figures['rules']}. Predictions for the paper's own scans: predictions.json, SHA-256 {predictions}."
+    return summary, digests, runs, claims, [*readings_of(figures)]
 
 
 def wrapped(text, indent=""):
@@ -130,7 +129,7 @@ def rows_of_markdown(rows):
     return [head, "|" + "---|" * len(rows[0]), *body, ""]
 
 
-def markdown(summary, rules, runs, claims):
+def markdown(summary, rules, runs, claims, readings):
     lines = ["# What holds of the paper", ""]
     lines += [part for paragraph in summary for part in (wrapped(paragraph), "")]
     for name in ("PROTOCOL-OF-VERDICT.md", "predictions.json"):
@@ -145,7 +144,7 @@ def markdown(summary, rules, runs, claims):
         lines += [f"## {claim['claim']}", "", wrapped(f"**{claim['verdict'][0].upper()}{claim['verdict'][1:]}.** ({claim['source']})"), ""]
         lines += [*(wrapped(f"- {name}: {text}", "  ") for name, text in claim["rows"]), ""]
     lines += ["## Readings", "", wrapped("Differences of PSNR_3D in dB, or ρ, on the seven volumes of 64³; 18 views, 12 for T, τ and η."), ""]
-    for name, prediction, found in readings():
+    for name, prediction, found in readings:
         lines += [wrapped(f"- **{name}.** Predicted: {prediction}. Found: {found}.", "  ")]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -183,7 +182,7 @@ def inline(text):
     return "".join(f"<strong>{part}</strong>" if k % 2 else part for k, part in enumerate(parts))
 
 
-def page(summary, rules, runs, claims):
+def page(summary, rules, runs, claims, readings):
     style = """body{font:15px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222}
 article{border-top:1px solid #ccc;padding:.6rem 0;display:grid;grid-template-columns:minmax(0,1fr) 29rem;gap:1rem}
 h2{font-size:1.05rem;margin:.2rem 0}.badge{color:#fff;padding:.1rem .5rem;border-radius:.3rem;font-size:.85rem}
@@ -209,7 +208,7 @@ table{border-collapse:collapse;font-size:.9rem}td,th{border-bottom:1px solid #cc
         plot = bars(claim["plot"]) if claim["plot"] else ""
         parts.append(f"</dl></div><div>{plot}</div></article>")
     parts.append("<h2>Readings</h2><table><tr><th></th><th>predicted</th><th>found (64³, dB of PSNR_3D or ρ)</th></tr>")
-    parts += ["<tr>" + "".join(f"<td>{inline(text)}</td>" for text in row) + "</tr>" for row in readings()]
+    parts += ["<tr>" + "".join(f"<td>{inline(text)}</td>" for text in row) + "</tr>" for row in readings]
     return "\n".join([*parts, "</table></body></html>"]) + "\n"
 
 

@@ -7,6 +7,7 @@ Reads reference/results/verdict/SERIES/TABLE-cases.csv. Needs Python 3.11 and sc
 """
 
 import csv
+import functools
 import hashlib
 import json
 import math
@@ -26,6 +27,7 @@ FULL = ("full", "TR-GS", "TR-GS, AR, SGHMC", "t, AR, SGHMC", "T = 0.25", "τ = 0
 FIGURES = RESULTS / "verdict" / "judged.json"
 
 
+@functools.cache
 def cases(series, table):
     """(views, noise, row, metric) -> {case: value}; None if the table was not run."""
     path = RESULTS / "verdict" / series / f"{table}-cases.csv"
@@ -91,7 +93,7 @@ def measured(series, claim):
 
     def means_of(metric):
         values = {name: [value for views in by_views for value in found.get((views, noise, name, metric), {}).values()] for name in rows}
-        return {name: statistics.fmean(found) for name, found in values.items() if found}
+        return {name: statistics.fmean(of_row) for name, of_row in values.items() if of_row}
 
     return {
         "series": series,
@@ -184,16 +186,19 @@ def rounded(value):
     return [rounded(inner) for inner in value] if isinstance(value, list) else value
 
 
+def keep(path, text):
+    """Writes a file, or with --check demands that it has the text."""
+    if sys.argv[1:] != ["--check"]:
+        path.write_text(text)
+    elif not path.exists() or path.read_text() != text:
+        sys.exit(f"{path.name}: not that of the tables; write it with `python {sys.argv[0]}`")
+
+
 def main():
     found = rounded(judged())
     # A line for each claim and each reading.
     lists = [f'"{key}": [\n' + ",\n".join(json.dumps(row, ensure_ascii=False) for row in found[key]) + "\n]" for key in ("claims", "readings")]
-    text = f'{{"rules": "{found["rules"]}",\n' + ",\n".join(lists) + "}\n"
-    if sys.argv[1:] == ["--check"]:
-        if not FIGURES.exists() or FIGURES.read_text() != text:
-            sys.exit(f"{FIGURES.name}: not that of the tables; write it with `python reference/verdict/judge.py`")
-        return
-    FIGURES.write_text(text)
+    keep(FIGURES, f'{{"rules": "{found["rules"]}",\n' + ",\n".join(lists) + "}\n")
 
 
 if __name__ == "__main__":

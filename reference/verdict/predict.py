@@ -22,15 +22,12 @@ import csv
 import json
 import math
 import statistics
-import sys
-from pathlib import Path
 
-from judge import PAPER, RESULTS, cases
+from judge import PAPER, RESULTS, cases, keep
 from scipy import stats
 
 PROGRAMS = 0.4
 METRIC = "psnr_3d"
-FILE = RESULTS / "predictions.json"
 
 
 def lead(first, second, new):
@@ -68,12 +65,7 @@ def predictions():
 
 def main():
     rows = ",\n".join(json.dumps(row, ensure_ascii=False) for row in predictions())
-    text = f'{{"predictions": [\n{rows}\n]}}\n'
-    if sys.argv[1:] == ["--check"]:
-        if not FILE.exists() or FILE.read_text() != text:
-            sys.exit(f"{FILE.name}: not that of the tables; write it with `python reference/verdict/predict.py`")
-        return
-    FILE.write_text(text)
+    keep(RESULTS / "predictions.json", f'{{"predictions": [\n{rows}\n]}}\n')
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ pub struct Predictions {
 }
 
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Content {
     predictions: Vec<Prediction>,
 }

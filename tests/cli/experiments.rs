@@ -199,7 +199,7 @@ fn a_table_is_judged_by_predictions() {
         )
     };
     let judged = |predictions: &[String]| {
-        sandbox.write("p.json", format!(r#"{{"about":"","predictions":[{}]}}"#, predictions.join(",")));
+        sandbox.write("p.json", format!(r#"{{"predictions":[{}]}}"#, predictions.join(",")));
         sandbox.run(&format!("{table} --against p.json"))
     };
     let difference = prediction("a", ours("a") - ours("b")).replace("\"views\"", "\"minus\":\"b\",\"views\"");
