@@ -267,8 +267,10 @@ fn whole_columns(images: &Array3<f32>, floor: f64, axis: f64) -> Vec<usize> {
         let of_column = |column: usize| {
             let first = column.saturating_sub(REACH).min(columns - 2 * REACH - 1);
             let around = |row: usize| {
-                let others = (first..first + 2 * REACH + 1).filter(|&c| c != column);
-                let mut others: Vec<f64> = others.map(|c| f64::from(image[[row, c]])).collect();
+                let mut others: [f64; 2 * REACH] = std::array::from_fn(|k| {
+                    let c = first + k;
+                    f64::from(image[[row, if c < column { c } else { c + 1 }]])
+                });
                 f64::from(image[[row, column]]) - median(&mut others)
             };
             let errors: Vec<f64> = (0..rows).map(around).collect();

@@ -75,10 +75,14 @@ fn look(scanner: &Scanner, train: &Projections, number: usize) -> Seen {
     // The median of a pixel and its neighbours: a single pixel is no object.
     let reading = |row: usize, column: usize| {
         let near = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
-        let of = |row: usize| near(column, columns).map(move |column| (row, column));
-        let mut values: Vec<f32> = near(row, rows).flat_map(of).map(|pixel| image[pixel]).collect();
-        let middle = values.len() / 2;
-        f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+        let (mut values, mut count) = ([0.0_f32; 9], 0);
+        for row in near(row, rows) {
+            for column in near(column, columns) {
+                values[count] = image[[row, column]];
+                count += 1;
+            }
+        }
+        f64::from(*values[..count].select_nth_unstable_by(count / 2, f32::total_cmp).1)
     };
     let mut beside: Vec<(f64, f64, Place)> = Vec::new();
     let mut largest = f64::NEG_INFINITY;
