@@ -128,6 +128,9 @@ struct Check {
     /// File of accepted failures
     #[arg(long, value_name = "FILE.toml")]
     waivers: Option<PathBuf>,
+    /// File of limits, in the form of reference/tolerances.toml, that are added to the built-in ones
+    #[arg(long, value_name = "FILE.toml")]
+    tolerances: Option<PathBuf>,
     /// Highest level of cases to include
     #[arg(long, default_value = "core", value_parser = choice(&Level::ALL))]
     level: Level,
@@ -231,7 +234,9 @@ impl Check {
             today: waivers::today(),
             commit: trgs::provenance::commit(),
         };
-        let report = check(&vectors, &Tolerances::of(&vectors)?, &self.folder, &options)?;
+        let mut tolerances = Tolerances::embedded()?;
+        self.tolerances.iter().try_for_each(|file| tolerances.add(file))?;
+        let report = check(&vectors, &tolerances.made_for(&vectors), &self.folder, &options)?;
         if let Some(path) = &self.report {
             interrupt::shielded(|| report::write(&report, path))?;
         }

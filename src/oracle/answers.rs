@@ -6,6 +6,7 @@ use super::networks;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
 use super::population;
 use super::question::Question;
+use super::run;
 use ndarray::{Array1, Array2, Array3, Array4, Axis, Ix1, Ix2, Ix3};
 use rand::Rng;
 use std::path::Path;
@@ -208,6 +209,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "noise" => one("noisy", noise(q)?),
         "random" => random(q)?,
         iteration::STAGE => iteration::answer::<R>(q)?,
+        run::STAGE => run::answer::<R>(q)?,
         "metrics" => metrics(q)?,
         "hash-corners" => networks::corners::<R>(q)?,
         "hash-code" => networks::hash_code::<R>(q)?,

@@ -12,6 +12,7 @@ use super::manifest::{Arrays, Case, FileRef, Level, Vectors};
 use super::place::Errors;
 use super::plain::answered;
 use super::question::Question;
+use super::run;
 use super::waivers::Waiver;
 use ndarray::ArrayD;
 use serde::Serialize;
@@ -139,6 +140,9 @@ pub struct Report {
     pub format: Format,
     /// Highest level checked.
     pub level: Level,
+    /// The file of limits that were added to those of this program, with its digest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerances: Option<String>,
     /// Waivers of cases that passed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unused_waivers: Vec<String>,
@@ -232,6 +236,7 @@ pub(crate) fn report(
         backend: about,
         format: options.format,
         level: options.level,
+        tolerances: tolerances.added.clone(),
         unused_waivers: unused.map(|waiver| waiver.case.clone()).collect(),
         results,
     })
@@ -278,7 +283,7 @@ fn declared(about: &Value, folder: &Path) -> Result<Option<Vec<String>>> {
         return Ok(None);
     }
     let stages: Option<Vec<String>> = serde_json::from_value(about["stages"].clone()).ok();
-    let all: Vec<_> = STAGES.into_iter().chain([iteration::STAGE]).collect();
+    let all: Vec<_> = STAGES.into_iter().chain([iteration::STAGE, run::STAGE]).collect();
     let known = |stages: &Vec<String>| stages.iter().all(|stage| all.contains(&stage.as_str()));
     stages.filter(known).map(Some).ok_or_else(|| {
         let (got, expected) = (&about["stages"], format!("a list of {}", all.join(", ")));
@@ -337,8 +342,8 @@ fn check_case(
             parts.push(part.judge(&got)?);
         }
     }
-    // Outputs of an iteration are in the order of its computation: the first wrong one is the cause.
-    if case.stage == iteration::STAGE
+    // Outputs of iterations are in the order of their computation: the first wrong one is the cause.
+    if [iteration::STAGE, run::STAGE].contains(&case.stage.as_str())
         && let Some(first) = parts.iter().position(|part| part.status == Status::Failed)
     {
         let message = format!("after {}, which is wrong already", parts[first].output);

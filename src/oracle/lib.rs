@@ -26,6 +26,7 @@
 //! | [`fresh`] | questions that are generated, and their truth |
 //! | [`hunt`] | failures of a backend, found and shrunk |
 //! | [`iteration`] | one iteration of a run, with every intermediate array |
+//! | [`run`] | iterations in a row |
 //! | [`report`] | Markdown, JSON, JUnit |
 
 #![forbid(unsafe_code)]
@@ -54,7 +55,7 @@ pub mod plain;
 mod population;
 pub mod question;
 pub mod report;
-
+pub mod run;
 pub mod waivers;
 
 pub use check::{Options, Report, Status, check};

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
+use trgs_scan::digest::digest_bytes;
 
 const FILE: &str = "reference/tolerances.toml";
 const TEXT: &str = include_str!(concat!(env!("TRGS_REFERENCE"), "/tolerances.toml"));
@@ -26,6 +27,9 @@ pub struct Tolerances {
     /// Limits of single elements, which hold beside the rules; the last one that matches an array applies.
     #[serde(rename = "element", default)]
     pub elements: Vec<ElementRule>,
+    /// The file of rules that were added.
+    #[serde(skip)]
+    pub added: Option<String>,
 }
 
 /// The limit of an element: `factor`·u·condition, u half a unit in the last place of 1 in the format.
@@ -196,6 +200,19 @@ impl Tolerances {
         }
     }
 
+    /// Adds the rules of a file, which come after those that are there and apply before them.
+    ///
+    /// # Errors
+    /// For a file that cannot be read, and as [`Self::parse`].
+    pub fn add(&mut self, path: &Path) -> Result<()> {
+        let bytes = trgs_scan::input::read(path).map_err(|source| Error::read(path, source))?;
+        let more = Self::parse(&String::from_utf8_lossy(&bytes), path)?;
+        self.rules.extend(more.rules);
+        self.elements.extend(more.elements);
+        self.added = Some(format!("{} (SHA-256 {})", path.display(), digest_bytes(&bytes)));
+        Ok(())
+    }
+
     /// The limits for the questions of these vectors.
     ///
     /// Allowances of generated questions hold the condition of each element: there norms that know no allowances are not
@@ -204,7 +221,13 @@ impl Tolerances {
     /// # Errors
     /// As [`Self::embedded`].
     pub fn of(vectors: &Vectors) -> Result<Self> {
-        let mut table = Self::embedded()?;
+        Ok(Self::embedded()?.made_for(vectors))
+    }
+
+    /// [`Self::of`] for this table.
+    #[must_use]
+    pub fn made_for(mut self, vectors: &Vectors) -> Self {
+        let table = &mut self;
         if crate::fresh::is_generated(vectors) {
             let ask = Ask::of(vectors);
             for limits in table.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()) {
@@ -216,7 +239,7 @@ impl Tolerances {
             }
             table.elements.clear();
         }
-        Ok(table)
+        self
     }
 
     /// The format whose limits a stage has: where only factors of products are rounded, that of the factors in the stages with

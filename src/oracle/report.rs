@@ -83,6 +83,9 @@ pub fn markdown(report: &Report) -> String {
         text += "\n## Waivers\n\n";
         text += &table(&["case", "waiver"], excused);
     }
+    if let Some(file) = &report.tolerances {
+        let _ = writeln!(text, "\nLimits of {file} were added to those of this program.");
+    }
     if !report.unused_waivers.is_empty() {
         let _ = writeln!(text, "\nNo longer needed: the waivers of {}.", report.unused_waivers.join(", "));
     }

@@ -6,21 +6,20 @@ use super::views::random_block;
 use super::{Plan, Trainer};
 use crate::config::{PositionOptimiser, Precision};
 use crate::error::{Error, Result};
-use crate::geometry::Grid;
 use crate::numeric::rng::Purpose;
 use crate::optim::schedule::pace;
 use crate::oracle::internals::{one, parameters};
-use crate::oracle::{Vectors, fresh};
+use crate::oracle::{Outputs, Vectors, fresh, iteration, run};
 use crate::primitives::KernelKind;
 use crate::projector::{Kernels, Projection};
 use crate::scan::dataset::Dataset;
-use ndarray::{Array1, ArrayView2};
+use ndarray::{Array1, Array2, ArrayView2, Axis, stack};
 use serde_json::{Map, Value, json};
 use std::ops::ControlFlow;
 use trgs_methods::internals::in_unit;
 
 /// Runs a configuration up to `iteration`, counted from 1, and returns what that one starts from: a question of the oracle's
-/// stage `iteration`, lengths in scene units, densities in the run's unit.
+/// stage `iteration`, or `run` for several `steps` from there. Lengths are in scene units, densities in the run's unit.
 ///
 /// `observe` is called after every iteration; `Break` stops.
 ///
@@ -30,7 +29,7 @@ use trgs_methods::internals::in_unit;
 pub fn trace(
     dataset: &Dataset,
     config: &Plan,
-    iteration: usize,
+    [iteration, steps]: [usize; 2],
     observe: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> Result<Vectors> {
     let refuse = |what: &str, got: String, expected: String| {
@@ -38,6 +37,9 @@ pub fn trace(
     };
     if !(1..=config.iterations).contains(&iteration) {
         return refuse("iteration", iteration.to_string(), format!("1 to {}", config.iterations));
+    }
+    if !(1..=config.iterations + 1 - iteration).contains(&steps) {
+        return refuse("steps", steps.to_string(), format!("1 to {}", config.iterations + 1 - iteration));
     }
     if !config.method.fits_primitives() {
         return refuse("method", config.method.title().into(), "one that fits primitives".into());
@@ -52,13 +54,17 @@ pub fn trace(
     let unit = super::unit_of(dataset, config)?;
     let dataset = &*in_unit(dataset, unit);
     match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, None)?.traced(iteration, observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, None)?.traced(iteration, observe),
+        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, None)?.traced([iteration, steps], observe),
+        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, None)?.traced([iteration, steps], observe),
     }
 }
 
 impl<R: Kernels> Trainer<'_, R> {
-    fn traced(mut self, iteration: usize, observe: &mut dyn FnMut(usize) -> ControlFlow<()>) -> Result<Vectors> {
+    fn traced(
+        mut self,
+        [iteration, steps]: [usize; 2],
+        observe: &mut dyn FnMut(usize) -> ControlFlow<()>,
+    ) -> Result<Vectors> {
         while self.state.iteration + 1 < iteration {
             let next = self.state.iteration + 1;
             self.step(next)?;
@@ -67,11 +73,14 @@ impl<R: Kernels> Trainer<'_, R> {
                 return Err(Error::interrupted(next, false));
             }
         }
-        let (view, done) = (self.order.view(iteration - 1), iteration - 1);
+        let done = iteration - 1;
+        let views: Vec<usize> = (done..done + steps).map(|step| self.order.view(step)).collect();
         let state = &self.state;
         let count = state.raw.len();
         let [first, second] = state.optimiser.moments(count);
-        let normals: Vec<[f64; 3]> = state.ids.iter().map(|&id| normals(self.config, done, id).to_array()).collect();
+        let normals = |done: usize| -> Vec<[f64; 3]> {
+            state.ids.iter().map(|&id| normals(self.config, done, id).to_array()).collect()
+        };
         let of_all = |values: &[f64]| if values.is_empty() { vec![1.0; count] } else { values.to_vec() };
         let rows = |rows: &[[f64; 3]]| ArrayView2::from(rows).to_owned();
         let arrays = [
@@ -79,27 +88,56 @@ impl<R: Kernels> Trainer<'_, R> {
             parameters("first", &first),
             parameters("second", &second),
             one("momentum", rows(state.optimiser.momentum())),
-            one("normals", rows(&normals)),
             one("confidence", Array1::from(of_all(&state.confidence))),
             one("nu_target", Array1::from(of_all(&self.targets))),
-            one("target", self.dataset.train.image(view).mapv(f64::from)),
         ];
-        let title = format!("Iteration {iteration} of {} of {}", self.config.iterations, self.dataset.name);
-        let settings = self.settings(done, self.dataset.train.angles[view]);
-        let arrays = arrays.into_iter().flatten().collect();
-        Ok(fresh::traced(&format!("step-{iteration}"), title, settings, &self.dataset.scanner, arrays))
+        let (train, of) = (&self.dataset.train, format!("of {} of {}", self.config.iterations, self.dataset.name));
+        let mut settings = self.settings(done);
+        let mut arrays: Outputs = arrays.into_iter().flatten().collect();
+        settings.insert("angles".into(), views.iter().map(|&view| train.angles[view]).collect());
+        let (id, title) = if steps == 1 {
+            arrays.extend(one("normals", rows(&normals(done))));
+            arrays.extend(one("target", train.image(views[0]).mapv(f64::from)));
+            settings.extend(self.blocks(done).map(|(key, block)| (key.into(), json!(block))));
+            (format!("{}/step-{iteration}", iteration::STAGE), format!("Iteration {iteration} {of}"))
+        } else {
+            let all: Vec<Array2<f64>> = (done..done + steps).map(|done| rows(&normals(done))).collect();
+            let all: Vec<_> = all.iter().map(|rows| rows.view()).collect();
+            arrays.extend(one("normals", stack(Axis(0), &all).expect("arrays of one shape")));
+            arrays.extend(one("targets", train.images.mapv(f64::from)));
+            settings.insert("views".into(), json!(views));
+            // A step in which a loss is not due has an empty block.
+            for key in ["tv_block", "wavelet_block"] {
+                let block =
+                    |done| self.blocks(done).find(|(known, _)| *known == key).map_or(Vec::new(), |(_, block)| block);
+                settings.insert(key.into(), (done..done + steps).map(block).collect());
+            }
+            let last = done + steps;
+            (format!("{}/steps-{iteration}-{last}", run::STAGE), format!("Iterations {iteration} to {last} {of}"))
+        };
+        Ok(fresh::traced(id, title, settings, &self.dataset.scanner, arrays))
     }
 
-    fn settings(&self, done: usize, angle: f64) -> Map<String, Value> {
-        let (config, grid, activation) = (self.config, &self.dataset.scanner.grid, &self.activation);
-        let (o, wavelet) = (&config.optimiser, config.wavelet.settings());
+    /// The blocks of the losses that are due in the step after `done`: first voxel and shape.
+    fn blocks(&self, done: usize) -> impl Iterator<Item = (&'static str, Vec<usize>)> {
+        let (config, grid) = (self.config, &self.dataset.scanner.grid);
         let block = |side, multiple, purpose| {
             let block = random_block(grid, side, multiple, config.seed, purpose, done + 1);
-            indices(grid, &block)
+            let first = ((block.min - grid.min) / grid.spacing).round().to_array().map(|index| index as usize);
+            [first, block.shape].concat()
         };
+        let tv =
+            (weight_of_tv(config) > 0.0).then(|| ("tv_block", block(config.loss.tv_block, 1, Purpose::TotalVariation)));
+        let wavelet = (config.wavelet.enabled && (done + 1).is_multiple_of(config.wavelet.every))
+            .then(|| ("wavelet_block", block(config.wavelet.block, 1 << config.wavelet.levels, Purpose::Wavelet)));
+        tv.into_iter().chain(wavelet)
+    }
+
+    fn settings(&self, done: usize) -> Map<String, Value> {
+        let (config, activation) = (self.config, &self.activation);
+        let (o, wavelet) = (&config.optimiser, config.wavelet.settings());
         let rates = [o.mean, o.scale, o.quaternion, o.density, o.nu].concat();
-        let mut settings = json!({
-            "angles": [angle],
+        let settings = json!({
             "projection": if config.projection == Projection::Exact { "exact" } else { "affine" },
             "kernel": if config.model.kernel == KernelKind::Gaussian { "gaussian" } else { "student-t" },
             "scale_range": [activation.scale.min, activation.scale.max],
@@ -127,21 +165,9 @@ impl<R: Kernels> Trainer<'_, R> {
             "friction": config.sghmc.friction,
             "reference": config.sghmc.density_reference,
         });
-        if weight_of_tv(config) > 0.0 {
-            settings["tv_block"] = block(config.loss.tv_block, 1, Purpose::TotalVariation);
-        }
-        if config.wavelet.enabled && (done + 1).is_multiple_of(config.wavelet.every) {
-            settings["wavelet_block"] = block(config.wavelet.block, 1 << config.wavelet.levels, Purpose::Wavelet);
-        }
         let Value::Object(settings) = settings else { unreachable!("an object") };
         settings
     }
-}
-
-/// The indices of the first voxel of a block, and its shape.
-fn indices(grid: &Grid, block: &Grid) -> Value {
-    let first = ((block.min - grid.min) / grid.spacing).round().to_array().map(|index| index as usize);
-    json!([first, block.shape].concat())
 }
 
 #[cfg(test)]
@@ -154,21 +180,48 @@ mod tests {
     use crate::scan::{Noise, Phantom};
     use crate::tolerances::relative;
 
+    fn scan() -> Dataset {
+        let plan = crate::scan::simulate::Plan { views: 4, test_views: 0, noise: Noise::LOW, seed: 1 };
+        let phantom = Phantom::by_name("torso", 0).unwrap();
+        simulate("scan", Object::Phantom(&phantom), &Scanner::synthetic(12, 14), &plan).unwrap()
+    }
+
+    fn config(method: Method) -> Config {
+        let mut config = Config { iterations: 12, precision: Precision::F64, cutoff: 0.0, ..Config::of(method) };
+        config.density_control.method = DensityControl::None;
+        config.model.points = 40;
+        config.wavelet.every = 3;
+        config
+    }
+
+    #[test]
+    fn iterations_in_a_row_end_where_the_training_ends() {
+        let dataset = scan();
+        for method in [Method::TrGs, Method::R2Gaussian] {
+            let mut config = config(method);
+            // Its value at the first of them stays.
+            config.confidence.every = 100;
+            let plan = config.plan(&dataset.scanner, dataset.train.len()).unwrap();
+            let of = |steps| trace(&dataset, &plan, steps, &mut |_| ControlFlow::Continue(())).unwrap();
+            let (run, after) = (of([2, 6]), of([8, 1]));
+            let question = Question::new(&run, &run.manifest.cases[0]).unwrap();
+            let found = answers::answer(&question, trgs_core::numeric::Precision::F64).unwrap();
+            for (name, expected) in &after.arrays(&after.manifest.cases[0].inputs["raw"]).unwrap() {
+                let error = found["6-raw"][name].iter().zip(expected).map(|(a, b)| relative(*a, *b));
+                within!(error.fold(0.0, f64::max), "{method:?} {name}");
+            }
+        }
+    }
+
     #[test]
     fn the_answer_to_an_iteration_is_what_the_next_one_starts_from() {
-        let scanner = Scanner::synthetic(12, 14);
-        let scan = crate::scan::simulate::Plan { views: 4, test_views: 0, noise: Noise::LOW, seed: 1 };
-        let phantom = Phantom::by_name("torso", 0).unwrap();
-        let dataset = simulate("scan", Object::Phantom(&phantom), &scanner, &scan).unwrap();
+        let dataset = scan();
         for method in [Method::TrGs, Method::R2Gaussian] {
-            let mut config = Config { iterations: 12, precision: Precision::F64, cutoff: 0.0, ..Config::of(method) };
-            config.density_control.method = DensityControl::None;
-            config.model.points = 40;
-            config.wavelet.every = 3;
-            let plan = config.plan(&dataset.scanner, dataset.train.len()).unwrap();
+            let plan = config(method).plan(&dataset.scanner, dataset.train.len()).unwrap();
             // With and without wavelets, in the burn-in and after it.
             for iteration in [1, 3, 8, 12 - 1] {
-                let at = |iteration| trace(&dataset, &plan, iteration, &mut |_| ControlFlow::Continue(())).unwrap();
+                let at =
+                    |iteration| trace(&dataset, &plan, [iteration, 1], &mut |_| ControlFlow::Continue(())).unwrap();
                 let (this, next) = (at(iteration), at(iteration + 1));
                 let [case, following] = [&this, &next].map(|vectors| &vectors.manifest.cases[0]);
                 let question = Question::new(&this, case).unwrap();

@@ -78,6 +78,62 @@ fn generated_questions_are_made_answered_and_checked() {
 }
 
 #[test]
+fn limits_of_a_file_are_added_and_said() {
+    let sandbox = Sandbox::new();
+    sandbox.done("oracle answer own --stage covariance --precision f32");
+    let file = sandbox.path("own/covariance/cone-five/covariance.npy");
+    let covariance = npy::read_f64::<ndarray::Ix3>(&file, "[M,3,3]").unwrap();
+    npy::write(&file, (covariance * 1.001).view()).unwrap();
+    let check = "oracle check own --stage covariance --precision f32 --report report.json";
+    assert_eq!(sandbox.run(check).status.code(), Some(1));
+    let limits = "[[rule]]\nstages = [\"covariance\"]\nreason = \"8 bits\"\nlimits.f32 = { peak = 2e-3 }\n\
+                  [[element]]\nstages = [\"covariance\"]\nreason = \"8 bits\"\n";
+    sandbox.write("limits.toml", limits);
+    let report = sandbox.done(&format!("{check} --tolerances limits.toml"));
+    assert!(report["tolerances"].as_str().unwrap().starts_with("limits.toml (SHA-256 "), "{report}");
+    assert!(sandbox.text("report.md").contains("Limits of limits.toml"));
+    sandbox.write("limits.toml", limits.replace("peak", "peek"));
+    let message = sandbox.refused(&format!("{check} --tolerances limits.toml"));
+    assert!(message.contains("limits.toml") && message.contains("peek"), "{message}");
+}
+
+#[test]
+fn iterations_in_a_row_are_judged_by_a_corridor() {
+    let sandbox = Sandbox::with_scan();
+    let run = "--set iterations=40 --set model.points=40";
+    sandbox.done(&format!("oracle trace scan rows --iteration 6 --steps 20 {run}"));
+    for precision in ["f32", "f64"] {
+        sandbox.done(&format!("oracle answer {precision} --vectors rows --precision {precision}"));
+        sandbox.done(&format!("oracle check {precision} --vectors rows --precision {precision}"));
+    }
+    let manifest: serde_json::Value = serde_json::from_str(&sandbox.text("rows/manifest.json")).unwrap();
+    let settings = |wrong: &serde_json::Value| wrong["cases"][0]["settings"].clone();
+    assert_eq!(settings(&manifest)["views"].as_array().unwrap().len(), 20);
+    let double = |value: &serde_json::Value| (2.0 * value.as_f64().unwrap()).into();
+    // Trainers whose burn-in ends a step later, with other moments, and with a step too many behind them.
+    for (name, changed, first) in [
+        ("burn_in", (settings(&manifest)["burn_in"].as_u64().unwrap() + 1).into(), "1-losses"),
+        ("beta2", serde_json::json!(0.998), "1-losses"),
+        ("done", 6.into(), "1-losses"),
+        ("friction", double(&settings(&manifest)["friction"]), "1-losses"),
+    ] {
+        let mut wrong = manifest.clone();
+        wrong["cases"][0]["settings"][name] = changed;
+        sandbox.write("rows/manifest.json", wrong.to_string());
+        sandbox.done("oracle answer foreign --vectors rows --precision f64 --overwrite");
+        sandbox.write("rows/manifest.json", manifest.to_string());
+        let output = sandbox.run("oracle check foreign --vectors rows --precision f32 --json");
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let parts = report["results"][0]["parts"].as_array().unwrap();
+        let failed: Vec<_> = parts.iter().filter(|part| part["status"] == "failed").collect();
+        assert!(failed[0]["output"].as_str().unwrap().starts_with(first), "{name}: {}", failed[0]);
+        assert!(failed[1]["message"].as_str().unwrap().starts_with(&format!("after {first}")), "{name}: {}", failed[1]);
+    }
+    let message = sandbox.refused(&format!("oracle trace scan no {run} --iteration 30 --steps 12"));
+    assert!(message.contains("steps: got 12, expected 1 to 11"), "{message}");
+}
+
+#[test]
 fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
     let sandbox = Sandbox::with_scan();
     let run = "--set iterations=40 --set model.points=40";

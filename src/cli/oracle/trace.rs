@@ -13,7 +13,7 @@ use trgs::output::{Destination, Kind};
 use trgs::scan::Dataset;
 use trgs::train::trace;
 
-/// Write what an iteration of a run starts from, as a question for a backend's training
+/// Write what an iteration of a run starts from, or several in a row, as a question for a backend's training
 ///
 /// The run is made up to that iteration. The question has no truncation of primitives; density control and the confidence
 /// of the next iterations are not part of it.
@@ -32,6 +32,9 @@ pub(super) struct Trace {
     /// The iteration, counted from 1
     #[arg(long, value_name = "N", value_parser = positive)]
     iteration: usize,
+    /// Number of iterations in a row from there
+    #[arg(long, value_name = "N", value_parser = positive, default_value_t = 1)]
+    steps: usize,
     /// Configuration file of the run
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
@@ -60,7 +63,7 @@ impl Trace {
         let dataset = Dataset::read(&self.dataset)?;
         let plan = config.plan(&dataset.scanner, dataset.train.len())?;
         let mut steps = Steps::new("iterations", global);
-        let vectors = trace(&dataset, &plan, self.iteration, &mut |done| {
+        let vectors = trace(&dataset, &plan, [self.iteration, self.steps], &mut |done| {
             steps.see(done, self.iteration);
             if interrupt::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })?;

@@ -1,6 +1,6 @@
 //! The dimensions of each stage's questions: what can be left out, reordered, and counted.
 
-use crate::iteration;
+use crate::{iteration, run};
 
 /// What the elements of a dimension are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +82,7 @@ pub(crate) fn outputs(stage: &str) -> &'static [&'static str] {
         "sghmc-gate" => &["gate"],
         "gradient-shadow" => &["shadow"],
         iteration::STAGE => &iteration::OUTPUTS,
+        run::STAGE => &run::OUTPUTS,
         _ => &["grad"],
     }
 }
@@ -172,6 +173,11 @@ pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
             let outputs: Vec<_> =
                 iteration::ARCHIVES.into_iter().chain(["10-momentum"]).map(|role| (role, 0)).collect();
             vec![of(Of::Primitives, &inputs, &outputs, 1, true)]
+        }
+        run::STAGE => {
+            let outputs: Vec<_> = run::OUTPUTS[1..].iter().map(|role| (*role, 0)).collect();
+            let steps = of(Of::Elements, &[("normals", 0)], &[(run::OUTPUTS[0], 0)], 1, false);
+            vec![of(Of::Primitives, &[("raw", 0)], &outputs, 1, false), steps]
         }
         _ => Vec::new(),
     }

@@ -15,7 +15,6 @@ mod stages;
 pub(crate) mod truth;
 
 use crate::format::Format;
-use crate::iteration;
 use crate::manifest::{Level, Vectors};
 use crate::outputs::Outputs;
 use draft::Draft;
@@ -113,11 +112,12 @@ pub fn make(stages: &[String], seed: u64, count: usize, level: Level, ask: Ask) 
     Ok(draft::vectors(&all, &[("ask", json!(ask)), ("seed", json!(seed)), ("count", json!(count))]))
 }
 
-/// A traced iteration as a question without truth.
-pub fn traced(name: &str, title: String, settings: Map<String, Value>, scanner: &Scanner, arrays: Outputs) -> Vectors {
+/// Traced iterations as a question `stage/name` without truth.
+pub fn traced(id: String, title: String, settings: Map<String, Value>, scanner: &Scanner, arrays: Outputs) -> Vectors {
+    let stage = id.split('/').next().unwrap_or_default().to_owned();
     let draft = Draft {
-        id: format!("{}/{name}", iteration::STAGE),
-        stage: iteration::STAGE.into(),
+        id,
+        stage,
         title,
         level: Level::Core,
         flags: Vec::new(),

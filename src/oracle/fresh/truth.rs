@@ -9,6 +9,8 @@
 //! all inputs moved by a step of [`STEP`] of their natural size in random directions. Centres and detectors move by
 //! fractions of the distances in the scene, because a backend computes with coordinates of that size; amplitudes also by
 //! log Γ, which a backend in single precision takes differences of.
+//!
+//! Runs of many steps have a [corridor](run::corridor) instead.
 
 use super::dimensions::dimensions;
 use super::draft::Draft;
@@ -17,6 +19,7 @@ use crate::format::Format;
 use crate::manifest::{FileRef, Vectors, encode};
 use crate::outputs::Outputs;
 use crate::question::Question;
+use crate::run;
 use ndarray::{ArrayD, Axis};
 use rand::{Rng, RngExt};
 use serde_json::json;
@@ -77,6 +80,14 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
             "change the inputs",
         ));
     }
+    let unit = match format {
+        Format::F64 => Format::F64.ulp(1.0),
+        _ => Format::F32.ulp(1.0),
+    };
+    if question.stage == run::STAGE {
+        let corridor = run::corridor(&question, &truth, 0.5 * ROUNDINGS * unit)?;
+        return Ok((truth, corridor));
+    }
     let mut allowance = zeros(&truth);
     let other = reordered(draft, &answer(&reversed(draft).question()?, Precision::F64)?);
     raise(&mut allowance, &truth, &other, 4.0);
@@ -88,10 +99,6 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
         }
     }
     for_what_cancels(&question, &mut condition)?;
-    let unit = match format {
-        Format::F64 => Format::F64.ulp(1.0),
-        _ => Format::F32.ulp(1.0),
-    };
     let share = 0.5 * (4.0 * Format::F64.ulp(1.0) + ROUNDINGS * unit);
     add(&mut allowance, &condition, share);
     if question.stage.ends_with("-cutoff") {
@@ -106,14 +113,14 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
     Ok((truth, allowance))
 }
 
-pub(super) fn zeros(like: &Outputs) -> Outputs {
+pub(crate) fn zeros(like: &Outputs) -> Outputs {
     let mut zeros = like.clone();
     zeros.values_mut().flat_map(|arrays| arrays.values_mut()).for_each(|array| array.fill(0.0));
     zeros
 }
 
 /// Raises `bound` to `factor` times the difference.
-fn raise(bound: &mut Outputs, a: &Outputs, b: &Outputs, factor: f64) {
+pub(crate) fn raise(bound: &mut Outputs, a: &Outputs, b: &Outputs, factor: f64) {
     for (role, arrays) in bound {
         for (name, bound) in arrays {
             let difference = a[role][name].iter().zip(&b[role][name]).map(|(a, b)| (a - b).abs() * factor);
