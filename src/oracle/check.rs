@@ -224,7 +224,10 @@ pub(crate) fn report(
         true => Ok(check_refusal(folder, case)),
         false => check_case(vectors, tolerances, folder, options, case, explain),
     });
-    let results = results.collect::<Result<Vec<CaseResult>>>()?;
+    let mut results = results.collect::<Result<Vec<CaseResult>>>()?;
+    if explain {
+        diagnosis::together::name(&mut results, vectors, tolerances, options.format)?;
+    }
     let unused = options
         .waivers
         .iter()

@@ -2,7 +2,7 @@
 //! `trgs oracle trace`.
 //!
 //! Each step is one of the stage [`iteration`] from the state that the step before left. Population, confidence and targets of
-//! ν stay as they are. Errors of rounding grow from step to step, so the answer has a corridor: [`corridor`].
+//! ν stay as they are. Errors of rounding grow from step to step, so the answer has a corridor.
 
 use super::fresh::truth;
 use super::iteration;

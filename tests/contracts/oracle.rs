@@ -164,6 +164,51 @@ fn answer_rounded(vectors: &Vectors, folder: &Path, format: Format) {
     }
 }
 
+/// Writes right answers in f32, in which those of some cases are changed.
+fn answer_changed(vectors: &Vectors, folder: &Path, change: &dyn Fn(&Case, usize, f64) -> f64) {
+    for case in &vectors.manifest.cases {
+        let mut outputs = answers::answer(&Question::new(vectors, case).unwrap(), Precision::F32).unwrap();
+        for array in outputs.values_mut().flat_map(|arrays| arrays.values_mut()) {
+            array.iter_mut().enumerate().for_each(|(index, x)| *x = change(case, index, *x));
+        }
+        answers::write(folder, case, &outputs).unwrap();
+    }
+}
+
+#[test]
+fn what_all_failures_have_in_common_is_named() {
+    let (vectors, tolerances) = (vectors(), Tolerances::embedded().unwrap());
+    let names = |change: &dyn Fn(&Case, usize, f64) -> f64| {
+        let folder = tempfile::tempdir().unwrap();
+        answer_changed(&vectors, folder.path(), change);
+        let report = judge(&vectors, folder.path(), Format::F32, &[]);
+        let parts = report.results.into_iter().flat_map(|result| result.parts);
+        parts.filter(|part| part.status == Status::Failed).map(|part| part.looks_like).collect::<Vec<_>>()
+    };
+    let share = |names: &[Option<String>], what: &str| {
+        let named = names.iter().flatten().filter(|name| name.contains(what)).count();
+        named as f64 / names.len() as f64
+    };
+    // Errors of 2⁻¹², with signs as of rounding.
+    let rounded =
+        |index: usize, x: f64| x * (1.0 + if index.wrapping_mul(0x9e37_79b9) >> 7 & 1 == 0 { 2.4e-4 } else { -2.4e-4 });
+    let has_products = |case: &Case| case.level == Level::Core && tolerances.products.contains(&case.stage);
+    let products = names(&|case, index, x| if has_products(case) { rounded(index, x) } else { x });
+    assert!(products.len() > 50 && share(&products, "11 bits") > 0.9, "{products:?}");
+    // The same errors everywhere are no matter of products.
+    let everywhere = names(&|_, index, x| rounded(index, x));
+    assert_eq!(share(&everywhere, "11 bits"), 0.0);
+    // NaN where a primitive has infinite ν, and then elsewhere as well.
+    let is_infinite = |case: &Case| {
+        let model = case.inputs.get("model").map(|file| vectors.arrays(file).unwrap());
+        model.is_some_and(|model| model["nu"].iter().any(|nu| nu.is_infinite()))
+    };
+    let fast = names(&|case, _, x| if is_infinite(case) { f64::NAN } else { x });
+    assert!(fast.len() > 2 && share(&fast, "ν = ∞") == 1.0, "{fast:?}");
+    let broken = names(&|case, _, x| if is_infinite(case) || case.stage == "loss-l1" { f64::NAN } else { x });
+    assert_eq!(share(&broken, "ν = ∞"), 0.0);
+}
+
 #[test]
 fn formats_of_products_have_wide_limits_in_stages_with_products_alone() {
     let (vectors, tolerances) = (vectors(), Tolerances::embedded().unwrap());
