@@ -1,5 +1,7 @@
 //! Checks a backend's answers against the truth.
 
+mod together;
+
 use super::answers::STAGES;
 use super::condition::{self, Conditions};
 use super::diagnosis::{self, arrays::transposition};
@@ -226,7 +228,7 @@ pub(crate) fn report(
     });
     let mut results = results.collect::<Result<Vec<CaseResult>>>()?;
     if explain {
-        diagnosis::together::name(&mut results, vectors, tolerances, options.format)?;
+        together::name(&mut results, vectors, tolerances, options.format)?;
     }
     let unused = options
         .waivers

@@ -2,17 +2,14 @@
 //! `trgs oracle trace`.
 //!
 //! Each step is one of the stage [`iteration`] from the state that the step before left. Population, confidence and targets of
-//! ν stay as they are. Errors of rounding grow from step to step, so the answer has a corridor.
+//! ν stay as they are. Errors of rounding grow from step to step, so the answer has a corridor (`fresh::truth`).
 
-use super::fresh::truth;
 use super::iteration;
 use super::outputs::Outputs;
 use super::question::Question;
 use ndarray::{Array1, ArrayD, Axis, Ix3};
-use rand::RngExt;
 use serde_json::json;
 use trgs_core::error::{Error, Result};
-use trgs_core::numeric::rng::{self, Purpose};
 use trgs_core::projector::Kernels;
 
 /// The stage's name.
@@ -22,37 +19,21 @@ pub(crate) const OUTPUTS: [&str; 6] = ["1-losses", "2-raw", "3-raw", "4-raw", "5
 /// The settings and inputs that a step hands on to the next one, by the output of the stage [`iteration`].
 const STATE: [(&str, &str); 4] =
     [("raw", "11-raw"), ("first", "08-first"), ("second", "09-second"), ("momentum", "10-momentum")];
-/// Runs that make the corridor.
-const RUNS: u64 = 8;
-/// The corridor is this multiple of the largest difference of those runs.
-const FACTOR: f64 = 4.0;
-
 pub(super) fn answer<R: Kernels>(q: &Question) -> Result<Outputs> {
     walk::<R>(q, &mut |_| ())
 }
 
-/// How far correct runs are apart: the difference of f64 runs whose state is changed by ±`unit` of each number after every
-/// step.
-pub(crate) fn corridor(q: &Question, answer: &Outputs, unit: f64) -> Result<Outputs> {
-    let mut corridor = truth::zeros(answer);
-    for run in 0..RUNS {
-        let mut random = rng::stream(0, Purpose::Perturbation, run, 1);
-        let mut change = |array: &mut ArrayD<f64>| {
-            array.mapv_inplace(|x| x * (1.0 + if random.random::<bool>() { unit } else { -unit }));
-        };
-        truth::raise(&mut corridor, answer, &walk::<f64>(q, &mut change)?, FACTOR);
-    }
-    Ok(corridor)
-}
-
 /// Runs all steps; `change` is applied to the arrays of the state after each.
-fn walk<R: Kernels>(q: &Question, change: &mut dyn FnMut(&mut ArrayD<f64>)) -> Result<Outputs> {
+pub(crate) fn walk<R: Kernels>(q: &Question, change: &mut dyn FnMut(&mut ArrayD<f64>)) -> Result<Outputs> {
     let (angles, views) = (q.angles()?, q.list("views")?);
     let (normals, targets) = (q.array::<Ix3>("normals")?, q.array::<Ix3>("targets")?);
     let (begun, steps) = (q.integer("done")?, angles.len());
-    if views.len() != steps || normals.len_of(Axis(0)) != steps || steps == 0 {
-        let got = format!("{} views and {} arrays of normals", views.len(), normals.len_of(Axis(0)));
-        return Err(Error::invalid("run", got, format!("{steps} of each, one for each angle"), "trace the run again"));
+    let count = targets.len_of(Axis(0));
+    let fit = views.len() == steps && normals.len_of(Axis(0)) == steps && steps > 0;
+    if !fit || views.iter().any(|&view| view as usize >= count) {
+        let got = format!("views {views:?} and {} arrays of normals", normals.len_of(Axis(0)));
+        let expected = format!("{steps} of each, one for each angle, and views below {count}");
+        return Err(Error::invalid(format!("case {}", q.id), got, expected, "trace the run again"));
     }
     let mut step = q.clone();
     step.stage = iteration::STAGE.into();

@@ -101,6 +101,8 @@ fn methods_on_voxels_need_what_was_said() {
             // Held-out runs take time, and are smaller.
             "tv" => "--iterations 1 --set tv.weight=1e-3",
             "naf" | "sax-nerf" => "--iterations 2 --set neural.rays=512",
+            // All views in one set, the most that it can need.
+            "os-sart" => "--iterations 1 --set algebraic.subset=22",
             _ => "--iterations 1",
         };
         let voxels = if matches!(method, "naf" | "sax-nerf") { &fewer } else { &voxels };

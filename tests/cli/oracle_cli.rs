@@ -129,6 +129,10 @@ fn iterations_in_a_row_are_judged_by_a_corridor() {
         assert!(failed[0]["output"].as_str().unwrap().starts_with(first), "{name}: {}", failed[0]);
         assert!(failed[1]["message"].as_str().unwrap().starts_with(&format!("after {first}")), "{name}: {}", failed[1]);
     }
+    let mut wrong = manifest.clone();
+    wrong["cases"][0]["settings"]["views"][3] = 99.into();
+    sandbox.write("rows/manifest.json", wrong.to_string());
+    assert!(sandbox.refused("oracle answer no --vectors rows").contains("views below"));
     let message = sandbox.refused(&format!("oracle trace scan no {run} --iteration 30 --steps 12"));
     assert!(message.contains("steps: got 12, expected 1 to 11"), "{message}");
 }

@@ -4,7 +4,6 @@
 //! enough elements must agree (`evidence`). Mistakes that explain it equally well are named together.
 //! The mistakes of [`arrays`] need only the truth. Those of `scenes` recompute the question with one thing changed,
 //! `plain` has the equations of kernels and projections with one fault, `losses` and `steps` those of losses and optimisers.
-//! `together` names what the failures of all cases have in common.
 
 pub mod arrays;
 mod evidence;
@@ -12,7 +11,6 @@ mod losses;
 mod plain;
 mod scenes;
 mod steps;
-pub(crate) mod together;
 
 use evidence::{Accuracy, most_likely};
 

@@ -10,7 +10,8 @@
 //! fractions of the distances in the scene, because a backend computes with coordinates of that size; amplitudes also by
 //! log Γ, which a backend in single precision takes differences of.
 //!
-//! Runs of many steps have a [corridor](run::corridor) instead.
+//! Runs of many steps have a corridor instead: [`CORRIDOR`] times the largest difference of [`RUNS`] runs in f64 whose state is
+//! changed by rounding errors of the format after every step.
 
 use super::dimensions::dimensions;
 use super::draft::Draft;
@@ -35,6 +36,9 @@ const SAMPLES: u64 = 6;
 const STEP: f64 = 1.0 / 4_194_304.0;
 /// Rounding errors of the natural size of the inputs that a correct backend may make.
 const ROUNDINGS: f64 = 8.0;
+/// Runs that make the corridor of a run, and the multiple of their largest difference that it is.
+const RUNS: u64 = 8;
+const CORRIDOR: f64 = 4.0;
 
 /// Adds the truth and its allowances to generated questions; other vectors stay as they are.
 ///
@@ -85,7 +89,7 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
         _ => Format::F32.ulp(1.0),
     };
     if question.stage == run::STAGE {
-        let corridor = run::corridor(&question, &truth, 0.5 * ROUNDINGS * unit)?;
+        let corridor = corridor(&question, &truth, 0.5 * ROUNDINGS * unit)?;
         return Ok((truth, corridor));
     }
     let mut allowance = zeros(&truth);
@@ -113,14 +117,27 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
     Ok((truth, allowance))
 }
 
-pub(crate) fn zeros(like: &Outputs) -> Outputs {
+/// How far correct runs are apart: the difference of runs whose state is changed by ±`unit` of each number after every step.
+fn corridor(question: &Question, truth: &Outputs, unit: f64) -> Result<Outputs> {
+    let mut corridor = zeros(truth);
+    for run in 0..RUNS {
+        let mut random = rng::stream(0, Purpose::Perturbation, run, 1);
+        let mut change = |array: &mut ArrayD<f64>| {
+            array.mapv_inplace(|x| x * (1.0 + if random.random::<bool>() { unit } else { -unit }));
+        };
+        raise(&mut corridor, truth, &run::walk::<f64>(question, &mut change)?, CORRIDOR);
+    }
+    Ok(corridor)
+}
+
+pub(super) fn zeros(like: &Outputs) -> Outputs {
     let mut zeros = like.clone();
     zeros.values_mut().flat_map(|arrays| arrays.values_mut()).for_each(|array| array.fill(0.0));
     zeros
 }
 
 /// Raises `bound` to `factor` times the difference.
-pub(crate) fn raise(bound: &mut Outputs, a: &Outputs, b: &Outputs, factor: f64) {
+fn raise(bound: &mut Outputs, a: &Outputs, b: &Outputs, factor: f64) {
     for (role, arrays) in bound {
         for (name, bound) in arrays {
             let difference = a[role][name].iter().zip(&b[role][name]).map(|(a, b)| (a - b).abs() * factor);

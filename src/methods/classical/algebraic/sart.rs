@@ -57,7 +57,7 @@ impl SartSettings {
         let subset = self.subset.saturating_mul(sizes.detector).min(sizes.pixels);
         vec![
             allocation("projections and lengths of rays", sizes.pixels, 3 * sizes.real),
-            allocation("corrections of a set of views", subset, 3 * sizes.real),
+            allocation("corrections of a set of views, and as the projector orders them", subset, 5 * sizes.real),
             allocation("volume, its copy in the state, and as it is written", sizes.voxels, 2 * sizes.real + F32),
             sizes.at_work(2),
         ]

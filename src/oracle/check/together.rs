@@ -1,6 +1,6 @@
 //! Mistakes that only all cases together tell.
 
-use crate::check::{CaseResult, PartResult, Status};
+use super::{CaseResult, PartResult, Status};
 use crate::format::Format;
 use crate::limits::Tolerances;
 use crate::manifest::Vectors;
@@ -13,7 +13,7 @@ const CASES: usize = 5;
 const STAGES: usize = 3;
 
 /// Names what has no name yet where all failures have the same cause.
-pub(crate) fn name(
+pub(super) fn name(
     results: &mut [CaseResult],
     vectors: &Vectors,
     tolerances: &Tolerances,
