@@ -94,7 +94,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Ok(());
     }
     let given: Vec<usize> = std::env::args().skip(1).filter_map(|argument| argument.parse().ok()).collect();
-    let sides = if given.len() < 2 { SIDES.to_vec() } else { given };
+    if given.len() == 1 {
+        return Err("one side has no exponent: give two or more, such as 24 32".into());
+    }
+    let sides = if given.is_empty() { SIDES.to_vec() } else { given };
     let folder = std::env::temp_dir().join(format!("trgs-sizes-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let mut growths = vec![[Vec::new(), Vec::new()]; METHODS.len()];

@@ -227,17 +227,16 @@ impl Tolerances {
     /// [`Self::of`] for this table.
     #[must_use]
     pub fn made_for(mut self, vectors: &Vectors) -> Self {
-        let table = &mut self;
         if crate::fresh::is_generated(vectors) {
             let ask = Ask::of(vectors);
-            for limits in table.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()) {
+            for limits in self.rules.iter_mut().flat_map(|rule| rule.limits.values_mut()) {
                 limits.cosine = None;
                 if ask == Ask::Relations {
                     let peak = limits.peak.map(|peak| relations::FACTOR * peak);
                     *limits = Limits { peak, ..Limits::default() };
                 }
             }
-            table.elements.clear();
+            self.elements.clear();
         }
         self
     }
@@ -254,12 +253,8 @@ impl Tolerances {
 
     /// The rule for one array of a case's output.
     pub fn rule(&self, case: &Case, part: &str, format: Format) -> Option<&Rule> {
-        self.rule_of(&case.id, &case.stage, part, self.judged_as(&case.stage, format))
-    }
-
-    /// [`Self::rule`] by the names of case and stage, in the format that is judged.
-    pub(crate) fn rule_of(&self, id: &str, stage: &str, part: &str, format: Format) -> Option<&Rule> {
-        self.rules.iter().rev().find(|rule| rule.fits(id, stage, part) && rule.limits.contains_key(&format))
+        let format = self.judged_as(&case.stage, format);
+        self.rules.iter().rev().find(|rule| rule.fits(case, part) && rule.limits.contains_key(&format))
     }
 
     /// The factor of u·condition that limits each element of an array, if its condition is known.
@@ -272,11 +267,11 @@ impl Tolerances {
 }
 
 impl Rule {
-    fn fits(&self, id: &str, stage: &str, part: &str) -> bool {
-        let name = id.rsplit('/').next();
-        self.stages.iter().any(|known| known == stage)
+    fn fits(&self, case: &Case, part: &str) -> bool {
+        let name = case.id.rsplit('/').next();
+        self.stages.contains(&case.stage)
             && (self.parts.is_empty() || self.parts.iter().any(|p| p == part))
             && (self.cases.is_empty()
-                || self.cases.iter().any(|c| c == id || c.strip_prefix("*/").is_some_and(|c| Some(c) == name)))
+                || self.cases.iter().any(|c| *c == case.id || c.strip_prefix("*/").is_some_and(|c| Some(c) == name)))
     }
 }

@@ -59,10 +59,12 @@ impl Question {
 
     /// Whether a primitive, or an element of a list of ν, has infinite degrees of freedom.
     pub(super) fn has_infinite_nu(&self) -> bool {
-        let of = |(role, name): (&String, &String)| if name.is_empty() { role == "nu" } else { name == "nu" };
-        let arrays =
-            self.arrays.iter().flat_map(|(role, arrays)| arrays.iter().map(move |(name, array)| (role, name, array)));
-        arrays.filter(|(role, name, _)| of((role, name))).any(|(.., array)| array.iter().any(|nu| *nu == f64::INFINITY))
+        self.arrays.iter().any(|(role, arrays)| {
+            arrays.iter().any(|(name, array)| {
+                let what = if name.is_empty() { role } else { name };
+                what == "nu" && array.iter().any(|nu| *nu == f64::INFINITY)
+            })
+        })
     }
 
     /// Refuses NaN in any input, and degrees of freedom that are not positive.

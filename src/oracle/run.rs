@@ -16,9 +16,10 @@ use trgs_core::projector::Kernels;
 pub const STAGE: &str = "run";
 /// The outputs: losses of all steps, and the raw parameters after each fifth of the steps.
 pub(crate) const OUTPUTS: [&str; 6] = ["1-losses", "2-raw", "3-raw", "4-raw", "5-raw", "6-raw"];
-/// The settings and inputs that a step hands on to the next one, by the output of the stage [`iteration`].
+/// The inputs that a step hands on to the next one, each with the output of the stage [`iteration`].
 const STATE: [(&str, &str); 4] =
     [("raw", "11-raw"), ("first", "08-first"), ("second", "09-second"), ("momentum", "10-momentum")];
+
 pub(super) fn answer<R: Kernels>(q: &Question) -> Result<Outputs> {
     walk::<R>(q, &mut |_| ())
 }

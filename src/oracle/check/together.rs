@@ -3,7 +3,7 @@
 use super::{CaseResult, PartResult, Status};
 use crate::format::Format;
 use crate::limits::Tolerances;
-use crate::manifest::Vectors;
+use crate::manifest::{Case, Vectors};
 use crate::question::Question;
 use std::collections::BTreeSet;
 use trgs_core::error::Result;
@@ -19,7 +19,7 @@ pub(super) fn name(
     tolerances: &Tolerances,
     format: Format,
 ) -> Result<()> {
-    if products(results, tolerances, format) {
+    if products(results, vectors, tolerances, format) {
         let what =
             "products of factors with 11 bits, as in TF32: the other stages are right, and these within its limits";
         of_failed(results, |_| true).for_each(|part| {
@@ -44,8 +44,12 @@ fn is_nan(part: &PartResult) -> bool {
     part.message.as_deref() == Some("NaN")
 }
 
+fn case_of<'a>(vectors: &'a Vectors, result: &CaseResult) -> &'a Case {
+    vectors.manifest.cases.iter().find(|case| case.id == result.id).expect("a case of these vectors")
+}
+
 /// Whether all failures are in stages with products, and within the limits of products in TF32.
-fn products(results: &[CaseResult], tolerances: &Tolerances, format: Format) -> bool {
+fn products(results: &[CaseResult], vectors: &Vectors, tolerances: &Tolerances, format: Format) -> bool {
     let failed: Vec<&CaseResult> = results.iter().filter(|result| result.status == Status::Failed).collect();
     let stages: BTreeSet<&str> = failed.iter().map(|result| &*result.stage).collect();
     let has_products = |stage: &str| tolerances.products.iter().any(|known| known == stage);
@@ -56,7 +60,7 @@ fn products(results: &[CaseResult], tolerances: &Tolerances, format: Format) -> 
     let within = |result: &CaseResult, part: &PartResult| {
         let name = part.output.rsplit('.').next().unwrap_or_default();
         let format = tolerances.judged_as(&result.stage, Format::Tf32);
-        let limits = tolerances.rule_of(&result.id, &result.stage, name, format).map(|rule| rule.limits[&format]);
+        let limits = tolerances.rule(case_of(vectors, result), name, format).map(|rule| rule.limits[&format]);
         let (Some(limits), Some(difference)) = (limits, &part.difference) else { return false };
         let below = |value: f64, limit: Option<f64>| limit.is_none_or(|limit| value <= limit);
         below(difference.peak, limits.peak) && below(difference.l2, limits.l2)
@@ -71,8 +75,7 @@ fn products(results: &[CaseResult], tolerances: &Tolerances, format: Format) -> 
 fn infinite(results: &[CaseResult], vectors: &Vectors) -> Result<bool> {
     let of_nan: Vec<&CaseResult> = results.iter().filter(|result| result.parts.iter().any(is_nan)).collect();
     for result in &of_nan {
-        let case = vectors.manifest.cases.iter().find(|case| case.id == result.id).expect("a case of these vectors");
-        if !Question::new(vectors, case)?.has_infinite_nu() {
+        if !Question::new(vectors, case_of(vectors, result))?.has_infinite_nu() {
             return Ok(false);
         }
     }
