@@ -27,14 +27,14 @@ def processor_time():
     return used.ru_utime + used.ru_stime
 
 
-def hunt(trgs, precision, bug, text, folder):
+def hunt(trgs, precision, bug, text, folder, levels={"core": 200, "stress": 200}):
     command = [sys.executable, "-W", "ignore", str(shared.mutated(bug, text, folder))]
     # The hunt appends the two folders; the precision comes after them.
     (folder / "run.sh").write_text('exec "$@" ' + WORDS[precision])
     begin = processor_time()
-    for level in ("core", "stress"):
+    for level, cases in levels.items():
         out = folder / level
-        asked = ["--stage", bug[1].split(",")[0], "--cases", "200", "--precision", precision, "--level", level, "--out", str(out)]
+        asked = ["--stage", bug[1].split(",")[0], "--cases", str(cases), "--precision", precision, "--level", level, "--out", str(out)]
         done = subprocess.run([trgs, "oracle", "hunt", *asked, "--", "sh", str(folder / "run.sh"), *command], capture_output=True, text=True)
         assert done.returncode in (0, 1), f"{bug[0]}: {done.stderr}"
         findings = json.loads((out / "hunt.json").read_text())["findings"]

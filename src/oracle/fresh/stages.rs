@@ -12,6 +12,9 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use trgs_core::primitives::Parameters;
 
+/// A difference that single precision holds beside numbers below 1.
+const FAINT: f64 = 1.0 / (1 << 24) as f64;
+
 /// Question `index` of a stage: a function of its arguments alone; `huge` allows sizes that have no truth.
 pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level, huge: bool) -> Draft {
     let number = STAGES.iter().position(|name| *name == stage).expect("a stage with generated questions") as u64;
@@ -33,10 +36,12 @@ pub(crate) fn draft(stage: &str, seed: u64, index: u64, level: Level, huge: bool
 
 fn fill(new: &mut Draft, draw: &mut Draw) {
     let stage = new.stage.clone();
+    let stress = new.level == Level::Stress;
     match stage.as_str() {
         "kernel" => {
             let n = draw.size(1, 12);
-            let delta = (0..n).map(|_| if draw.chance(0.1) { 0.0 } else { draw.magnitude(1e-4, 60.0) }).collect();
+            let far = if stress { 1e12 } else { 60.0 };
+            let delta = (0..n).map(|_| if draw.chance(0.1) { 0.0 } else { draw.magnitude(1e-4, far) }).collect();
             let nu = (0..n).map(|_| nu(draw, new.level)).collect();
             put(new, "delta", numbers(delta));
             put(new, "nu", numbers(nu));
@@ -54,7 +59,8 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
                 _ => [draw.count(1, 5), draw.count(1, 5), draw.count(1, 5)],
             };
             let block = steps(new, draw, &shape);
-            put(new, "block", block);
+            let faint = stress && draw.chance(0.25);
+            put(new, "block", if faint { block.mapv(|x| x * FAINT) } else { block });
         }
         "haar" | "wavelet-loss" => wavelets(new, draw),
         "nu-target" => {
@@ -84,13 +90,13 @@ fn fill(new: &mut Draft, draw: &mut Draw) {
             put(new, "steps", numbers(steps));
         }
         "adam" => {
-            let (n, steps) = (draw.size(1, 5), draw.count(1, 12));
+            let (n, steps) = (draw.size(1, 5), draw.count(1, if stress { 60 } else { 12 }));
             new.settings = settings(
                 json!({"beta1": draw.pick(&[0.9, 0.5, 0.95]), "beta2": draw.pick(&[0.999, 0.99]), "epsilon": 1e-15}),
             );
             put(new, "start", numbers(draw.row(n, -1.0, 1.0)));
             let zero = draw.kind != Kind::Random && draw.chance(0.3);
-            let size = draw.magnitude(1e-4, 10.0);
+            let size = if stress { draw.magnitude(1e-14, 1e4) } else { draw.magnitude(1e-4, 10.0) };
             let gradients =
                 draw.row(n * steps, -1.0, 1.0).into_iter().map(|g| if zero { 0.0 } else { single(g * size) });
             let gradients = gradients.collect();
@@ -294,12 +300,17 @@ fn trap(
             "nu-outside-training-range"
         }
         10 => {
-            (scanner.mode, angles[0]) = ("cone".into(), 0.0);
-            rows[0].mean[0] = single(scanner.dso * draw.pick(&[0.95, 1.0, 1.05]));
+            let place = draw.pick(&[0.95, 0.985, 0.995, 1.0, 1.05]);
+            // Parallel rays pass through what is behind the source, too.
+            if place <= 1.0 {
+                scanner.mode = "cone".into();
+            }
+            angles[0] = 0.0;
+            rows[0].mean[0] = single(scanner.dso * place);
             "behind-source"
         }
         11 => {
-            rows[0].nu = draw.pick(&[1e4, 1e6]);
+            rows[0].nu = draw.pick(&[0.5, 1e4, 1e6]);
             "nu-outside-training-range"
         }
         12 => {
@@ -370,7 +381,9 @@ fn images(new: &mut Draft, draw: &mut Draw) {
         _ => [draw.count(1, most), draw.count(1, most)],
     };
     let target = steps(new, draw, &shape).mapv(f64::abs);
+    let faint = new.level == Level::Stress && new.stage == "loss-l1" && draw.chance(0.25);
     let prediction = match draw.count(0, 2) {
+        _ if faint => target.mapv(|t| single(t + FAINT)),
         0 => steps(new, draw, &shape).mapv(f64::abs),
         1 => target.mapv(|t| if draw.chance(0.3) { t } else { t + (draw.between(-1.0, 1.0) * 32.0).round() / 64.0 }),
         _ => target.mapv(|t| t * 0.75 + 0.125),

@@ -21,7 +21,7 @@ use crate::manifest::{FileRef, Vectors, encode};
 use crate::outputs::Outputs;
 use crate::question::Question;
 use crate::run;
-use ndarray::{ArrayD, Axis};
+use ndarray::{ArrayD, Axis, Ix2};
 use rand::{Rng, RngExt};
 use serde_json::json;
 use trgs_core::error::{Error, Result};
@@ -39,6 +39,8 @@ const ROUNDINGS: f64 = 8.0;
 /// Runs that make the corridor of a run, and the multiple of their largest difference that it is.
 const RUNS: u64 = 8;
 const CORRIDOR: f64 = 4.0;
+/// What SSIM adds to its variances.
+const SSIM_C2: f64 = 0.03 * 0.03;
 
 /// Adds the truth and its allowances to generated questions; other vectors stay as they are.
 ///
@@ -244,12 +246,27 @@ fn gamma(nu: f64) -> f64 {
     if nu.is_finite() { libm::lgamma(0.5 * nu.abs() + 1.5).abs() } else { 0.0 }
 }
 
-/// Adds what cancels to the condition: logarithms of Γ and ψ in ∂/∂ν and in the integral factor, and 1 - SSIM.
+/// Adds what cancels to the condition: logarithms of Γ and ψ in ∂/∂ν and in the integral factor, 1 - SSIM, variances as
+/// differences of squares, and what the three axes give to a quaternion, which is nothing in all if their scales are equal.
 fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> {
     let cancelled = |nu: f64| if nu.is_finite() { 1.0 + libm::log(1.0 + nu) } else { 0.0 };
     if let ("loss-image", Some(value)) = (question.stage.as_str(), condition.get_mut("value")) {
         // 1 - SSIM of images that are almost equal: SSIM itself is rounded at 1.
         value.get_mut("").expect("an array")[[0]] += question.setting("weight")?;
+    }
+    if let ("loss-ssim" | "loss-image", Some(gradient)) = (question.stage.as_str(), condition.get_mut("gradient")) {
+        let gradient = gradient.get_mut("").expect("an array");
+        let largest =
+            answer(question, Precision::F64)?["gradient"][""].iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+        let (mut squares, mut variances) = (0.0, SSIM_C2);
+        for role in ["prediction", "target"] {
+            let values: Vec<f64> = question.array::<Ix2>(role)?.into_iter().collect();
+            let mean = |of: &dyn Fn(&f64) -> f64| values.iter().map(of).sum::<f64>() / values.len().max(1) as f64;
+            let centre = mean(&|x| *x);
+            squares += mean(&|x| x * x);
+            variances += mean(&|x| (x - centre) * (x - centre));
+        }
+        gradient.mapv_inplace(|x| x + largest * squares / variances);
     }
     if question.stage == "integral-factor" {
         for (index, nu) in question.numbers("nu")?.into_iter().enumerate() {
@@ -261,17 +278,19 @@ fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> 
         }
     }
     let is_gradient = question.stage.starts_with("gradient-image") || question.stage == "gradient-density";
-    if let (true, Some(slope)) = (is_gradient, condition.get_mut("grad").and_then(|grad| grad.get_mut("nu"))) {
+    if let (true, Some(grad)) = (is_gradient, condition.get_mut("grad")) {
         let mut positive = question.clone();
         let cotangent = positive.arrays_mut().get_mut("cotangent").and_then(|arrays| arrays.get_mut(""));
         cotangent.expect("a gradient has one").mapv_inplace(f64::abs);
         let whole = answer(&positive, Precision::F64)?;
         let parameters = question.parameters("model")?;
-        let sums: &ArrayD<f64> = &whole["grad"]["density"];
-        for (slope, ((sum, density), nu)) in
-            slope.iter_mut().zip(sums.iter().zip(&parameters.density).zip(&parameters.nu))
-        {
-            *slope += sum * density * cancelled(*nu);
+        let [sums, scales] = ["density", "scale"].map(|name| &whole["grad"][name]);
+        for (i, (density, nu)) in parameters.density.iter().zip(&parameters.nu).enumerate() {
+            grad.get_mut("nu").expect("a part")[[i]] += sums[[i]] * density * cancelled(*nu);
+            let axes: f64 = (0..3).map(|k| (scales[[i, k]] * parameters.scale[i][k]).abs()).sum();
+            let norm = parameters.quaternion[i].iter().map(|x| x * x).sum::<f64>().sqrt();
+            let quaternion = grad.get_mut("quaternion").expect("a part");
+            (0..4).for_each(|k| quaternion[[i, k]] += 2.0 * axes / norm);
         }
     }
     Ok(())
