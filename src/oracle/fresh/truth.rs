@@ -267,6 +267,9 @@ fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> 
             variances += mean(&|x| (x - centre) * (x - centre));
         }
         gradient.mapv_inplace(|x| x + largest * squares / variances);
+        let weight = if question.stage == "loss-image" { question.setting("weight")? } else { 1.0 };
+        let value = condition.get_mut("value").and_then(|value| value.get_mut("")).expect("an output");
+        value[[0]] += weight * squares / variances;
     }
     if question.stage == "integral-factor" {
         for (index, nu) in question.numbers("nu")?.into_iter().enumerate() {
