@@ -10,6 +10,7 @@ from pathlib import Path
 import bugs as shared
 
 HERE = Path(__file__).parent
+LEVELS = {"core": 200, "stress": 200}
 WORDS = {"f64": "float64", "f32": "float32"}
 
 
@@ -27,7 +28,7 @@ def processor_time():
     return used.ru_utime + used.ru_stime
 
 
-def hunt(trgs, precision, bug, text, folder, levels={"core": 200, "stress": 200}):
+def hunt(trgs, precision, bug, text, folder, levels=LEVELS):
     command = [sys.executable, "-W", "ignore", str(shared.mutated(bug, text, folder))]
     # The hunt appends the two folders; the precision comes after them.
     (folder / "run.sh").write_text('exec "$@" ' + WORDS[precision])

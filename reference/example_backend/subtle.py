@@ -7,12 +7,11 @@ import json, subprocess, sys, tempfile
 from pathlib import Path
 
 import bugs as shared, hunts
+from bugs import AFFINE, EXACT, FIELD
 
-EXACT, AFFINE, FIELD = "image-exact", "image-affine", "density"
 MODEL = 'for p in a["model"]])\n    return [parts'
 SCALE = "scale, nu, cone = p[3:6], p[11]"
 NORM = "np.sqrt(np.sum(quaternion * quaternion))"
-DELTA = "delta = np.sum(moment * moment, -1) / square"
 CENTRE = "if cone and centre[2].real <= scanner[\"DSO\"] / 100:"
 SLOPE = 'slope = lambda p, step: np.sum(a["cotangent"] * field(p + 1j * step, a).imag) / H'
 TAIL = "local = (voxel - p[0:3])"
