@@ -104,7 +104,7 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
             raise(&mut condition, &base, &answer(&moved(&smooth, sample)?, Precision::F64)?, 1.0 / STEP);
         }
     }
-    for_what_cancels(&question, &mut condition)?;
+    for_what_cancels(&question, &truth, &mut condition)?;
     let share = 0.5 * (4.0 * Format::F64.ulp(1.0) + ROUNDINGS * unit);
     add(&mut allowance, &condition, share);
     if question.stage.ends_with("-cutoff") {
@@ -248,7 +248,7 @@ fn gamma(nu: f64) -> f64 {
 
 /// Adds what cancels to the condition: logarithms of Γ and ψ in ∂/∂ν and in the integral factor, 1 - SSIM, variances as
 /// differences of squares, and what the three axes give to a quaternion, which is nothing in all if their scales are equal.
-fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> {
+fn for_what_cancels(question: &Question, truth: &Outputs, condition: &mut Outputs) -> Result<()> {
     let cancelled = |nu: f64| if nu.is_finite() { 1.0 + libm::log(1.0 + nu) } else { 0.0 };
     if let ("loss-image", Some(value)) = (question.stage.as_str(), condition.get_mut("value")) {
         // 1 - SSIM of images that are almost equal: SSIM itself is rounded at 1.
@@ -256,8 +256,7 @@ fn for_what_cancels(question: &Question, condition: &mut Outputs) -> Result<()> 
     }
     if let ("loss-ssim" | "loss-image", Some(gradient)) = (question.stage.as_str(), condition.get_mut("gradient")) {
         let gradient = gradient.get_mut("").expect("an array");
-        let largest =
-            answer(question, Precision::F64)?["gradient"][""].iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+        let largest = truth["gradient"][""].iter().fold(0.0_f64, |most, x| most.max(x.abs()));
         let (mut squares, mut variances) = (0.0, SSIM_C2);
         for role in ["prediction", "target"] {
             let values: Vec<f64> = question.array::<Ix2>(role)?.into_iter().collect();
