@@ -198,3 +198,24 @@ fn one_output_that_is_refused_refuses_the_question() {
         assert_eq!(report.results[0].status, status);
     }
 }
+
+/// What cancels in right answers has an allowance: the slope to the quaternion of a ball, and variances of constant images.
+#[test]
+fn what_cancels_is_allowed_where_no_change_of_the_inputs_shows_it() {
+    let made = |stage: &str| Ask::Values.drafts(stage, 1, 0, 1, Level::Core).0.remove(0);
+    let allowed = |draft: &Draft, role: &str, name: &str| {
+        let (_, allowance) = truth::truth(draft, Format::F32).unwrap();
+        allowance[role][name].iter().fold(0.0_f64, |most, x| most.max(*x))
+    };
+    let mut ball = made("gradient-density");
+    ball.arrays.get_mut("cotangent").unwrap().get_mut("").unwrap().mapv_inplace(f64::abs);
+    ball.arrays.get_mut("model").unwrap().get_mut("scale").unwrap().mapv_inplace(|_| 0.5);
+    let (truth, _) = truth::truth(&ball, Format::F32).unwrap();
+    let slope = truth["grad"]["scale"].iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    let norm = ball.arrays["model"]["quaternion"].iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!(allowed(&ball, "grad", "quaternion") > Format::F32.ulp(slope / norm));
+    let mut flat = made("loss-ssim");
+    let changing = allowed(&flat, "value", "");
+    ["prediction", "target"].iter().for_each(|role| flat.arrays.get_mut(*role).unwrap().get_mut("").unwrap().fill(0.5));
+    assert!(allowed(&flat, "value", "") > changing);
+}
