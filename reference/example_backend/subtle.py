@@ -19,6 +19,7 @@ MOMENTS = "m, v = beta1 * m"
 AMPLITUDE = "return p[10] * factor"
 HEIGHT = "return p[10] * power"
 FACES = "if np.any(np.abs(p[0:3].real - offset) > size / 2): return np.zeros(a['scanner']['nVoxel'], REAL)"
+SUM = 'parts = np.array([FIELDS[field](p, a).real for p in a["model"]])'
 ROWS = 'for p in a["model"]], REAL)'
 
 # name, stage, pairs (text, its replacement)
@@ -48,7 +49,6 @@ BUGS = [
     ("slopes of the first 64 primitives", f"gradient-{FIELD}", [(ROWS, ROWS.replace('"model"]]', '"model"][:64]] + [[0] * 12] * max(0, len(a["model"]) - 64)'))]),
     ("equal within 1e-7", "loss-l1", [("np.sign(prediction - target)", "np.sign(np.where(np.abs(prediction - target) < 1e-7, 0, prediction - target))")]),
     ("SSIM of images not below 0", "loss-ssim", [("(blur[0] @ image @ blur[1] for", "(blur[0] @ (image * (image.real > 0)) @ blur[1] for")]),
-    ("SSIM of more than 32 columns", "loss-ssim", [("blur = [sum(", "target[:, 32:] = target[:, 31:32]; blur = [sum(")]),
     ("TV of cubes", "loss-tv", [("sum(step.size for step in steps)", "3 * steps[0].size")]),
     ("TV of steps above 1e-6", "loss-tv", [("steps = [np.diff(block, axis=k)", "steps = [(lambda d: d * (np.abs(d) > 1e-6))(np.diff(block, axis=k))")]),
     ("bias correction up to step 20", "adam", [("(1 - beta2**t)", "(1 - beta2**min(t, 20))")]),
@@ -56,6 +56,23 @@ BUGS = [
     ("gradients of at least 1e-12", "adam", [(MOMENTS, "g = g * (np.abs(g) > 1e-12); " + MOMENTS)]),
     ("δ of at most 10⁸", "kernel", [("power(x, n, 3).real", "power(min(x, 1e8), n, 3).real")]),
     ("ν above 10⁶ is infinite", "kernel", [("power(x, n, 3).real", "power(x, n if n < 1e6 else np.inf, 3).real")]),
+    ("only the first 256 columns", EXACT, [(AMPLITUDE, "delta = delta + 1e300 * (np.arange(columns) > 255); " + AMPLITUDE)]),
+    ("only the first 256 rows", AFFINE, [(AMPLITUDE, "delta = delta + 1e300 * (np.arange(rows) > 255)[:, None]; " + AMPLITUDE)]),
+    ("only the first 16 views", EXACT, [('for angle in REAL(a["angles"])]', '* (k < 16) for k, angle in enumerate(REAL(a["angles"]))]')]),
+    ("angles without a sign", EXACT, [("c, s = np.cos(angle)", "angle = np.abs(angle); c, s = np.cos(angle)")]),
+    ("far plane at the detector", EXACT, [(CENTRE, CENTRE.replace("if cone and", 'if cone and centre[2].real >= scanner["DSD"] or cone and'))]),
+    ("far plane in parallel beams", AFFINE, [(CENTRE, CENTRE.replace("if cone and", 'if not cone and centre[2].real >= scanner["DSD"] or cone and'))]),
+    ("quaternions of a norm above 100 as stored", EXACT, [(NORM, f"(lambda n: 1 if n.real > 100 else n)({NORM})")]),
+    ("densities below 1e-20", EXACT, [(AMPLITUDE, "return (abs(p[10].real) > 1e-20) * p[10] * factor")]),
+    ("one primitive per depth", EXACT, [(SUM, SUM.replace('a["model"]]', '{p[0].real: p for p in a["model"]}.values()]'))]),
+    ("volumes of more than 32 rows", FIELD, [(TAIL, "voxel[:, 32:] = voxel[:, 31:32]\n    " + TAIL)]),
+    ("volumes of more than 32 columns", FIELD, [(TAIL, "voxel[:, :, 32:] = voxel[:, :, 31:32]\n    " + TAIL)]),
+    ("cubic voxels if sides have equal counts", FIELD, [("+ 0.5) * size / n", "+ 0.5) * (size / n if len(set(n)) > 1 else size[0] / n)")]),
+    ("no slope at the origin", f"gradient-{FIELD}", [(SLOPE, SLOPE.replace("p, step: ", "p, step: 0 if np.any(step[0:3]) and not np.any(p[0:3].real) else "))]),
+    ("L1 of values up to 1.4", "loss-l1", [("return np.sign", "prediction, target = np.minimum(prediction, 1.4), np.minimum(target, 1.4); return np.sign")]),
+    ("weight of at most 0.5", "loss-image", [("x + weight *", "x + min(weight, 0.5) *")]),
+    ("TV of more than 64 planes", "loss-tv", [("steps = [np.diff", "block[64:] = block[63:64]; steps = [np.diff")]),
+    ("TV of more than 32 columns", "loss-tv", [("steps = [np.diff", "block[:, :, 32:] = block[:, :, 31:32]; steps = [np.diff")]),
 ]
 
 LEVELS = {"core": 400, "stress": 400, "large": 60}

@@ -8,7 +8,7 @@ pub(super) const VALUES: [(&str, &str); 22] = [
     ("adversarial", "one property that programs are known to get wrong"),
     ("one-pixel", "a detector or a volume with sides of one"),
     ("zero-density", "a primitive without density"),
-    ("tiny-density", "a density of 1e-30 beside others"),
+    ("tiny-density", "a density of 1e-30 beside others, or densities of 1e-24 alone"),
     ("centre-on-pixel", "a centre that a pixel's ray meets"),
     ("detector-border", "a centre that projects onto the outline of the detector"),
     ("unnormalised-quaternion", "quaternions of other norms than 1"),

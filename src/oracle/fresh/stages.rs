@@ -189,7 +189,7 @@ fn scene(new: &mut Draft, draw: &mut Draw) {
         ],
     };
     let views = draw.count(1, 3);
-    let mut angles: Vec<f64> = (0..views).map(|_| draw.between(0.0, TAU)).collect();
+    let mut angles: Vec<f64> = (0..views).map(|_| draw.between(-TAU, TAU)).collect();
     let gaussian = draw.chance(0.2);
     let count = draw.count(1, 5);
     let mut rows: Vec<Row> = (0..count).map(|_| row(draw, new.level, gaussian)).collect();
@@ -259,7 +259,11 @@ fn trap(
             "zero-density"
         }
         2 => {
-            rows.push(Row { density: 1e-30, ..rows[last] });
+            // Beside others a faint primitive is lost in rounding: at `stress` there is no other.
+            match level {
+                Level::Stress => rows.iter_mut().for_each(|row| row.density = 1e-24),
+                _ => rows.push(Row { density: 1e-30, ..rows[last] }),
+            }
             "tiny-density"
         }
         3 => {
