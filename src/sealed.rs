@@ -13,11 +13,11 @@
 
 use crate::error::{Error, Result, start_again};
 use crate::limit;
-use crate::output::write_atomically;
+use crate::output::{create_folder, write_atomically};
 use crate::setting::Text;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"trgs-ck\n";
@@ -26,6 +26,8 @@ const FORMAT: u32 = 3;
 /// Bytes before the content, and before the digest.
 const HEADER: usize = 48;
 const BEFORE_DIGEST: usize = 16;
+/// MessagePack's map without entries.
+const EMPTY_MAP: u8 = 0x80;
 
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,6 +104,39 @@ fn unseal(bytes: Vec<u8>, path: &Path) -> Result<Sealed> {
 /// [`Error::Write`] with the error of the operating system.
 pub(crate) fn write(path: &Path, kind: Kind, content: &impl Serialize) -> Result<()> {
     write_atomically(path, |file| seal(file, kind, |hashed| encode(hashed, content)))
+}
+
+/// Writes `from` as `to` with `last` in the place of its last field, an empty map. Neither is in memory as a whole.
+///
+/// # Errors
+/// [`Error::Format`] if `from` is damaged or has another last field, and those of reading and of [`write()`].
+pub(crate) fn write_with_last(from: &Path, to: &Path, last: &impl Serialize) -> Result<()> {
+    let failed = |source| Error::read(from, source);
+    let mut file = std::fs::File::open(from).map_err(failed)?;
+    let mut header = [0; HEADER];
+    let length = file.metadata().map_err(failed)?.len().saturating_sub(HEADER as u64 + 1);
+    let mut end = Vec::new();
+    let mut hasher = Sha256::new();
+    let mut read = || {
+        file.read_exact(&mut header)?;
+        hasher = digest(&header[8..BEFORE_DIGEST]);
+        io::copy(&mut (&file).take(length), &mut hasher)?;
+        file.read_to_end(&mut end)
+    };
+    read().map_err(failed)?;
+    let kind = [Kind::Primitives, Kind::Voxels].into_iter().find(|kind| header[12..16] == (*kind as u32).to_le_bytes());
+    let whole = hasher.chain_update(&end).finalize()[..] == header[BEFORE_DIGEST..];
+    let Some(kind) = kind.filter(|_| whole && end == [EMPTY_MAP]) else {
+        return Err(Error::format(from, "checkpoint", "other content", "what the run wrote last", start_again()));
+    };
+    to.parent().map_or(Ok(()), create_folder)?;
+    write_atomically(to, |out| {
+        seal(out, kind, |hashed| {
+            file.seek(SeekFrom::Start(HEADER as u64))?;
+            io::copy(&mut file.take(length), hashed)?;
+            encode(hashed, last)
+        })
+    })
 }
 
 /// Writes header and content; the digest is put in its place at the end.
@@ -190,6 +225,7 @@ pub(crate) mod reseal {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
 
     fn message(bytes: &[u8]) -> String {
         unseal(bytes.into(), Path::new("last.msgpack")).unwrap_err().to_string()
@@ -213,6 +249,26 @@ mod tests {
             message(&bytes[..length]);
         }
         message(&[&bytes[..], b"\0"].concat());
+    }
+
+    #[test]
+    fn the_last_field_is_replaced_in_a_sound_file_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, other, whole] =
+            ["last.msgpack", "other.msgpack", "whole.msgpack"].map(|name| folder.path().join(name));
+        let (content, last) = (vec![0.5_f64; 3000], BTreeMap::from([("volume.npy", "digest")]));
+        write(&path, Kind::Voxels, &(&content, BTreeMap::<&str, &str>::new())).unwrap();
+        write(&whole, Kind::Voxels, &(&content, &last)).unwrap();
+        write_with_last(&path, &other, &last).unwrap();
+        assert_eq!(std::fs::read(&other).unwrap(), std::fs::read(&whole).unwrap());
+        let refused = |path: &Path| write_with_last(path, &other, &last).unwrap_err().to_string();
+        assert!(refused(&whole).contains("other content"), "{}", refused(&whole));
+        let mut damaged = std::fs::read(&path).unwrap();
+        damaged[2000] ^= 1;
+        std::fs::write(&path, damaged).unwrap();
+        assert!(refused(&path).contains("other content"));
+        std::fs::write(&path, b"short").unwrap();
+        assert!(matches!(write_with_last(&path, &other, &last), Err(Error::Read { .. })));
     }
 
     #[test]

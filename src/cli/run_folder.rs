@@ -15,7 +15,7 @@ use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::geometry::Volume;
 use trgs::numeric::threads;
-use trgs::output::{Claim, Destination, Kind, create_folder, stage_folder, write_atomically};
+use trgs::output::{Claim, Destination, Kind, stage_folder, write_atomically};
 use trgs::primitives::Primitives;
 use trgs::provenance::{Provenance, digest_bytes, digest_file};
 use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
@@ -198,14 +198,12 @@ impl RunFolder {
         // The run's last state replaces earlier states together with the results, and has their digests.
         let last = checkpoint_file(self.claim.folder());
         if keeps && last.exists() {
-            match Checkpoint::read(&last) {
-                Ok(mut checkpoint) => {
-                    checkpoint.set_results(self.provenance.outputs.clone());
-                    create_folder(&at(CHECKPOINTS))?;
-                    checkpoint.write(checkpoint_file(&staged.path()))?;
-                }
+            match Checkpoint::finish(&last, &checkpoint_file(&staged.path()), &self.provenance.outputs) {
                 // Another program may have changed the file; the results are not lost for that.
-                Err(error) => tracing::warn!("the run cannot be continued: {}", with_flags(&error.text())),
+                Err(error @ (Error::Format { .. } | Error::Read { .. })) => {
+                    tracing::warn!("the run cannot be continued: {}", with_flags(&error.text()));
+                }
+                written => written?,
             }
         }
         write_text(&at("report.html"), &self.page(dataset, config, outcome, beside, (agreement, views))?)?;

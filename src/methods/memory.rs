@@ -50,6 +50,11 @@ pub struct Sizes {
 }
 
 impl Sizes {
+    /// Bytes of a voxel as it is written: a volume in single precision is no copy.
+    pub(crate) fn written(&self) -> usize {
+        if self.real == F32 { 0 } else { F32 }
+    }
+
     /// The partial sums of all workers, `numbers` for each voxel of their slices.
     pub(crate) fn at_work(&self, numbers: usize) -> Allocation {
         const SLICES: usize = 8;

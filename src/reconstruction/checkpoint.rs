@@ -43,12 +43,12 @@ pub enum Checkpoint {
     /// Of a method that fits primitives.
     Primitives(Box<train::Checkpoint>),
     /// Of an iterative method on voxels.
-    Voxels(Box<VoxelCheckpoint>),
+    Voxels(Box<VoxelCheckpoint<'static>>),
 }
 
 /// The state of a run on voxels, with what it belongs to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct VoxelCheckpoint {
+pub struct VoxelCheckpoint<'a> {
     /// All keys, TOML.
     config: String,
     /// Digest of scanner, angles and training projections.
@@ -56,8 +56,9 @@ pub struct VoxelCheckpoint {
     pub(super) choice: Option<Choice>,
     /// What was shown before.
     pub(super) passes: Vec<Pass>,
-    pub(super) state: VoxelState,
-    /// Digests of the results of a finished run, by file; empty until they are written.
+    pub(super) state: VoxelState<'a>,
+    /// Digests of the results of a finished run, by file; empty until they are written. The last field: see
+    /// [`Checkpoint::finish`].
     pub(super) results: BTreeMap<String, String>,
 }
 
@@ -72,7 +73,7 @@ impl Checkpoint {
         match file.kind {
             Kind::Primitives => train::Checkpoint::decode(&file, path).map(|found| Self::Primitives(Box::new(found))),
             Kind::Voxels => {
-                let found: VoxelCheckpoint = file.decode(path)?;
+                let found: VoxelCheckpoint<'_> = file.decode(path)?;
                 found.check_content().map_err(|error| error.in_file(path))?;
                 Ok(Self::Voxels(Box::new(found)))
             }
@@ -99,12 +100,12 @@ impl Checkpoint {
         }
     }
 
-    /// States the results of the run, which is finished.
-    pub fn set_results(&mut self, results: BTreeMap<String, String>) {
-        match self {
-            Self::Primitives(checkpoint) => checkpoint.set_results(results),
-            Self::Voxels(checkpoint) => checkpoint.results = results,
-        }
+    /// Writes the last checkpoint of a run, which is finished, as `to` with the digests of its results.
+    ///
+    /// # Errors
+    /// [`Error::Format`] if another program has changed `last`, [`Error::Read`] and [`Error::Write`].
+    pub fn finish(last: &Path, to: &Path, results: &BTreeMap<String, String>) -> Result<()> {
+        sealed::write_with_last(last, to, results)
     }
 
     /// The records of a run on primitives. Those of a run on voxels are reported again when it goes on.
@@ -180,20 +181,18 @@ impl Checkpoint {
     }
 }
 
-impl VoxelCheckpoint {
+impl VoxelCheckpoint<'_> {
     /// Without a state yet.
     pub(super) fn new(dataset: &Dataset, config: &Config, choice: Option<Choice>) -> Self {
         let (config, data) = (config.to_toml(), digest(dataset));
         Self { config, data, choice, passes: Vec::new(), state: VoxelState::default(), results: BTreeMap::new() }
     }
 
-    /// Writes it with a state, which is not kept, as a whole or not at all.
-    pub(super) fn write(&mut self, path: &Path, state: VoxelState) -> Result<()> {
+    /// Writes it with the state of a run, as a whole or not at all.
+    pub(super) fn write(&self, path: &Path, state: VoxelState<'_>) -> Result<()> {
         path.parent().map_or(Ok(()), create_folder)?;
-        self.state = state;
-        let written = sealed::write(path, Kind::Voxels, self);
-        self.state = VoxelState::default();
-        written
+        let Self { config, data, choice, passes, state: _, results } = self.clone();
+        sealed::write(path, Kind::Voxels, &VoxelCheckpoint { config, data, choice, passes, state, results })
     }
 
     fn config(&self) -> Result<Config> {

@@ -27,7 +27,7 @@ pub struct Checkpoint {
     pub(super) state: State,
     /// What a pilot run decided, with the configuration's `sampling`, `finish` and `tv`.
     pub(super) decision: Option<Decision>,
-    /// Digests of the results of a finished run, by file; empty until they are written.
+    /// Digests of the results of a finished run, by file; empty until they are written. The last field, which is replaced.
     results: BTreeMap<String, String>,
 }
 
@@ -82,11 +82,6 @@ impl Checkpoint {
     /// Digests of the results of a finished run, by file.
     pub fn results(&self) -> &BTreeMap<String, String> {
         &self.results
-    }
-
-    /// States the results of the run, which is finished.
-    pub fn set_results(&mut self, results: BTreeMap<String, String>) {
-        self.results = results;
     }
 
     /// Reads a checkpoint.

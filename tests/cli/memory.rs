@@ -92,7 +92,7 @@ fn methods_on_voxels_need_what_was_said() {
         return;
     }
     let (small, views, voxels) =
-        (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 400, 500, 22, 3)), with(&ball(208, 40, 48, 3, 1)));
+        (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 400, 500, 22, 3)), with(&ball(168, 40, 48, 3, 1)));
     // Networks need more of a voxel, and more time.
     let fewer = with(&ball(80, 40, 48, 3, 1));
     for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv", "naf", "sax-nerf"] {

@@ -123,8 +123,9 @@ impl NeuralSettings {
         // Each task of a step has a gradient of the network.
         let gradients = rays.div_ceil(BUNDLE) * network.parameters();
         vec![
-            allocation("parameters, moments and gradients", parameters, 5 * F64 + 3 * sizes.real),
-            allocation("as they are written to a checkpoint", parameters, 6 * F64),
+            allocation("parameters and moments", parameters, 3 * F64),
+            // A step has its gradients there, which are less.
+            allocation("parameters and moments as they are written to a checkpoint", parameters, 4 * F64),
             allocation("points of a step and gradients to their codes", points, codes),
             allocation("gradients of the network", gradients, F64),
             allocation("samples in the network", sizes.threads * together, computed * sizes.real),
@@ -454,10 +455,10 @@ impl<R: Real> VoxelRun for NeuralRun<'_, R> {
         Pass::new(self.iteration, self.settings.iterations, self.unit * error.sqrt()).map(Some)
     }
 
-    fn state(&self) -> VoxelState {
+    fn state(&self) -> VoxelState<'_> {
         let [(steps, first, second), (_, of_network, squares)] = [0, 1].map(|group| self.adam[group].state());
         let (first, second) = ([first, of_network].concat(), [second, squares].concat());
-        VoxelState::new(self.iteration, vec![f64::from(steps)], &[&self.parameters, &first, &second])
+        VoxelState::new(self.iteration, vec![f64::from(steps)], [self.parameters.clone(), first, second])
     }
 
     /// The densities at the centres of the voxels.

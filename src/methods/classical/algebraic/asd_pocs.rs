@@ -8,7 +8,7 @@ use super::{
     voxel_run::Numbers,
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
-use crate::memory::{Allocation, F32, Sizes, allocation};
+use crate::memory::{Allocation, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, Volume};
 use trgs_core::numeric::{Real, real};
@@ -46,7 +46,7 @@ impl AsdPocsSettings {
     pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
         let mut arrays = self.sart.arrays(sizes);
         arrays.extend([
-            allocation("first guess, steps and direction", sizes.voxels, 5 * sizes.real + F32),
+            allocation("first guess, steps and direction", sizes.voxels, 5 * sizes.real),
             allocation("residual", sizes.pixels, sizes.real),
         ]);
         arrays
@@ -171,7 +171,7 @@ impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
         Ok(Some(pass))
     }
 
-    fn state(&self) -> VoxelState {
+    fn state(&self) -> VoxelState<'_> {
         let scalars = vec![self.relaxation, self.beta, self.length, f64::from(u8::from(self.is_settled))];
         VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
     }

@@ -2,7 +2,7 @@
 
 use super::{Observe, Pass, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
-use crate::memory::{Allocation, F32, Sizes, allocation};
+use crate::memory::{Allocation, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
 use trgs_core::numeric::{Real, real};
@@ -27,10 +27,10 @@ pub fn cgls<R: Real>(
 
 /// What a run asks of memory.
 pub fn arrays(sizes: &Sizes) -> Vec<Allocation> {
-    let volumes = "volume, direction, and their gradient or copies in the state";
+    let volumes = "volume, direction and gradient, and as it is written";
     vec![
         allocation("projections, residual, image and pairs", sizes.pixels, 4 * sizes.real),
-        allocation(volumes, sizes.voxels, 4 * sizes.real + F32),
+        allocation(volumes, sizes.voxels, 3 * sizes.real + sizes.written()),
         sizes.at_work(1),
     ]
 }
@@ -124,7 +124,7 @@ impl<R: Real> VoxelRun for CglsRun<'_, R> {
         Ok(Some(pass))
     }
 
-    fn state(&self) -> VoxelState {
+    fn state(&self) -> VoxelState<'_> {
         let arrays = [&self.x, &self.residual, &self.direction].map(|values| Numbers::new(values)).into();
         VoxelState { iteration: self.iteration, scalars: vec![self.gamma], arrays }
     }

@@ -2,7 +2,7 @@
 
 use super::{CHUNK, Observe, Order, Pass, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
 use crate::classical::VoxelProjector;
-use crate::memory::{Allocation, F32, Sizes, allocation};
+use crate::memory::{Allocation, Sizes, allocation};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, View, Volume};
 use trgs_core::numeric::{Real, real, reduce, threads};
@@ -58,7 +58,7 @@ impl SartSettings {
         vec![
             allocation("projections and lengths of rays", sizes.pixels, 3 * sizes.real),
             allocation("corrections of a set of views, and as the projector orders them", subset, 5 * sizes.real),
-            allocation("volume, its copy in the state, and as it is written", sizes.voxels, 2 * sizes.real + F32),
+            allocation("volume, and as it is written", sizes.voxels, sizes.real + sizes.written()),
             sizes.at_work(2),
         ]
     }
@@ -144,7 +144,7 @@ impl<R: Real> VoxelRun for SartRun<'_, R> {
         Pass::new(self.iteration, self.settings.iterations, residual).map(Some)
     }
 
-    fn state(&self) -> VoxelState {
+    fn state(&self) -> VoxelState<'_> {
         let [before, last] = self.residuals;
         let scalars = vec![self.relaxation, before, last];
         VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }

@@ -2,6 +2,8 @@
 
 use super::Pass;
 use serde::{Deserialize, Serialize};
+use std::any::Any;
+use std::borrow::Cow;
 use trgs_core::error::{Error, Result, start_again};
 use trgs_core::geometry::Volume;
 use trgs_core::numeric::{Real, real};
@@ -21,7 +23,7 @@ pub trait VoxelRun {
     fn step(&mut self) -> Result<Option<Pass>>;
 
     /// The state after the last iteration.
-    fn state(&self) -> VoxelState;
+    fn state(&self) -> VoxelState<'_>;
 
     /// The current volume, `[x, y, z]`.
     ///
@@ -32,28 +34,27 @@ pub trait VoxelRun {
 
 /// The state of a [`VoxelRun`] after an iteration, for a checkpoint file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct VoxelState {
+pub struct VoxelState<'a> {
     pub(super) iteration: usize,
     /// Numbers of the method.
     pub(super) scalars: Vec<f64>,
     /// Arrays of the method; the first is the volume.
-    pub(super) arrays: Vec<Numbers>,
+    pub(super) arrays: Vec<Numbers<'a>>,
 }
 
-/// Numbers in the precision of the run.
+/// Numbers in the precision of the run: those of the run itself, or read from a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) enum Numbers {
-    Single(Vec<f32>),
-    Double(Vec<f64>),
+pub(super) enum Numbers<'a> {
+    Single(Cow<'a, [f32]>),
+    Double(Cow<'a, [f64]>),
 }
 
-impl Numbers {
-    pub(super) fn new<R: Real>(values: &[R]) -> Self {
-        if size_of::<R>() == size_of::<f32>() {
-            Self::Single(values.iter().map(|value| value.to_f64() as f32).collect())
-        } else {
-            Self::Double(values.iter().map(|value| value.to_f64()).collect())
-        }
+impl<'a> Numbers<'a> {
+    #[expect(clippy::ptr_arg, reason = "slices have no type that is known when the program runs")]
+    pub(super) fn new<R: Real>(values: &'a Vec<R>) -> Self {
+        let values: &dyn Any = values;
+        let single = values.downcast_ref::<Vec<f32>>().map(|values| Self::Single(values.into()));
+        single.unwrap_or_else(|| Self::Double(values.downcast_ref::<Vec<f64>>().expect("single or double").into()))
     }
 
     fn are_finite(&self) -> bool {
@@ -71,7 +72,7 @@ impl Numbers {
     }
 }
 
-impl VoxelState {
+impl VoxelState<'_> {
     /// Iterations done.
     pub fn iteration(&self) -> usize {
         self.iteration
@@ -85,8 +86,8 @@ impl VoxelState {
 
     /// A state of numbers and arrays in double precision.
     #[doc(hidden)]
-    pub fn new(iteration: usize, scalars: Vec<f64>, arrays: &[&[f64]]) -> Self {
-        Self { iteration, scalars, arrays: arrays.iter().map(|array| Numbers::Double(array.to_vec())).collect() }
+    pub fn new(iteration: usize, scalars: Vec<f64>, arrays: [Vec<f64>; 3]) -> Self {
+        Self { iteration, scalars, arrays: arrays.map(|array| Numbers::Double(array.into())).into() }
     }
 
     /// The numbers and arrays of a method; `lengths` are those of the arrays.

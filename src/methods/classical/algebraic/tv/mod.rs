@@ -52,11 +52,12 @@ impl TvSettings {
     /// What a run asks of memory; one that `chooses` its weight holds out views.
     pub fn arrays(sizes: &Sizes, chooses: bool) -> Vec<Allocation> {
         let held_out = if chooses { sizes.pixels } else { 0 };
-        let volumes = "volumes, dual of the total variation, and as it is written";
+        let volumes = "four volumes, dual of the total variation, and as it is written";
         vec![
             allocation("projections, images of two volumes, residual and pairs", sizes.pixels, 6 * sizes.real + 1),
             allocation("views held out and the others", held_out, F32 + sizes.real),
-            allocation(volumes, sizes.voxels, 12 * sizes.real + F32),
+            allocation("volume that predicts them best", if chooses { sizes.voxels } else { 0 }, sizes.real),
+            allocation(volumes, sizes.voxels, 7 * sizes.real + sizes.written()),
             sizes.at_work(1),
         ]
     }
@@ -179,10 +180,9 @@ impl<'a, R: Real> TvRun<'a, R> {
     fn set_lambda(&mut self) {
         let counted = self.system.measured.iter().zip(&self.idle);
         let counted: Vec<R> = counted.map(|(&p, &idle)| if idle { R::ZERO } else { p }).collect();
-        let mut back = self.system.empty();
-        self.system.projector.adjoin(&self.views, [&counted], &mut back, |out, [value]| *out = value);
+        self.system.projector.adjoin(&self.views, [&counted], &mut self.next, |out, [value]| *out = value);
         let largest =
-            back.iter().fold(R::ZERO, |largest, value| if value.abs() > largest { value.abs() } else { largest });
+            self.next.iter().fold(R::ZERO, |largest, value| if value.abs() > largest { value.abs() } else { largest });
         self.lambda = self.settings.weight * largest.to_f64();
     }
 
@@ -232,20 +232,21 @@ impl<'a, R: Real> TvRun<'a, R> {
     }
 
     /// An upper bound of `‖AᵀA‖`.
-    fn power_iteration(&self) -> f64 {
+    fn power_iteration(&mut self) -> f64 {
         let (projector, mut norm_before) = (self.system.projector, 0.0);
-        let mut x = vec![R::ONE; self.x.len()];
+        let x = &mut self.next;
+        x.fill(R::ONE);
         for _ in 0..POWER {
-            let mut image = projector.project(&self.views, &x).values;
+            let mut image = projector.project(&self.views, x).values;
             image.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
-            let size = norm(&x);
-            projector.adjoin(&self.views, [&image], &mut x, |out, [value]| *out = value);
-            let value = norm(&x) / size;
+            let size = norm(x);
+            projector.adjoin(&self.views, [&image], x, |out, [value]| *out = value);
+            let value = norm(x) / size;
             if value == 0.0 || value - norm_before < POWER_TOLERANCE * value {
                 return SAFETY * value;
             }
             norm_before = value;
-            let scale: R = real(1.0 / norm(&x));
+            let scale: R = real(1.0 / norm(x));
             x.iter_mut().for_each(|x| *x *= scale);
         }
         SAFETY * norm_before

@@ -39,7 +39,7 @@ impl<R: Real> VoxelRun for TvRun<'_, R> {
         self.step().map(Some)
     }
 
-    fn state(&self) -> VoxelState {
+    fn state(&self) -> VoxelState<'_> {
         let ([q0, q1, q2], [t, beta]) = (self.proximal.dual(), self.momentum);
         VoxelState {
             iteration: self.iteration,
