@@ -2,7 +2,7 @@
 
 use super::draft::ScannerFile;
 use super::draw::{Draw, Row, single};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Changes a scene to sizes that break tiles; returns its flag.
 ///
@@ -55,7 +55,7 @@ pub(super) fn enlarge(
             grow(draw, count, 0.5);
             scanner.n_detector = draw.pick(&[[31, 33], [47, 17], [1, 257], [257, 1]]);
             if draw.chance(0.5) {
-                *angles = (0..17).map(|_| draw.between(-TAU, TAU)).collect();
+                *angles = (0..17).map(|_| draw.between(-PI, TAU)).collect();
             }
             scanner.n_voxel = draw.pick(&[[15, 17, 33], [1, 33, 47]]);
             "odd-count"

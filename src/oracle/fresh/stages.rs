@@ -9,7 +9,7 @@ use crate::outputs;
 use ndarray::{Array, ArrayD, Dimension, IxDyn};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use trgs_core::primitives::Parameters;
 
 /// A difference that single precision holds beside numbers below 1.
@@ -189,7 +189,7 @@ fn scene(new: &mut Draft, draw: &mut Draw) {
         ],
     };
     let views = draw.count(1, 3);
-    let mut angles: Vec<f64> = (0..views).map(|_| draw.between(-TAU, TAU)).collect();
+    let mut angles: Vec<f64> = (0..views).map(|_| draw.between(-PI, TAU)).collect();
     let gaussian = draw.chance(0.2);
     let count = draw.count(1, 5);
     let mut rows: Vec<Row> = (0..count).map(|_| row(draw, new.level, gaussian)).collect();
