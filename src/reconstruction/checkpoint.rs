@@ -80,18 +80,6 @@ impl Checkpoint {
         }
     }
 
-    /// Writes it as a whole or not at all.
-    ///
-    /// # Errors
-    /// [`Error::Write`].
-    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        let path = path.as_ref();
-        match self {
-            Self::Primitives(checkpoint) => checkpoint.write(path),
-            Self::Voxels(checkpoint) => sealed::write(path, Kind::Voxels, checkpoint),
-        }
-    }
-
     /// Digests of the results of a finished run, by file; empty for the state of an unfinished one.
     pub fn results(&self) -> &BTreeMap<String, String> {
         match self {

@@ -39,7 +39,7 @@ const ROUNDINGS: f64 = 8.0;
 /// Runs that make the corridor of a run, and the multiple of their largest difference that it is.
 const RUNS: u64 = 8;
 const CORRIDOR: f64 = 4.0;
-/// What an integral may multiply a density with: lengths of a scene are below 2.
+/// What an integral may multiply a density with: scales of a scene are at most 2, times √(2π).
 const FACTOR: f64 = 8.0;
 /// What SSIM adds to its variances.
 const SSIM_C2: f64 = 0.03 * 0.03;

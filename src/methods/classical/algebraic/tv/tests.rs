@@ -94,7 +94,7 @@ fn the_step_of_total_variation_is_the_plain_one() {
         let plain = primal(&q);
         let mut found = vec![0.0; plain.len()];
         let mut proximal = Proximal::<f64>::new(&grid);
-        proximal.solve(z.as_slice().unwrap(), tau, 6000, &mut found);
+        proximal.solve(z.as_slice().unwrap(), tau, 1500, &mut found);
         let worst = found.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         within!(worst, "{shape:?}: {worst}");
         let lengths = [0, 1, 2].map(|axis| differences(&grid, &plain, axis));
