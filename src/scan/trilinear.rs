@@ -107,9 +107,9 @@ impl Trilinear {
     fn cell(&self, low: DVec3) -> [f64; 8] {
         let (dx, dy) = (self.shape[1] * self.shape[2], self.shape[2]);
         let corner = low.x as usize * dx + low.y as usize * dy + low.z as usize;
-        let [a, b, c, d] = [corner, corner + dy, corner + dx, corner + dx + dy]
-            .map(|at| [f64::from(self.values[at]), f64::from(self.values[at + 1])]);
-        [a[0], a[1], b[0], b[1], c[0], c[1], d[0], d[1]]
+        let [b, c, d] = [corner + dy, corner + dx, corner + dx + dy];
+        let at = |index: usize| f64::from(self.values[index]);
+        [at(corner), at(corner + 1), at(b), at(b + 1), at(c), at(c + 1), at(d), at(d + 1)]
     }
 }
 
