@@ -2,8 +2,8 @@
 //!
 //! Then one deliberate bug after another is inserted; the report must catch and name each.
 //!
-//! Needs Python with NumPy: `python3`, or the program named by `TRGS_PYTHON`. Without it the tests are skipped with a
-//! message; a CI server must have it. The test of the PyTorch backend is skipped with a message without PyTorch.
+//! Needs Python with NumPy, and mpmath for the truth of generated questions: `python3`, or the program named by
+//! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it. The test of the PyTorch backend is skipped with a message without PyTorch.
 
 use crate::common::vectors::vectors;
 use std::collections::BTreeMap;
@@ -11,7 +11,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use trgs::oracle::check::Status;
-use trgs::oracle::{Format, Level, Options, Report, Tolerances, check, report, waivers};
+use trgs::oracle::{Format, Level, Options, Report, Tolerances, check, fresh, report, waivers};
 
 fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference/example_backend")
@@ -19,8 +19,13 @@ fn folder() -> PathBuf {
 
 /// A Python with NumPy, or `None` with a message.
 fn python() -> Option<String> {
-    let found = python_with("numpy");
-    assert!(found.is_some() || std::env::var_os("CI").is_none(), "no NumPy; set TRGS_PYTHON");
+    needed("numpy")
+}
+
+/// A Python with a package that a CI server must have, or `None` with a message.
+fn needed(package: &str) -> Option<String> {
+    let found = python_with(package);
+    assert!(found.is_some() || std::env::var_os("CI").is_none(), "no {package}; set TRGS_PYTHON");
     found
 }
 
@@ -89,6 +94,30 @@ fn the_pytorch_backend_passes_core_in_both_precisions() {
     let Some(python) = python_with("torch") else { return };
     for format in [Format::F64, Format::F32] {
         assert_passes_core(&python, &backend, format);
+    }
+}
+
+/// The truth of generated questions is that of the definitions, evaluated with 50 digits.
+#[test]
+fn generated_truth_agrees_with_fifty_digits() {
+    let Some(python) = needed("mpmath") else { return };
+    let script = folder().with_file_name("generate").join("fresh.py");
+    // Truncation and wavelets have none.
+    let left_out = ["image-cutoff", "density-cutoff", "haar", "wavelet-loss", "gradient-wavelet", "gradient-shadow"];
+    let mut stages: Vec<String> = fresh::STAGES.iter().map(ToString::to_string).collect();
+    stages.retain(|stage| !left_out.contains(&stage.as_str()));
+    for (seed, level) in [(1, Level::Core), (2, Level::Stress)] {
+        let scratch = tempfile::tempdir().unwrap();
+        let (questions, answers) = (scratch.path().join("vectors"), scratch.path().join("answers"));
+        let vectors = fresh::make(&stages, seed, 1, level, fresh::Ask::Values).unwrap();
+        vectors.export(&questions, true, &vectors.manifest.cases.iter().collect::<Vec<_>>()).unwrap();
+        run(&python, &script, &questions, &answers, Format::F64);
+        let vectors = fresh::with_truth(vectors, Format::F64, &answers).unwrap();
+        let options =
+            Options { format: Format::F64, level, stages: &[], waivers: &[], today: waivers::today(), commit: None };
+        let report = check(&vectors, &Tolerances::of(&vectors).unwrap(), &answers, &options).unwrap();
+        assert!(report.passed(), "{}", report::markdown(&report));
+        assert_eq!(report.count(Status::Passed), stages.len());
     }
 }
 
