@@ -55,6 +55,16 @@ fn case<'a>(vectors: &'a Vectors, id: &str) -> PyResult<&'a Case> {
     })
 }
 
+/// The accepted failures of a file, as JSON: for each case the reason, and whether its day is not over.
+#[pyfunction]
+pub(crate) fn conformance_waivers(file: PathBuf) -> PyResult<String> {
+    let (all, today) = (waivers::read(file, &vectors()?.manifest.cases).map_err(raise)?, waivers::today());
+    let reason = |waiver: &waivers::Waiver| format!("{} (until {})", waiver.reason, waiver.expires);
+    let found: BTreeMap<_, _> =
+        all.iter().map(|waiver| (&waiver.case, (reason(waiver), waiver.expires >= today))).collect();
+    Ok(serde_json::to_string(&found).expect("texts are JSON"))
+}
+
 /// The cases of some stages up to a level, as JSON: the entries of the manifest.
 #[pyfunction]
 pub(crate) fn conformance_cases(stages: Vec<String>, level: &str) -> PyResult<String> {

@@ -29,7 +29,7 @@ mod _core {
     #[pymodule_export]
     use crate::conformance::{
         conformance_cases, conformance_check, conformance_export, conformance_hunt, conformance_input,
-        conformance_make, conformance_open, conformance_truth,
+        conformance_make, conformance_open, conformance_truth, conformance_waivers,
     };
     #[pymodule_export]
     use crate::geometry::{Grid, Scanner};

@@ -1,6 +1,8 @@
 """Every function of one step against the 50-digit vectors, in both precisions, and the judge itself."""
 
 import json
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -269,7 +271,7 @@ def test_all_other_stages_are_not_functions_of_the_package():
 def test_a_wrong_answer_fails_with_the_likely_mistake():
     (case, *_) = conformance.find(stage="image-exact")
     wrong = images(case, np.float64)[:, ::-1]
-    with pytest.raises(conformance.Failure, match="image-exact/.* failed in f64\n.*limit") as caught:
+    with pytest.raises(conformance.Failure, match="image-exact/.* failed in f64, looks like: .*\n.*limit") as caught:
         case.check(precision="f64", image=wrong)
     assert caught.value.result["status"] == "failed"
     assert "looks like" in str(caught.value)
@@ -382,6 +384,49 @@ def test_the_ten_lines_of_a_backend_run(tmp_path):
     )
     run = subprocess.run([sys.executable, "-m", "pytest", "-q", str(test)], capture_output=True, text=True)
     assert run.returncode == 0 and "17 passed" in run.stdout, run.stdout
+
+
+WAIVER = '[[waiver]]\ncase = "covariance/{}"\nreason = "set-up in half precision"\nexpires = {}\n'
+
+
+def test_waivers_hold_until_their_day_and_are_strict(tmp_path):
+    test, waivers = tmp_path / "test_backend.py", tmp_path / "waivers.toml"
+    # Wrong for needles alone: one waiver holds, one ran out, and one is not needed.
+    test.write_text(
+        "import trgs.conformance\n"
+        "@trgs.conformance.cases(stage='covariance', level='stress', waivers='waivers.toml')\n"
+        "def test_covariance(case):\n"
+        "    wrong = 1.1 if case.id.split('/')[1] in ('needle', 'pancake', 'tiny-quaternion') else 1.0\n"
+        "    case.check(covariance=case.truth['covariance'] * wrong, precision='f64')\n"
+    )
+    days = {"needle": "2100-01-01", "pancake": "2020-01-01", "cone-five": "2100-01-01"}
+    waivers.write_text("".join(WAIVER.format(*row) for row in days.items()))
+    command = [sys.executable, "-m", "pytest", "-q", "-rxf", test.name]
+    wide = os.environ | {"COLUMNS": "400"}
+    output = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=wide).stdout
+    assert "3 failed, 3 passed, 1 xfailed" in output, output
+    assert "XFAIL test_backend.py::test_covariance[covariance/needle] - set-up in half precision (until 2100-01-01)" in output
+    assert "[XPASS(strict)] set-up in half precision" in output
+    assert "its waiver ran out: set-up in half precision (until 2020-01-01)" in output
+    # The summary names the mistake, and the traceback ends in the test.
+    assert re.search(r"FAILED .*pancake\] .*: covariance/pancake failed in f64, looks like: .*1\.1", output), output
+    assert "conformance.py" not in output, output
+
+
+def test_waivers_that_say_nothing_are_refused(tmp_path):
+    waivers = tmp_path / "waivers.toml"
+    for text, message in [
+        (WAIVER.format("unknown", "2100-01-01"), "covariance/unknown"),
+        (WAIVER.format("needle", "2100-01-01").replace("set-up in half precision", " "), "no reason"),
+        (WAIVER.format("needle", '"soon"'), "waiver"),
+    ]:
+        waivers.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            conformance.cases(stage="covariance", waivers=waivers)
+    with pytest.raises(OSError):
+        conformance.cases(stage="covariance", waivers=tmp_path / "none.toml")
+    with pytest.raises(ValueError, match="generated questions"):
+        conformance.cases(stage="covariance", fresh=2, waivers=waivers)
 
 
 def test_vectors_of_a_folder_are_those_of_the_module(tmp_path):

@@ -9,7 +9,8 @@ A backend's test with pytest, in which `image` is the backend's own function::
         case.check(image=image(case.inputs["model"], case.inputs["scanner"], case.settings["angles"]), precision="f32")
 
 `export` writes the page that defines every stage beside the vectors. `cases(stage=…, fresh=200, seed=1)` asks generated questions
-instead of those of the vectors, and `hunt` shrinks the questions that a function fails.
+instead of those of the vectors, `cases(stage=…, waivers="waivers.toml")` accepts failures until a day, and `hunt` shrinks the
+questions that a function fails.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -38,6 +39,7 @@ from ._core import (
     conformance_make,
     conformance_open,
     conformance_truth,
+    conformance_waivers,
 )
 
 Level = Literal["core", "optional", "stress", "large"]
@@ -80,6 +82,8 @@ class Case:
     output_names: tuple[str, ...] = field(repr=False)
     folder: str | None = field(default=None, repr=False)
     """The folder of a generated question."""
+    remark: str | None = field(default=None, repr=False)
+    """What a failure says in addition: a waiver that ran out."""
 
     @cached_property
     def inputs(self) -> dict[str, Any]:
@@ -128,6 +132,7 @@ class Case:
         TypeError
             For an unknown role.
         """
+        __tracebackhide__ = True  # pytest shows the line of the test
         unknown = sorted(set(answers) - set(self.output_names))
         if unknown:
             raise TypeError(
@@ -137,7 +142,7 @@ class Case:
         arrays = {role: self._arrays(answer) for role, answer in answers.items()}
         result: dict[str, Any] = json.loads(conformance_check(self.id, arrays, precision, self.folder))
         if result["status"] not in ("passed", "skipped"):
-            raise Failure(_message(result, precision), result)
+            raise Failure("\n  ".join(filter(None, [_message(result, precision), self.remark])), result)
         return result
 
     @staticmethod
@@ -173,10 +178,11 @@ def _case(entry: dict[str, Any], folder: str | None = None) -> Case:
 
 
 def _message(result: dict[str, Any], precision: str) -> str:
-    lines = [f"{result['id']} {result['status']} in {precision}"]
-    for part in result["parts"]:
-        if part["status"] == "passed":
-            continue
+    wrong = [part for part in result["parts"] if part["status"] != "passed"]
+    # pytest's summary has the first line alone.
+    named = "; ".join(dict.fromkeys(part["looks_like"] for part in wrong if part.get("looks_like")))
+    lines = [f"{result['id']} {result['status']} in {precision}" + (f", looks like: {named}" if named else "")]
+    for part in wrong:
         beyond = [f"{excess['norm']} {excess['value']}, limit {excess['limit']}" for excess in part.get("exceeded", [])]
         facts = [*beyond, part.get("message"), part.get("looks_like") and f"looks like: {part['looks_like']}"]
         lines.append(f"  {part['output']}: " + "; ".join(fact for fact in facts if fact))
@@ -217,9 +223,17 @@ def _fresh(stage: str | Sequence[str] | None, level: Level, count: int, seed: in
 
 
 def cases(
-    *, stage: str | Sequence[str] | None = None, level: Level = "core", fresh: int = 0, seed: int = 0
+    *,
+    stage: str | Sequence[str] | None = None,
+    level: Level = "core",
+    fresh: int = 0,
+    seed: int = 0,
+    waivers: str | PathLike[str] | None = None,
 ) -> Callable[..., Any]:
     """Parametrises a test with the argument `case`. Needs pytest.
+
+    With `waivers` the cases of the file may fail until their day: they are marked `xfail(strict=True)`, so that one which passes
+    fails as XPASS and its waiver is removed.
 
     Parameters
     ----------
@@ -229,6 +243,8 @@ def cases(
         Generated questions of each stage, instead of those of the vectors. `stage` must be given.
     seed : int
         Seed of the generated questions.
+    waivers : str or os.PathLike, optional
+        File of `[[waiver]]` with `case`, `reason` and `expires`, as of `trgs oracle check`.
 
     Returns
     -------
@@ -237,13 +253,25 @@ def cases(
 
     Raises
     ------
+    OSError
+        For a file of waivers that cannot be read.
     ValueError
-        As `find`.
+        As `find`, for waivers of unknown cases, without reason or day, and for waivers of generated questions.
     """
     import pytest
 
+    if fresh and waivers is not None:
+        raise ValueError("waivers: got those of generated questions, expected cases of the vectors; leave out waivers or fresh")
+    accepted = {} if waivers is None else json.loads(conformance_waivers(waivers))
+
+    def row(case: Case) -> Any:
+        reason, holds = accepted.get(case.id, (None, False))
+        if reason is not None and not holds:
+            case = replace(case, remark=f"its waiver ran out: {reason}")
+        return pytest.param(case, id=case.id, marks=[pytest.mark.xfail(reason=reason, strict=True)] if holds else [])
+
     found = _fresh(stage, level, fresh, seed) if fresh else find(stage=stage, level=level)
-    return pytest.mark.parametrize("case", [pytest.param(case, id=case.id) for case in found])
+    return pytest.mark.parametrize("case", [row(case) for case in found])
 
 
 def hunt(
