@@ -56,6 +56,7 @@ impl Estimate {
     /// Estimates a run on a scan with `views` of its training views and `threads` workers.
     pub fn new(scan: &DatasetInfo, views: usize, plan: &Plan, threads: usize) -> Self {
         let config: &Config = plan;
+        let scan = &DatasetInfo { scanner: config.with_margin(&scan.scanner), ..scan.clone() };
         let run = Run::new(scan, views, config, threads);
         let sizes = &run.sizes;
         let reconstruction = |allocations| vec![Phase { name: "reconstruction", allocations }];
@@ -82,7 +83,7 @@ impl Estimate {
         phases.push(run.evaluation(config));
         Self {
             lasting: vec![
-                allocation("training projections", sizes.pixels, F32),
+                allocation("training projections", sizes.pixels, if config.model.margin > 0.0 { 2 * F32 } else { F32 }),
                 allocation("test projections", scan.test * sizes.detector, F32),
                 allocation("true volume", if scan.has_truth { sizes.voxels } else { 0 }, F32),
                 allocation("initial points", scan.points, 4 * F64),

@@ -96,8 +96,24 @@ pub fn reconstruct(dataset: &Dataset, config: &Config) -> Result<Reconstruction>
     Run::new(dataset, config).reconstruct()
 }
 
-/// The method of a plan.
+/// The method of a plan, with the margin around the volume.
 fn reconstruct_with(
+    dataset: &Dataset,
+    config: &Plan,
+    checkpoints: Option<Checkpoints>,
+    observe: &mut Observe<'_>,
+) -> Result<Reconstruction> {
+    if config.model.margin == 0.0 {
+        return reconstruct_whole(dataset, config, checkpoints, observe);
+    }
+    let around = dataset.on(config.with_margin(&dataset.scanner).grid);
+    let found = reconstruct_whole(&around, config, checkpoints, observe)?;
+    let inside = |volume: Volume| volume.without_margin(&dataset.scanner.grid);
+    Ok(Reconstruction { volume: inside(found.volume), unfinished: found.unfinished.map(inside), ..found })
+}
+
+/// The method of a plan, on the whole grid of the dataset.
+fn reconstruct_whole(
     dataset: &Dataset,
     config: &Plan,
     checkpoints: Option<Checkpoints>,

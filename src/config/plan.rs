@@ -89,7 +89,7 @@ impl Config {
     /// The configuration with every key that is 0 filled in for a scan with so many training views.
     #[must_use]
     fn resolved(&self, scanner: &Scanner, views: usize) -> Self {
-        let mut config = self.clone();
+        let (mut config, scanner) = (self.clone(), &self.with_margin(scanner));
         if config.method.is_network() {
             let side = cbrt(scanner.grid.voxels() as f64);
             let neural = &mut config.neural;
@@ -138,6 +138,11 @@ impl Config {
     /// The scanner as the training sees it, with `coarse` times as long voxels.
     pub fn seen(&self, scanner: &Scanner) -> Scanner {
         scanner.coarser(self.coarse.max(1))
+    }
+
+    /// The scanner with the layer around the volume that is reconstructed as well.
+    pub fn with_margin(&self, scanner: &Scanner) -> Scanner {
+        Scanner { grid: scanner.grid.with_margin(self.model.margin), ..*scanner }
     }
 
     /// Whether a pilot run chooses the sampling or settings of the finish.

@@ -3,19 +3,20 @@
 use ndarray::{Array2, Array3};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use trgs::config::{Config, DensityControl, Method, PositionOptimiser};
-use trgs::geometry::{Beam, Detector, Deviation, Grid, Scanner};
+use trgs::config::{Auto, Config, DensityControl, Method, PositionOptimiser};
+use trgs::geometry::{Beam, Detector, Deviation, Grid, Scanner, Volume};
 use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
+use trgs::reconstruction::{Checkpoints as RunCheckpoints, Progress, Run};
 use trgs::scan::Dataset;
 use trgs::scan::noise::Noise;
 use trgs::scan::phantom::Phantom;
 use trgs::scan::simulate::{Object, Plan, simulate};
 use trgs::train::{Checkpoint, Checkpoints, TrainedModel, train};
 use trgs::wavelet::{self, Routing, wavelet_loss, wavelet_loss_into};
-use trgs::{Error, evaluation};
+use trgs::{Error, evaluation, reconstruct};
 
 fn scan() -> Dataset {
     let pitch = 4.0 / 40.0;
@@ -50,6 +51,41 @@ fn run(dataset: &Dataset, config: &Config) -> TrainedModel {
 fn bits(result: &TrainedModel) -> Vec<u64> {
     let parameters = &result.primitives.parameters;
     Group::ALL.into_iter().flat_map(|group| parameters.group(group)).map(|x| x.to_bits()).collect()
+}
+
+/// Matter around the volume is not put into it, and a run that was stopped goes on to the same bits.
+#[test]
+fn a_margin_keeps_what_is_around_the_volume_out_of_it() {
+    let whole = scan();
+    let grid = whole.scanner.grid;
+    let inside = grid.block([0, 0, 5], [20, 20, 10]);
+    let part = |volume: &Volume| volume.clone().without_margin(&inside);
+    let cut = whole.on(inside);
+    let truth = part(whole.truth.as_ref().unwrap());
+    let db = |volume: &Volume| evaluation::psnr_3d(truth.values.view(), volume.values.view()).value;
+    for method in [Method::Sart, Method::Tv, Method::TrGs] {
+        let mut config = if method == Method::TrGs { busy(method) } else { Config::of(method) };
+        (config.tv.weight, config.tv.finish_iterations, config.tv.pilot) = (Auto::Fixed(3e-3), Auto::Fixed(5), false);
+        let of_whole = db(&part(&reconstruct(&whole, &config).unwrap().volume));
+        let without = reconstruct(&cut, &config).unwrap();
+        config.model.margin = 0.25;
+        let with = reconstruct(&cut, &config).unwrap();
+        assert_eq!([without.volume.grid, with.volume.grid], [inside; 2]);
+        within!(of_whole - db(&with.volume), "{method:?}: {of_whole} dB, without a margin {}", db(&without.volume));
+        if method != Method::TrGs {
+            beyond!("without, dB", of_whole - db(&without.volume), "{method:?}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let (file, mut left) = (folder.path().join("state"), 3);
+        let stop = |_: Progress<'_>| {
+            left -= 1;
+            if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        Run::new(&cut, &config).checkpoints(RunCheckpoints::new(&file)).observe(stop).reconstruct().unwrap_err();
+        let resumed =
+            Run::new(&cut, &config).checkpoints(RunCheckpoints::resume(&file).unwrap()).reconstruct().unwrap();
+        assert!(resumed.volume == with.volume, "{method:?}");
+    }
 }
 
 #[test]

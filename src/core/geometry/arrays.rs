@@ -4,7 +4,7 @@ use super::{Grid, Pose, Trajectory};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::words::counted;
-use ndarray::{Array3, ArrayView2, Axis};
+use ndarray::{Array3, ArrayView2, Axis, Slice};
 
 /// Density per voxel: attenuation per scene unit of length.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +42,24 @@ impl Volume {
         }
         check_finite("volume", &values)?;
         Ok(Self { grid, values: in_standard_layout(values) })
+    }
+
+    /// The voxels of a grid that this one was made of by [`Grid::with_margin`].
+    ///
+    /// # Panics
+    /// If the grid is not within this one.
+    #[must_use]
+    pub fn without_margin(self, grid: &Grid) -> Self {
+        if self.grid == *grid {
+            return self;
+        }
+        let first = ((grid.min - self.grid.min) / grid.spacing).round();
+        let along = |axis: usize| {
+            let first = first[axis] as usize;
+            Slice::from(first..first + grid.shape[axis])
+        };
+        let values = self.values.slice_each_axis(|axis| along(axis.axis.index())).to_owned();
+        Self { grid: *grid, values }
     }
 }
 

@@ -258,6 +258,19 @@ impl Grid {
         self.shape.iter().fold(1, |product, &n| product.saturating_mul(n))
     }
 
+    /// The grid with voxels of the same size around it, on both sides of each axis that has more than one: `margin` times the
+    /// longest side, and up to a voxel more.
+    pub fn with_margin(&self, margin: f64) -> Self {
+        let width = margin * self.size().max_element();
+        let more = [0, 1, 2].map(|axis| match self.shape[axis] {
+            1 => 0,
+            _ => (width / self.spacing[axis] - 1e-9).ceil().max(0.0) as usize,
+        });
+        let before = DVec3::from_array(more.map(|n| n as f64));
+        let shape = [0, 1, 2].map(|axis| self.shape[axis] + 2 * more[axis]);
+        Self { shape, min: self.min - before * self.spacing, spacing: self.spacing }
+    }
+
     /// The part of the grid that starts at voxel `start` and has `shape` voxels.
     pub fn block(&self, start: [usize; 3], shape: [usize; 3]) -> Self {
         let offset = DVec3::new(start[0] as f64, start[1] as f64, start[2] as f64);

@@ -54,7 +54,7 @@ use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
 use std::path::{Path, PathBuf};
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Beam, Pose, Scanner, Trajectory};
+use trgs_core::geometry::{Beam, Grid, Pose, Scanner, Trajectory};
 use trgs_core::geometry::{Projections, Volume};
 use trgs_core::words::counted;
 
@@ -253,6 +253,12 @@ impl Dataset {
     /// A scan with these training views alone, without test views and truth.
     pub fn of_views(&self, views: &[usize]) -> Self {
         self.of(self.scanner, self.train.select(views))
+    }
+
+    /// The training views with another grid; without test views and truth.
+    #[must_use]
+    pub fn on(&self, grid: Grid) -> Self {
+        self.of(Scanner { grid, ..self.scanner }, self.train.clone())
     }
 
     /// The training views with pixels and voxels `factor` times as long, averaged; without test views and truth.

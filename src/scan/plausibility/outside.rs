@@ -57,12 +57,14 @@ pub(super) fn remark(scan: &Evidence<'_>) -> Option<String> {
     let needed = DVec3::new(at_least(size.x, radius), at_least(size.y, radius), at_least(size.z, height));
     let voxels = (needed / spacing - 1e-9).ceil();
     let whole = voxels * spacing / scan.dataset.scale;
+    let margin = (100.0 * (needed - size).max_element() / 2.0 / size.max_element()).ceil() / 100.0;
     let cut = if is_cut([Side::Left, Side::Right]) { " at least" } else { "" };
     let count = seen.iter().filter(|seen| seen.radius > 0.0 || (height.is_some() && seen.height > 0.0)).count();
     Some(format!(
         "the object is larger than the volume: rays that miss the volume see it in {count} of {used} views, and sart, tv and \
          other methods on voxels put its mass inside; set sVoxel to{cut} [{:.4}, {:.4}, {:.4}] and nVoxel to [{}, {}, {}], \
-         which keeps the size of the voxels",
+         which keeps the size of the voxels, or set model.margin to {margin:.2}, which reconstructs what is around the volume \
+         and does not write it",
         whole.x, whole.y, whole.z, voxels.x, voxels.y, voxels.z
     ))
 }
