@@ -1,7 +1,7 @@
-"""A trainer in PyTorch that answers the stages `iteration` and `run`:  python3 trainer.py VECTORS ANSWERS [float32] [BUG]
+"""A trainer in PyTorch that answers the stages `iteration`, `recycling` and `run`:  python3 trainer.py VECTORS ANSWERS [float32] [BUG]
 
-VECTORS is what `trgs oracle trace` writes. Gradients are PyTorch's own (autograd) from the losses alone. BUG puts one of six
-mistakes of trainers into it: noise, friction, order, decay, moments, burn-in.
+VECTORS is what `trgs oracle trace` writes. Gradients are PyTorch's own (autograd) from the losses alone. BUG puts a mistake of
+trainers into it: noise, friction, order, decay, moments, burn-in, or originals, share, copies, parents, momentum of recycling.
 """
 import math, sys
 from pathlib import Path
@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-BUG = sys.argv.pop() if sys.argv[-1] in ("noise", "friction", "order", "decay", "moments", "burn-in") else None
+BUGS = "noise friction order decay moments burn-in originals share copies parents momentum".split()
+BUG = sys.argv.pop() if sys.argv[-1] in BUGS else None
 import backend
 from backend import KEYS, REAL
 
@@ -175,6 +176,62 @@ def iteration(given):
     }
 
 
+def share(rule, density, nu, n):  # section 11
+    if n == 1 or rule == "exact":
+        return density / n, 1
+    line = lambda j: j**-0.5 if math.isinf(nu) else math.exp(math.lgamma((j * (nu + 3) - 1) / 2) - math.lgamma(j * (nu + 3) / 2))
+    n, opacity = min(n, 51), min(density, 1 - 1e-6)
+    each = 1 - (1 - opacity) ** (1 / n)
+    total = sum(math.comb(n, j) * (-1) ** (j - 1) * each**j * line(j) for j in range(1, n + 1))
+    # A factor that all lines lack, sqrt(pi) of B(1/2, x), cancels.
+    factor = opacity * line(1) / total
+    return each, factor if rule == "sss" else factor**2
+
+
+def recycling(given):
+    """The population after adding and recycling, and the state of its optimisers; thresholds and draws in float64."""
+    model, draws = physical(given["raw"], given), iter(given["uniform"].double().tolist())
+    density, scale, nu = (model[key].double().cpu().numpy() for key in ("density", "scale", "nu"))
+    m, dead = len(density), given["dead"]
+    parent, fresh = list(range(m)), [False] * m
+    density, scale = list(density), list(scale)
+
+    def copies(weights, n):
+        running = np.cumsum(weights)
+        rows = [int(np.searchsorted(running, next(draws) * running[-1], "right")) for _ in range(n if running[-1] > 0 else 0)]
+        for i in set(rows):
+            density[i], factor = share(given["relocation"], density[i], nu[parent[i]], rows.count(i) + (BUG != "share"))
+            scale[i] = scale[i] * factor
+        return rows
+
+    gone = sorted((i for i in range(m) if density[i] < dead), key=lambda i: (density[i], i))[: int(given["recycled"] * m)]
+    alive = [rho if rho >= dead or BUG == "originals" else 0 for rho in density]
+    for row, i in zip(gone, copies(alive, len(gone))):
+        parent[row], fresh[row], density[row], scale[row] = parent[i], True, density[i], scale[i]
+    for i in copies(density, min(int(given["growth"] * m), max(given["cap"] - m, 0))):
+        for values, value in ((parent, parent[i]), (fresh, True), (density, density[i]), (scale, scale[i])):
+            values.append(value)
+
+    rows, new = torch.tensor(parent), torch.tensor(fresh)
+    after = {key: model[key][rows] for key in KEYS}
+    after |= {"density": torch.tensor(np.array(density), dtype=REAL), "scale": torch.tensor(np.array(scale), dtype=REAL)}
+    if given["spread"]:
+        z = given["normals"] * after["scale"][new]
+        turned = (backend.rotations(after["quaternion"][new]) @ z[..., None])[..., 0]
+        after["mean"] = after["mean"].index_put((new,), after["mean"][new] + given["spread"] * turned)
+    copied = torch.isin(rows, rows[new]) & bool(given["reset_parents"] and BUG != "parents")
+    lost = copied & ~new if BUG == "copies" else copied | new
+    kept = lambda array, lost: torch.where(lost.reshape(-1, *[1] * (array.ndim - 1)), torch.zeros(()), array[rows])
+    return {
+        "1-parent": rows.to(REAL),
+        "2-fresh": new.to(REAL),
+        "3-physical": after,
+        "4-first": {key: kept(given["first"][key], lost) for key in KEYS},
+        "5-second": {key: kept(given["second"][key], lost) for key in KEYS},
+        "6-momentum": given["momentum"][rows] if BUG == "momentum" else kept(given["momentum"], new),
+    }
+
+
 def run(given):
     """Iterations in a row."""
     steps = len(given["angles"])
@@ -193,7 +250,7 @@ def run(given):
 
 
 def answer(stage, given):
-    outputs = {"iteration": iteration, "run": run}[stage](given)
+    outputs = {"iteration": iteration, "recycling": recycling, "run": run}[stage](given)
     return [outputs[name] for name in sorted(outputs)]
 
 

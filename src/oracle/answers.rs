@@ -6,6 +6,7 @@ use super::networks;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
 use super::population;
 use super::question::Question;
+use super::recycling;
 use super::run;
 use ndarray::{Array1, Array2, Array3, Array4, Axis, Ix1, Ix2, Ix3};
 use rand::Rng;
@@ -209,6 +210,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
         "noise" => one("noisy", noise(q)?),
         "random" => random(q)?,
         iteration::STAGE => iteration::answer::<R>(q)?,
+        recycling::STAGE => recycling::answer(q)?,
         run::STAGE => run::answer::<R>(q)?,
         "metrics" => metrics(q)?,
         "hash-corners" => networks::corners::<R>(q)?,

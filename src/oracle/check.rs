@@ -2,19 +2,18 @@
 
 mod together;
 
+use super::TRACED;
 use super::answers::STAGES;
 use super::condition::{self, Conditions};
 use super::diagnosis::{self, arrays::transposition};
 use super::difference::Difference;
 use super::format::Format;
 use super::fresh::{Ask, refusals};
-use super::iteration;
 use super::limits::{Element, Excess, Tolerances};
 use super::manifest::{Arrays, Case, FileRef, Level, Vectors};
 use super::place::Errors;
 use super::plain::answered;
 use super::question::Question;
-use super::run;
 use super::waivers::Waiver;
 use ndarray::ArrayD;
 use serde::Serialize;
@@ -288,7 +287,7 @@ fn declared(about: &Value, folder: &Path) -> Result<Option<Vec<String>>> {
         return Ok(None);
     }
     let stages: Option<Vec<String>> = serde_json::from_value(about["stages"].clone()).ok();
-    let all: Vec<_> = STAGES.into_iter().chain([iteration::STAGE, run::STAGE]).collect();
+    let all: Vec<_> = STAGES.into_iter().chain(TRACED).collect();
     let known = |stages: &Vec<String>| stages.iter().all(|stage| all.contains(&stage.as_str()));
     stages.filter(known).map(Some).ok_or_else(|| {
         let (got, expected) = (&about["stages"], format!("a list of {}", all.join(", ")));
@@ -347,8 +346,8 @@ fn check_case(
             parts.push(part.judge(&got)?);
         }
     }
-    // Outputs of iterations are in the order of their computation: the first wrong one is the cause.
-    if [iteration::STAGE, run::STAGE].contains(&case.stage.as_str())
+    // Outputs of traced steps are in the order of their computation: the first wrong one is the cause.
+    if TRACED.contains(&case.stage.as_str())
         && let Some(first) = parts.iter().position(|part| part.status == Status::Failed)
     {
         let message = format!("after {}, which is wrong already", parts[first].output);

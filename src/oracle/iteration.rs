@@ -49,6 +49,11 @@ fn block(q: &Question, key: &str, grid: &Grid) -> Result<Option<Grid>> {
 }
 
 pub(super) fn answer<R: Kernels>(q: &Question) -> Result<Outputs> {
+    changed::<R>(q, &|_| ())
+}
+
+/// The answer if `change` is applied to the gradient to the physical parameters.
+pub(crate) fn changed<R: Kernels>(q: &Question, change: &dyn Fn(&mut Parameters)) -> Result<Outputs> {
     let (activation, scanner, mut raw) = (q.activation()?, q.scanner()?, q.parameters("raw")?);
     let physical = activation.forward(&raw);
     let field = Field::<R>::new(&physical, 0.0);
@@ -93,6 +98,7 @@ pub(super) fn answer<R: Kernels>(q: &Question) -> Result<Outputs> {
         false => Default::default(),
     };
     gradient.nu.iter_mut().zip(of_nu).for_each(|(gradient, d)| *gradient += d);
+    change(&mut gradient);
     let total = data.total + (q.setting("tv_weight")? * tv_value + wavelet_value + nu_value);
     let losses = vec![data.l1, data.d_ssim, tv_value, wavelet_value, nu_value, total];
 

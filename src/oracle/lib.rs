@@ -26,6 +26,7 @@
 //! | [`fresh`] | questions that are generated, and their truth |
 //! | [`hunt`] | failures of a backend, found and shrunk |
 //! | [`iteration`] | one iteration of a run, with every intermediate array |
+//! | [`recycling`] | adding and recycling after an iteration |
 //! | [`run`] | iterations in a row |
 //! | [`report`] | Markdown, JSON, JUnit |
 
@@ -54,6 +55,7 @@ mod place;
 pub mod plain;
 mod population;
 pub mod question;
+pub mod recycling;
 pub mod report;
 pub mod run;
 pub mod waivers;
@@ -64,6 +66,9 @@ pub use format::Format;
 pub use limits::Tolerances;
 pub use manifest::{Case, Level, Vectors};
 pub use outputs::Outputs;
+
+/// The stages of traced trainings, which have no cases among the vectors.
+pub const TRACED: [&str; 3] = [iteration::STAGE, recycling::STAGE, run::STAGE];
 
 /// For the training that is traced.
 #[doc(hidden)]

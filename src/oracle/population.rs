@@ -40,23 +40,27 @@ pub(super) fn sghmc(q: &Question) -> Result<Array3<f64>> {
     Ok(trajectory)
 }
 
-/// The outputs of one step of adding and recycling.
-pub(super) fn recycled(q: &Question) -> Result<Outputs> {
+/// The thresholds and fractions of adding and recycling.
+pub(super) fn recycling(q: &Question) -> Result<ar::Settings> {
     let name = q.word("relocation")?;
     let rules = [("exact", Relocation::Exact), ("sss", Relocation::Sss), ("sss-program", Relocation::SssProgram)];
     let rule = rules.into_iter().find(|(rule, _)| *rule == name);
     let (_, relocation) =
         rule.ok_or_else(|| Error::invalid("relocation", name, "a known rule", "export the vectors again"))?;
-    let settings = ar::Settings {
+    Ok(ar::Settings {
         dead: q.setting("dead")?,
         recycled: q.setting("recycled")?,
         growth: q.setting("growth")?,
         cap: q.integer("cap")? as usize,
         relocation,
-    };
+    })
+}
+
+/// The outputs of one step of adding and recycling.
+pub(super) fn recycled(q: &Question) -> Result<Outputs> {
     let (primitives, draws) = (q.primitives()?, q.numbers("uniform")?);
     let mut draws = draws.into_iter();
-    let next = ar::ar(&primitives, &settings, || draws.next().unwrap_or(f64::NAN));
+    let next = ar::ar(&primitives, &recycling(q)?, || draws.next().unwrap_or(f64::NAN));
     Ok(generation(&primitives.parameters, &next))
 }
 
@@ -88,7 +92,7 @@ pub(super) fn mean2d_gradients<R: Kernels>(q: &Question) -> Result<Array2<f64>> 
     Ok(Array2::from(gradient.mean2d_gradients().collect::<Vec<_>>()))
 }
 
-fn generation(old: &Parameters, next: &[NextPrimitive]) -> Outputs {
+pub(super) fn generation(old: &Parameters, next: &[NextPrimitive]) -> Outputs {
     let numbers = |of: fn(&NextPrimitive) -> f64| next.iter().map(of).collect::<Array1<_>>();
     let mut outputs = parameters("model", &next_parameters(old, next));
     outputs.extend(one("parent", numbers(|s| s.parent as f64)));
@@ -96,7 +100,7 @@ fn generation(old: &Parameters, next: &[NextPrimitive]) -> Outputs {
     outputs
 }
 
-fn rows(array: &Array2<f64>) -> Vec<[f64; 3]> {
+pub(super) fn rows(array: &Array2<f64>) -> Vec<[f64; 3]> {
     array.outer_iter().map(|row| vector(row).to_array()).collect()
 }
 

@@ -241,6 +241,16 @@ impl<'a, R: Kernels> Trainer<'a, R> {
 
     /// One iteration: one view, one or two blocks, one step of the optimisers; density control and confidence if due.
     fn step(&mut self, iteration: usize) -> Result<Losses> {
+        let losses = self.fit(iteration)?;
+        self.control_density(iteration)?;
+        if iteration.is_multiple_of(self.config.confidence.every) {
+            self.refresh_confidence();
+        }
+        Ok(losses)
+    }
+
+    /// The losses, and one step of the optimisers.
+    fn fit(&mut self, iteration: usize) -> Result<Losses> {
         self.current.update(&self.state.raw, &self.activation);
         let losses = self.losses(iteration)?;
         let IterationState { physical, gradient, direction, .. } = &mut self.current;
@@ -248,10 +258,6 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         gradient.check_finite("gradient of the raw parameters", iteration)?;
         let State { raw, ids, optimiser, .. } = &mut self.state;
         optimiser.step(raw, gradient, direction, &Step { config: self.config, done: iteration - 1, physical, ids });
-        self.control_density(iteration)?;
-        if iteration.is_multiple_of(self.config.confidence.every) {
-            self.refresh_confidence();
-        }
         Ok(losses)
     }
 
@@ -283,12 +289,17 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         Ok(losses)
     }
 
+    /// Whether density control is due after an iteration.
+    fn controls_density(&self, iteration: usize) -> bool {
+        let control = &self.config.density_control;
+        let part = iteration as f64 / self.config.iterations as f64;
+        iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop.or(1.0)
+    }
+
     /// Adds, moves and removes primitives if due.
     fn control_density(&mut self, iteration: usize) -> Result<()> {
         let control = &self.config.density_control;
-        let part = iteration as f64 / self.config.iterations as f64;
-        let due = iteration.is_multiple_of(control.every) && part > control.start && part <= control.stop.or(1.0);
-        if !due {
+        if !self.controls_density(iteration) {
             return Ok(());
         }
         let physical = self.activation.forward(&self.state.raw);
@@ -309,21 +320,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
                 };
                 adc::adc(&physical.parameters, &self.state.gradient_stats.means(), &settings, grid, normals)
             }
-            DensityControl::Ar => {
-                let settings = ar::Settings {
-                    dead: control.dead,
-                    recycled: control.recycled,
-                    growth: control.growth,
-                    cap: control.cap,
-                    relocation: control.relocation,
-                };
-                let mut random = rng::stream(seed, Purpose::Recycling, step, 0);
-                let mut next = ar::ar(&physical, &settings, || random.random());
-                let mut places = rng::stream(seed, Purpose::Splitting, step, 0);
-                let normals = || std::array::from_fn(|_| places.sample(StandardNormal));
-                density::spread(&physical.parameters, &mut next, control.spread, normals);
-                next
-            }
+            DensityControl::Ar => self.recycled(&physical, iteration, |_| (), |_| ()),
         };
         if next.is_empty() {
             let expected = "at least one primitive that is neither faint nor outside of the volume";
@@ -333,6 +330,37 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         self.state.replace_population(&physical.parameters, &next, control.reset_parents, &self.activation);
         self.inherit_confidence(&next);
         Ok(())
+    }
+
+    /// The population after adding and recycling; the random numbers that it takes are shown.
+    fn recycled(
+        &self,
+        physical: &Primitives,
+        iteration: usize,
+        mut drawn: impl FnMut(f64),
+        mut placed: impl FnMut([f64; 3]),
+    ) -> Vec<NextPrimitive> {
+        let (control, step) = (&self.config.density_control, iteration as u64);
+        let settings = ar::Settings {
+            dead: control.dead,
+            recycled: control.recycled,
+            growth: control.growth,
+            cap: control.cap,
+            relocation: control.relocation,
+        };
+        let mut random = rng::stream(self.config.seed, Purpose::Recycling, step, 0);
+        let mut next = ar::ar(physical, &settings, || {
+            let uniform = random.random();
+            drawn(uniform);
+            uniform
+        });
+        let mut places = rng::stream(self.config.seed, Purpose::Splitting, step, 0);
+        density::spread(&physical.parameters, &mut next, control.spread, || {
+            let normals = std::array::from_fn(|_| places.sample(StandardNormal));
+            placed(normals);
+            normals
+        });
+        next
     }
 
     /// c of a new population: computed for fresh primitives, inherited by the others until the next recomputation.

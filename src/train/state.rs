@@ -3,7 +3,7 @@
 use super::optimiser::Optimiser;
 use super::record::{Losses, Record};
 use crate::config::Config;
-use crate::density::{NextPrimitive, next_parameters};
+use crate::density::{NextPrimitive, kept_rows, next_parameters};
 use crate::error::Result;
 use crate::primitives::{Activation, Group, Parameters};
 use crate::sealed::{are_finite, require};
@@ -154,12 +154,7 @@ impl State {
             }
         };
         self.ids = next.iter().map(&mut id).collect();
-        let mut reset = vec![false; physical.density.len()];
-        if reset_parents {
-            next.iter().filter(|s| s.fresh).for_each(|s| reset[s.parent] = true);
-        }
-        let momentum: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
-        let moments: Vec<_> = momentum.iter().map(|row| row.filter(|&parent| !reset[parent])).collect();
+        let [moments, momentum] = kept_rows(next, reset_parents);
         self.optimiser.remap_rows(&moments, &momentum);
         self.gradient_stats = GradientStats::new(next.len());
     }

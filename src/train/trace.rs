@@ -4,12 +4,13 @@ use super::losses::weight_of_tv;
 use super::optimiser::{burn_in, normals};
 use super::views::random_block;
 use super::{Plan, Trainer};
-use crate::config::{PositionOptimiser, Precision};
+use crate::config::{DensityControl, PositionOptimiser, Precision};
 use crate::error::{Error, Result};
 use crate::numeric::rng::Purpose;
 use crate::optim::schedule::pace;
+use crate::oracle::fresh::Traced;
 use crate::oracle::internals::{one, parameters};
-use crate::oracle::{Outputs, Vectors, fresh, iteration, run};
+use crate::oracle::{Outputs, Vectors, fresh, iteration, recycling, run};
 use crate::primitives::KernelKind;
 use crate::projector::{Kernels, Projection};
 use crate::scan::dataset::Dataset;
@@ -19,7 +20,8 @@ use std::ops::ControlFlow;
 use trgs_methods::internals::in_unit;
 
 /// Runs a configuration up to `iteration`, counted from 1, and returns what that one starts from: a question of the oracle's
-/// stage `iteration`, or `run` for several `steps` from there. Lengths are in scene units, densities in the run's unit.
+/// stage `iteration`, or `run` for several `steps` from there. Where adding and recycling is due after a single iteration, a
+/// question of the stage `recycling` follows. Lengths are in scene units, densities in the run's unit.
 ///
 /// `observe` is called after every iteration; `Break` stops.
 ///
@@ -50,6 +52,7 @@ pub fn trace(
     if config.optimiser.position == PositionOptimiser::SghmcTextbook {
         return refuse("optimiser.position", "sghmc-textbook".into(), "sghmc or adam".into());
     }
+    let dataset = &dataset.on(config.with_margin(&dataset.scanner).grid);
     let dataset = &*super::seen(dataset, config);
     let unit = super::unit_of(dataset, config)?;
     let dataset = &*in_unit(dataset, unit);
@@ -73,27 +76,30 @@ impl<R: Kernels> Trainer<'_, R> {
                 return Err(Error::interrupted(next, false));
             }
         }
+        let mut questions = vec![self.iterations(iteration, steps)];
+        let recycles = self.config.density_control.method == DensityControl::Ar && self.controls_density(iteration);
+        if steps == 1 && recycles {
+            self.fit(iteration)?;
+            questions.push(self.recycling(iteration));
+        }
+        Ok(fresh::traced(questions))
+    }
+
+    /// What iterations in a row start from.
+    fn iterations(&mut self, iteration: usize, steps: usize) -> Traced {
         let done = iteration - 1;
         let views: Vec<usize> = (done..done + steps).map(|step| self.order.view(step)).collect();
         let state = &self.state;
         let count = state.raw.len();
-        let [first, second] = state.optimiser.moments(count);
         let normals = |done: usize| -> Vec<[f64; 3]> {
             state.ids.iter().map(|&id| normals(self.config, done, id).to_array()).collect()
         };
         let of_all = |values: &[f64]| if values.is_empty() { vec![1.0; count] } else { values.to_vec() };
-        let rows = |rows: &[[f64; 3]]| ArrayView2::from(rows).to_owned();
-        let arrays = [
-            parameters("raw", &state.raw),
-            parameters("first", &first),
-            parameters("second", &second),
-            one("momentum", rows(state.optimiser.momentum())),
-            one("confidence", Array1::from(of_all(&state.confidence))),
-            one("nu_target", Array1::from(of_all(&self.targets))),
-        ];
+        let mut arrays = self.parameters();
+        arrays.extend(one("confidence", Array1::from(of_all(&state.confidence))));
+        arrays.extend(one("nu_target", Array1::from(of_all(&self.targets))));
         let (train, of) = (&self.dataset.train, format!("of {} of {}", self.config.iterations, self.dataset.name));
         let mut settings = self.settings(done);
-        let mut arrays: Outputs = arrays.into_iter().flatten().collect();
         settings.insert("angles".into(), views.iter().map(|&view| train.angles[view]).collect());
         let (id, title) = if steps == 1 {
             arrays.extend(one("normals", rows(&normals(done))));
@@ -115,7 +121,59 @@ impl<R: Kernels> Trainer<'_, R> {
             let last = done + steps;
             (format!("{}/steps-{iteration}-{last}", run::STAGE), format!("Iterations {iteration} to {last} {of}"))
         };
-        Ok(fresh::traced(id, title, settings, &self.dataset.scanner, arrays))
+        Traced { id, title, settings, scanner: Some(self.dataset.scanner), arrays }
+    }
+
+    /// What adding and recycling after an iteration starts from.
+    fn recycling(&self, iteration: usize) -> Traced {
+        let (mut uniform, mut normals) = (Vec::new(), Vec::new());
+        let physical = self.activation.forward(&self.state.raw);
+        self.recycled(&physical, iteration, |draw| uniform.push(draw), |draw| normals.push(draw));
+        let mut arrays = self.parameters();
+        arrays.extend(one("uniform", Array1::from(uniform)));
+        arrays.extend(one("normals", rows(&normals)));
+        let control = &self.config.density_control;
+        let mut settings = self.activations();
+        let Value::Object(more) = json!({
+            "dead": control.dead,
+            "recycled": control.recycled,
+            "growth": control.growth,
+            "cap": control.cap,
+            "relocation": control.relocation,
+            "spread": control.spread,
+            "reset_parents": u8::from(control.reset_parents),
+        }) else {
+            unreachable!("an object")
+        };
+        settings.extend(more);
+        let id = format!("{}/step-{iteration}", recycling::STAGE);
+        let of = format!("of {} of {}", self.config.iterations, self.dataset.name);
+        Traced { id, title: format!("Recycling after iteration {iteration} {of}"), settings, scanner: None, arrays }
+    }
+
+    /// The parameters with the state of their optimisers.
+    fn parameters(&self) -> Outputs {
+        let state = &self.state;
+        let [first, second] = state.optimiser.moments(state.raw.len());
+        let mut arrays = parameters("raw", &state.raw);
+        arrays.extend(parameters("first", &first));
+        arrays.extend(parameters("second", &second));
+        arrays.extend(one("momentum", rows(state.optimiser.momentum())));
+        arrays
+    }
+
+    /// The way from raw to physical parameters.
+    fn activations(&self) -> Map<String, Value> {
+        let activation = &self.activation;
+        let kernel = if self.config.model.kernel == KernelKind::Gaussian { "gaussian" } else { "student-t" };
+        let Value::Object(settings) = json!({
+            "kernel": kernel,
+            "scale_range": [activation.scale.min, activation.scale.max],
+            "nu_range": [activation.nu.min, activation.nu.max],
+        }) else {
+            unreachable!("an object")
+        };
+        settings
     }
 
     /// The blocks of the losses that are due in the step after `done`: first voxel and shape.
@@ -134,14 +192,11 @@ impl<R: Kernels> Trainer<'_, R> {
     }
 
     fn settings(&self, done: usize) -> Map<String, Value> {
-        let (config, activation) = (self.config, &self.activation);
+        let config = self.config;
         let (o, wavelet) = (&config.optimiser, config.wavelet.settings());
         let rates = [o.mean, o.scale, o.quaternion, o.density, o.nu].concat();
         let settings = json!({
             "projection": if config.projection == Projection::Exact { "exact" } else { "affine" },
-            "kernel": if config.model.kernel == KernelKind::Gaussian { "gaussian" } else { "student-t" },
-            "scale_range": [activation.scale.min, activation.scale.max],
-            "nu_range": [activation.nu.min, activation.nu.max],
             "d_ssim": config.loss.d_ssim,
             "tv_weight": weight_of_tv(config),
             "blocks_move": u8::from(config.loss.blocks_move),
@@ -165,17 +220,23 @@ impl<R: Kernels> Trainer<'_, R> {
             "friction": config.sghmc.friction,
             "reference": config.sghmc.density_reference,
         });
-        let Value::Object(settings) = settings else { unreachable!("an object") };
+        let Value::Object(mut settings) = settings else { unreachable!("an object") };
+        settings.extend(self.activations());
         settings
     }
+}
+
+fn rows(rows: &[[f64; 3]]) -> Array2<f64> {
+    ArrayView2::from(rows).to_owned()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, DensityControl, Method};
+    use crate::config::{Config, Method};
+    use crate::density::Relocation;
     use crate::geometry::Scanner;
-    use crate::oracle::{Question, answers};
+    use crate::oracle::{Format, Options, Question, Tolerances, answers, check, report, waivers};
     use crate::scan::simulate::{Object, simulate};
     use crate::scan::{Noise, Phantom};
     use crate::tolerances::relative;
@@ -210,6 +271,83 @@ mod tests {
                 let error = found["6-raw"][name].iter().zip(expected).map(|(a, b)| relative(*a, *b));
                 within!(error.fold(0.0, f64::max), "{method:?} {name}");
             }
+        }
+    }
+
+    #[test]
+    fn the_answer_to_recycling_is_what_the_next_iteration_starts_from() {
+        let dataset = scan();
+        for (relocation, reset_parents, spread) in [(Relocation::Exact, false, 1.0), (Relocation::Sss, true, 0.0)] {
+            let mut config = config(Method::TrGs);
+            let control = &mut config.density_control;
+            (control.method, control.every, control.start) = (DensityControl::Ar, 4, 0.0);
+            (control.relocation, control.reset_parents, control.spread) = (relocation, reset_parents, spread);
+            (control.dead, control.recycled, control.growth) = (0.05, 0.2, 0.1);
+            let plan = config.plan(&dataset.scanner, dataset.train.len()).unwrap();
+            let at = |iteration| trace(&dataset, &plan, [iteration, 1], &mut |_| ControlFlow::Continue(())).unwrap();
+            let (this, next) = (at(4), at(5));
+            assert_eq!([&this, &next].map(|vectors| vectors.manifest.cases.len()), [2, 1]);
+            let case = &this.manifest.cases[1];
+            assert_eq!(case.id, "recycling/step-4");
+            let found = answers::answer(&Question::new(&this, case).unwrap(), trgs_core::numeric::Precision::F64);
+            let mut found = found.unwrap();
+            let following = &next.manifest.cases[0];
+            let mut after = Question::new(&next, following)
+                .and_then(|question| answers::answer(&question, trgs_core::numeric::Precision::F64))
+                .unwrap();
+            let physical = after.remove("01-physical").unwrap();
+            let (old, new) = (plan.model.points, physical["nu"].len());
+            assert!(new > old, "{new}");
+            let is_fresh = |row: &usize| found["2-fresh"][""][[*row]] == 1.0;
+            assert!((0..old).any(|row| is_fresh(&row)) && (old..new).all(|row| is_fresh(&row)));
+            let mut expected = Outputs::from([("3-physical".into(), physical)]);
+            for (output, role) in [("4-first", "first"), ("5-second", "second"), ("6-momentum", "momentum")] {
+                expected.insert(output.into(), next.arrays(&following.inputs[role]).unwrap());
+            }
+            for (output, arrays) in expected {
+                for (name, expected) in arrays {
+                    let found = found.get_mut(&output).unwrap().remove(&name).unwrap();
+                    let error = found.iter().zip(&expected).map(|(a, b)| relative(*a, *b)).fold(0.0, f64::max);
+                    assert_eq!(found.shape(), expected.shape());
+                    within!(error, "{relocation:?} {output} {name}");
+                }
+            }
+        }
+    }
+
+    /// The slope of a ball to its quaternion is 0 or a rounding error, of which Adam's first step has the sign.
+    #[test]
+    fn the_first_step_may_follow_a_rounding_error() {
+        let dataset = scan();
+        let plan = config(Method::TrGs).plan(&dataset.scanner, dataset.train.len()).unwrap();
+        for (iteration, passes) in [(1, true), (8, false)] {
+            let vectors = trace(&dataset, &plan, [iteration, 1], &mut |_| ControlFlow::Continue(())).unwrap();
+            let folder = tempfile::tempdir().unwrap();
+            let vectors = fresh::with_truth(vectors, Format::F32, folder.path()).unwrap();
+            let case = &vectors.manifest.cases[0];
+            let question = Question::new(&vectors, case).unwrap();
+            let mut found = answers::answer(&question, trgs_core::numeric::Precision::F64).unwrap();
+            let raw = &vectors.arrays(&case.inputs["raw"]).unwrap()["quaternion"];
+            let (rate, density) = (found["07-rates"][""][[2]], found["01-physical"]["density"].clone());
+            let after = found.get_mut("11-raw").and_then(|arrays| arrays.get_mut("quaternion")).unwrap();
+            // Those of almost no density have almost no rounding error either.
+            let mean = density.mean().unwrap();
+            let rows = density.iter().zip(raw.outer_iter()).zip(after.outer_iter_mut());
+            let mut rows: Vec<_> = rows.filter(|((density, _), _)| **density > mean).collect();
+            assert!(rows.len() > 5, "{}", rows.len());
+            rows.iter_mut().for_each(|((_, raw), after)| after.zip_mut_with(raw, |after, raw| *after = raw + rate));
+            answers::write(folder.path(), case, &found).unwrap();
+            let level = case.level;
+            let options = Options {
+                format: Format::F32,
+                level,
+                stages: &[],
+                waivers: &[],
+                today: waivers::today(),
+                commit: None,
+            };
+            let report = check(&vectors, &Tolerances::of(&vectors).unwrap(), folder.path(), &options).unwrap();
+            assert_eq!(report.passed(), passes, "{iteration}: {}", report::markdown(&report));
         }
     }
 

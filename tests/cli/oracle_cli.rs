@@ -140,7 +140,7 @@ fn iterations_in_a_row_are_judged_by_a_corridor() {
 #[test]
 fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
     let sandbox = Sandbox::with_scan();
-    let run = "--set iterations=40 --set model.points=40";
+    let run = "--set iterations=40 --set model.points=40 --set density_control.every=9";
     let made = sandbox.done(&format!("oracle trace scan step --iteration 20 {run}"));
     assert_eq!(made["cases"], 1);
     // The same iteration again, and another one.
@@ -189,6 +189,31 @@ fn an_iteration_is_traced_and_its_first_wrong_array_is_named() {
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         let mut parts = report["results"][0]["parts"].as_array().unwrap().iter();
         assert_eq!(parts.find(|part| part["status"] == "failed").unwrap()["output"], first);
+    }
+    // Recycling where it is due: trainers that recycle nothing, that keep moments, and whose copies stay in place.
+    let more = "--set density_control.every=4 --set density_control.dead=0.05 --set density_control.reset_parents=true";
+    assert_eq!(sandbox.done(&format!("oracle trace scan due --iteration 20 {run} {more}"))["cases"], 2);
+    let manifest = sandbox.text("due/manifest.json");
+    for precision in ["f32", "f64"] {
+        sandbox.done(&format!("oracle answer due-{precision} --vectors due --precision {precision}"));
+        sandbox.done(&format!("oracle check due-{precision} --vectors due --precision {precision}"));
+    }
+    for (name, value, first) in
+        [("dead", 0.0, "1-parent"), ("reset_parents", 0.0, "4-first"), ("spread", 0.0, "3-physical")]
+    {
+        let mut wrong: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+        wrong["cases"][1]["settings"][name] = value.into();
+        sandbox.write("due/manifest.json", wrong.to_string());
+        sandbox.done("oracle answer foreign --vectors due --precision f64 --overwrite");
+        sandbox.write("due/manifest.json", &manifest);
+        let output = sandbox.run("oracle check foreign --vectors due --precision f32 --json");
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!([&report["results"][0]["status"], &report["results"][1]["status"]], ["passed", "failed"], "{name}");
+        let parts = report["results"][1]["parts"].as_array().unwrap();
+        let failed: Vec<_> = parts.iter().filter(|part| part["status"] == "failed").collect();
+        let output = failed[0]["output"].as_str().unwrap();
+        assert!(output.starts_with(first), "{name}: {output}");
+        assert!(failed[1..].iter().all(|part| part["message"].as_str().unwrap().starts_with("after ")), "{name}");
     }
     for (change, part) in [
         ("--iteration 41", "iteration: got 41, expected 1 to 40"),

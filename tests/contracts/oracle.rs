@@ -9,7 +9,7 @@ use trgs::config::Precision;
 use trgs::oracle::check::{PartResult, Status};
 use trgs::oracle::limits::{Limits, Rule};
 use trgs::oracle::{
-    Case, Format, Level, Options, Question, Tolerances, Vectors, answers, check, iteration, plain, report, run, waivers,
+    Case, Format, Level, Options, Question, TRACED, Tolerances, Vectors, answers, check, plain, report, waivers,
 };
 
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -127,7 +127,7 @@ fn every_stage_and_format_has_a_tolerance_with_a_reason() {
 
 /// Whether a rule is of the stages that traces alone have: tests/cli/oracle_cli.rs judges this program's answers by it.
 fn is_of_traces(rule: &Rule) -> bool {
-    [iteration::STAGE, run::STAGE].iter().any(|stage| rule.stages == [*stage])
+    TRACED.iter().any(|stage| rule.stages == [*stage])
 }
 
 /// The largest value of each norm over all arrays of a rule.
@@ -221,8 +221,7 @@ fn formats_of_products_have_wide_limits_in_stages_with_products_alone() {
         answer(&vectors, Precision::F32, folder.path(), |_| true);
         assert!(judge(&vectors, folder.path(), format, &[]).passed());
     }
-    let of_traces = [iteration::STAGE, run::STAGE];
-    let known = |stage: &String| answers::STAGES.contains(&stage.as_str()) || of_traces.contains(&stage.as_str());
+    let known = |stage: &String| answers::STAGES.contains(&stage.as_str()) || TRACED.contains(&stage.as_str());
     assert!(tolerances.products.iter().all(known));
 }
 

@@ -15,8 +15,8 @@ use trgs::train::trace;
 
 /// Write what an iteration of a run starts from, or several in a row, as a question for a backend's training
 ///
-/// The run is made up to that iteration. The question has no truncation of primitives; density control and the confidence
-/// of the next iterations are not part of it.
+/// The run is made up to that iteration. The question has no truncation of primitives, and the confidence of the next
+/// iterations is not part of it. Where adding and recycling is due after a single iteration, it is a second question.
 #[derive(Args)]
 #[command(after_help = "Example:
   trgs oracle trace data/torso step --iteration 300 --config out/torso/config.toml

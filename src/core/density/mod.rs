@@ -13,6 +13,7 @@ pub use relocation::Relocation;
 
 use crate::primitives::{Parameters, rotation};
 use glam::DVec3;
+use std::collections::BTreeSet;
 
 /// A primitive of the next population.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,6 +61,17 @@ pub fn next_parameters(primitives: &Parameters, next: &[NextPrimitive]) -> Param
         density: next.iter().map(|s| s.density).collect(),
         nu: next.iter().map(|s| primitives.nu[s.parent]).collect(),
     }
+}
+
+/// Of each primitive of the next population: the old row whose moments it keeps, and the one whose momentum it keeps.
+///
+/// A fresh primitive keeps neither. With `reset_parents` the moments of what was copied start anew, too.
+/// Not in the paper. Tests: `src/train/state.rs`, and `src/train/trace.rs` against a whole run.
+pub fn kept_rows(next: &[NextPrimitive], reset_parents: bool) -> [Vec<Option<usize>>; 2] {
+    let copied: BTreeSet<usize> = next.iter().filter(|s| s.fresh && reset_parents).map(|s| s.parent).collect();
+    let momentum: Vec<_> = next.iter().map(|s| (!s.fresh).then_some(s.parent)).collect();
+    let moments = momentum.iter().map(|row| row.filter(|parent| !copied.contains(parent))).collect();
+    [moments, momentum]
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The dimensions of each stage's questions: what can be left out, reordered, and counted.
 
-use crate::{iteration, run};
+use crate::{iteration, recycling, run};
 
 /// What the elements of a dimension are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +82,7 @@ pub(crate) fn outputs(stage: &str) -> &'static [&'static str] {
         "sghmc-gate" => &["gate"],
         "gradient-shadow" => &["shadow"],
         iteration::STAGE => &iteration::OUTPUTS,
+        recycling::STAGE => &recycling::OUTPUTS,
         run::STAGE => &run::OUTPUTS,
         _ => &["grad"],
     }
@@ -173,6 +174,10 @@ pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
             let outputs: Vec<_> =
                 iteration::ARCHIVES.into_iter().chain(["10-momentum"]).map(|role| (role, 0)).collect();
             vec![of(Of::Primitives, &inputs, &outputs, 1, true)]
+        }
+        recycling::STAGE => {
+            let inputs = ["raw", "first", "second", "momentum"].map(|role| (role, 0));
+            vec![of(Of::Primitives, &inputs, &recycling::OUTPUTS.map(|role| (role, 0)), 1, false)]
         }
         run::STAGE => {
             let outputs: Vec<_> = run::OUTPUTS[1..].iter().map(|role| (*role, 0)).collect();

@@ -5,7 +5,7 @@ use super::dimensions::{Dimension, Of, dimensions};
 use super::flags::{REFUSALS, RELATIONS, VALUES};
 use crate::manifest::{Arrays, Case, FileRef, Level, Manifest, SCHEMA_VERSION, Vectors, decode, encode};
 use crate::question::Question;
-use crate::{iteration, run};
+use crate::{iteration, recycling, run};
 use ndarray::Axis;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -190,11 +190,8 @@ pub(crate) fn vectors(drafts: &[Draft], generator: &[(&str, Value)]) -> Vectors 
         }
         let output = |role: &&str| {
             let is_archive = matches!(*role, "grad" | "physical" | "model" | "metrics");
-            let kind = if is_archive || iteration::ARCHIVES.contains(role) || run::OUTPUTS[1..].contains(role) {
-                "npz"
-            } else {
-                "npy"
-            };
+            let traced = [&iteration::ARCHIVES[..], &recycling::ARCHIVES, &run::OUTPUTS[1..]];
+            let kind = if is_archive || traced.iter().any(|archives| archives.contains(role)) { "npz" } else { "npy" };
             ((*role).to_owned(), FileRef { file: format!("{}/{role}.{kind}", draft.id), sha256: None })
         };
         let Draft { id, stage, title, level, flags, settings, .. } = draft.clone();

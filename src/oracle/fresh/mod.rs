@@ -112,20 +112,34 @@ pub fn make(stages: &[String], seed: u64, count: usize, level: Level, ask: Ask) 
     Ok(draft::vectors(&all, &[("ask", json!(ask)), ("seed", json!(seed)), ("count", json!(count))]))
 }
 
-/// Traced iterations as a question `stage/name` without truth.
-pub fn traced(id: String, title: String, settings: Map<String, Value>, scanner: &Scanner, arrays: Outputs) -> Vectors {
-    let stage = id.split('/').next().unwrap_or_default().to_owned();
-    let draft = Draft {
-        id,
-        stage,
-        title,
+/// A step of a training as a question.
+pub struct Traced {
+    /// `stage/name`.
+    pub id: String,
+    /// A description in one sentence.
+    pub title: String,
+    /// Numbers and words.
+    pub settings: Map<String, Value>,
+    /// The geometry, where it is an input.
+    pub scanner: Option<Scanner>,
+    /// The inputs by role.
+    pub arrays: Outputs,
+}
+
+/// Steps of a training as questions without truth.
+pub fn traced(steps: Vec<Traced>) -> Vectors {
+    let draft = |step: Traced| Draft {
+        stage: step.id.split('/').next().unwrap_or_default().to_owned(),
+        id: step.id,
+        title: step.title,
         level: Level::Core,
         flags: Vec::new(),
-        settings,
-        scanner: Some(scanner.into()),
-        arrays,
+        settings: step.settings,
+        scanner: step.scanner.as_ref().map(Into::into),
+        arrays: step.arrays,
     };
-    draft::vectors(&[draft], &[("ask", json!(Ask::Values))])
+    let drafts: Vec<_> = steps.into_iter().map(draft).collect();
+    draft::vectors(&drafts, &[("ask", json!(Ask::Values))])
 }
 
 /// Adds the truth to generated questions, with the errors that an answer in `format` may have.

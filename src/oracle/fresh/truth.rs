@@ -10,8 +10,9 @@
 //! fractions of the distances in the scene, because a backend computes with coordinates of that size; amplitudes also by
 //! log Γ, which a backend in single precision takes differences of.
 //!
-//! Runs of many steps have a corridor instead: [`CORRIDOR`] times the largest difference of [`RUNS`] runs in f64 whose state is
-//! changed by rounding errors of the format after every step.
+//! Of an iteration, what cancels in its slopes is followed through all later outputs. Runs of many steps have a corridor
+//! instead: [`CORRIDOR`] times the largest difference of [`RUNS`] runs in f64 whose state is changed by rounding errors of the
+//! format after every step.
 
 use super::dimensions::dimensions;
 use super::draft::Draft;
@@ -20,7 +21,7 @@ use crate::format::Format;
 use crate::manifest::{FileRef, Vectors, encode};
 use crate::outputs::Outputs;
 use crate::question::Question;
-use crate::run;
+use crate::{iteration, run};
 use ndarray::{ArrayD, Axis, Ix2};
 use rand::{Rng, RngExt};
 use serde_json::json;
@@ -28,7 +29,8 @@ use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Beam;
 use trgs_core::numeric::Precision;
 use trgs_core::numeric::rng::{self, Purpose};
-use trgs_core::primitives::student_t;
+use trgs_core::primitives::{Group, Parameters, student_t};
+use trgs_core::projector::Projection;
 
 /// Evaluations with changed inputs.
 const SAMPLES: u64 = 6;
@@ -107,11 +109,26 @@ pub(crate) fn truth(draft: &Draft, format: Format) -> Result<(Outputs, Outputs)>
         }
     }
     for_what_cancels(&question, &truth, &mut condition)?;
+    let share = 0.5 * (4.0 * Format::F64.ulp(1.0) + ROUNDINGS * unit);
+    if question.stage == iteration::STAGE {
+        // What the parts of its slopes change in all that follows: the first step of Adam has the sign of a slope of 0.
+        let parts = parts_of_slopes(&of_image(&question, &truth))?;
+        let mut errors = zeros(&truth);
+        for share in [-share, share] {
+            let change = |gradient: &mut Parameters| {
+                for group in [Group::Quaternion, Group::Nu] {
+                    let slopes = gradient.group_mut(group).iter_mut().zip(parts.group(group));
+                    slopes.for_each(|(slope, part)| *slope += share * part);
+                }
+            };
+            raise(&mut errors, &truth, &iteration::changed::<f64>(&question, &change)?, 1.0);
+        }
+        add(&mut allowance, &errors, 1.0);
+    }
     // Hardware may flush the power of a kernel to zero before it is multiplied with density and integral factor.
     let densities: f64 = draft.arrays.get("model").map_or(0.0, |model| model["density"].sum());
     let flushed = FACTOR * densities * format.smallest_normal();
     allowance.values_mut().flat_map(|arrays| arrays.values_mut()).for_each(|array| *array += flushed);
-    let share = 0.5 * (4.0 * Format::F64.ulp(1.0) + ROUNDINGS * unit);
     add(&mut allowance, &condition, share);
     if question.stage.ends_with("-cutoff") {
         for sign in [-1.0, 1.0] {
@@ -255,7 +272,6 @@ fn gamma(nu: f64) -> f64 {
 /// Adds what cancels to the condition: logarithms of Γ and ψ in ∂/∂ν and in the integral factor, 1 - SSIM, variances as
 /// differences of squares, and what the three axes give to a quaternion, which is nothing in all if their scales are equal.
 fn for_what_cancels(question: &Question, truth: &Outputs, condition: &mut Outputs) -> Result<()> {
-    let cancelled = |nu: f64| if nu.is_finite() { 1.0 + libm::log(1.0 + nu) } else { 0.0 };
     if let ("loss-image", Some(value)) = (question.stage.as_str(), condition.get_mut("value")) {
         // 1 - SSIM of images that are almost equal: SSIM itself is rounded at 1.
         value.get_mut("").expect("an array")[[0]] += question.setting("weight")?;
@@ -287,19 +303,49 @@ fn for_what_cancels(question: &Question, truth: &Outputs, condition: &mut Output
     }
     let is_gradient = question.stage.starts_with("gradient-image") || question.stage == "gradient-density";
     if let (true, Some(grad)) = (is_gradient, condition.get_mut("grad")) {
-        let mut positive = question.clone();
-        let cotangent = positive.arrays_mut().get_mut("cotangent").and_then(|arrays| arrays.get_mut(""));
-        cotangent.expect("a gradient has one").mapv_inplace(f64::abs);
-        let whole = answer(&positive, Precision::F64)?;
-        let parameters = question.parameters("model")?;
-        let [sums, scales] = ["density", "scale"].map(|name| &whole["grad"][name]);
-        for (i, (density, nu)) in parameters.density.iter().zip(&parameters.nu).enumerate() {
-            grad.get_mut("nu").expect("a part")[[i]] += sums[[i]] * density * cancelled(*nu);
-            let axes: f64 = (0..3).map(|k| (scales[[i, k]] * parameters.scale[i][k]).abs()).sum();
-            let norm = parameters.quaternion[i].iter().map(|x| x * x).sum::<f64>().sqrt();
+        let parts = parts_of_slopes(question)?;
+        for i in 0..parts.len() {
+            grad.get_mut("nu").expect("a part")[[i]] += parts.nu[i];
             let quaternion = grad.get_mut("quaternion").expect("a part");
-            (0..4).for_each(|k| quaternion[[i, k]] += 2.0 * axes / norm);
+            (0..4).for_each(|k| quaternion[[i, k]] += parts.quaternion[i][k]);
         }
     }
     Ok(())
+}
+
+/// 1 and the size of ψ at ν, a difference of which is the slope of the integral factor.
+fn cancelled(nu: f64) -> f64 {
+    if nu.is_finite() { 1.0 + libm::log(1.0 + nu) } else { 0.0 }
+}
+
+/// What cancels in the slopes of a gradient to ν and quaternions; 0 elsewhere.
+fn parts_of_slopes(question: &Question) -> Result<Parameters> {
+    let mut positive = question.clone();
+    let cotangent = positive.arrays_mut().get_mut("cotangent").and_then(|arrays| arrays.get_mut(""));
+    cotangent.expect("a gradient has one").mapv_inplace(f64::abs);
+    let whole = answer(&positive, Precision::F64)?;
+    let parameters = question.parameters("model")?;
+    let [sums, scales] = ["density", "scale"].map(|name| &whole["grad"][name]);
+    let mut parts = Parameters::zeros(parameters.len());
+    for (i, (density, nu)) in parameters.density.iter().zip(&parameters.nu).enumerate() {
+        parts.nu[i] = sums[[i]] * density * cancelled(*nu);
+        let axes: f64 = (0..3).map(|k| (scales[[i, k]] * parameters.scale[i][k]).abs()).sum();
+        let norm = parameters.quaternion[i].iter().map(|x| x * x).sum::<f64>().sqrt();
+        parts.quaternion[i] = [2.0 * axes / norm; 4];
+    }
+    Ok(parts)
+}
+
+/// The gradient through the image of an iteration, as a question.
+fn of_image(iteration: &Question, truth: &Outputs) -> Question {
+    let mut question = iteration.clone();
+    question.stage = match iteration.projection() {
+        Ok(Projection::Exact) => "gradient-image-exact",
+        _ => "gradient-image-affine",
+    }
+    .into();
+    let cotangent = truth["03-cotangent"][""].clone().insert_axis(Axis(0));
+    question.arrays_mut().insert("cotangent".into(), [(String::new(), cotangent)].into());
+    question.arrays_mut().insert("model".into(), truth["01-physical"].clone());
+    question
 }
