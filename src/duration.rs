@@ -95,9 +95,14 @@ mod tests {
         // The bits are those of one call.
         let (field, grid) = (Field::<f32>::new(&of(30), 0.0), Grid { shape: [41, 3, 2], ..Grid::cube(4) });
         let mut seen = Vec::new();
-        let volume =
-            threads::install(1, || field.on(&grid).voxels_seen(&mut |done, all| seen.push([done, all]))).unwrap();
-        assert_eq!(volume, field.voxels(&grid));
-        assert_eq!(seen, [[16, 41], [32, 41], [41, 41]]);
+        let mut volume = Vec::new();
+        let mut give = |values: &[f32], done| {
+            volume.extend_from_slice(values);
+            seen.push(done);
+            if done < 40 { Ok(()) } else { Err("the end") }
+        };
+        let ended = threads::install(1, || field.on(&grid).by_slabs(&mut give)).unwrap();
+        assert_eq!(volume, field.voxels(&grid).into_raw_vec_and_offset().0);
+        assert_eq!((ended, seen), (Err("the end"), vec![16, 32, 41]));
     }
 }

@@ -64,7 +64,7 @@ pub(super) struct KernelArgs {
     pub(super) cutoff: f64,
     /// Cotangent of the output, with the output's shape
     #[arg(long, value_name = "COTANGENT.npy", requires_all = ["grad_out", "out"])]
-    vjp: Option<PathBuf>,
+    pub(super) vjp: Option<PathBuf>,
     /// Gradient of Σ cotangent·output to write, with the keys and shapes of the model
     #[arg(long, value_name = "GRAD.npz", requires = "vjp")]
     pub(super) grad_out: Option<PathBuf>,

@@ -17,7 +17,7 @@ use trgs::primitives::Primitives;
 use trgs::projector::{Field, Kernels, voxelize_vjp};
 use trgs::scan::dataset::read_scanner;
 use trgs::scan::model;
-use trgs::scan::npy::Element;
+use trgs::scan::npy::{self, Element};
 use trgs::words;
 use trgs::words::counted;
 use trgs::{Result, limit};
@@ -95,21 +95,34 @@ impl Voxelize {
         global: &Global,
     ) -> Result<Written<'a>> {
         let cutoff = self.kernel.cutoff;
-        let bytes = self.kernel.bytes::<R>();
-        limit::allow_array("volume", &grid.shape, bytes).map_err(|error| error.or_instead("fewer voxels"))?;
+        let ([nx, ny, nz], field) = (grid.shape, Field::<R>::new(primitives, cutoff));
+        let on_grid = field.on(grid);
+        let slices = on_grid.slices_together();
+        let allowed = match &self.kernel.vjp {
+            Some(_) => limit::allow_array("volume", &grid.shape, self.kernel.bytes::<R>()),
+            None => limit::allow_array("slices", &[slices, ny, nz], size_of::<R>()),
+        };
+        allowed.map_err(|error| error.or_instead("fewer voxels"))?;
         let fast = || seconds_to_voxelize::<f32>(primitives, grid, FAST_CUTOFF);
         let seconds = seconds_to_voxelize::<R>(primitives, grid, cutoff);
         let what = format!("{} in {}", counted(primitives.len(), "primitive"), counted(grid.voxels(), "voxel"));
         announce(&what, seconds, || (!self.kernel.is_fast()).then(fast));
         let mut steps = Steps::new("slices", global);
-        let field = Field::<R>::new(primitives, cutoff);
-        let volume = field.on(grid).voxels_seen(&mut |done, all| steps.see(done, all));
-        drop((steps, field));
-        let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
-        self.kernel.write(out, &volume, vjp_of)?;
+        if self.kernel.vjp.is_some() {
+            let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
+            self.kernel.write(out, &on_grid.voxels(), vjp_of)?;
+        } else {
+            npy::write_parts(out, &grid.shape, |write| {
+                on_grid.by_slabs(|values, done| {
+                    steps.see(done, nx);
+                    write(values)
+                })
+            })?;
+        }
+        drop(steps);
         Ok(Written {
             out,
-            shape: volume.shape().to_vec(),
+            shape: grid.shape.to_vec(),
             precision: self.kernel.precision,
             projection: None,
             cutoff,

@@ -8,7 +8,7 @@ use crate::input;
 use crate::limit;
 use crate::output::write_atomically;
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
-use npyz::{DType, Deserialize, NpyHeader, Order, TypeRead, WriteOptions, WriterBuilder};
+use npyz::{DType, Deserialize, NpyHeader, NpyWriter, Order, TypeRead, WriteOptions, WriterBuilder};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use trgs_core::error::{Error, Result};
@@ -126,6 +126,22 @@ pub fn write<T: Element, D: Dimension>(path: impl AsRef<Path>, array: ArrayView<
     write_atomically(path, |file| encode(file, array))
 }
 
+/// Writes an array in C order, atomically, from what `parts` gives to its argument one after the other.
+///
+/// # Errors
+/// [`Error::Write`] with the error of the operating system, or for another number of values than the shape has.
+pub fn write_parts<T: Element>(
+    path: impl AsRef<Path>,
+    shape: &[usize],
+    parts: impl FnOnce(&mut dyn FnMut(&[T]) -> io::Result<()>) -> io::Result<()>,
+) -> Result<()> {
+    write_atomically(path.as_ref(), |file| {
+        let mut writer = begun(file, shape)?;
+        parts(&mut |values| writer.extend(values.iter().copied()))?;
+        writer.finish()
+    })
+}
+
 /// A number type that can be written: f32 or f64.
 pub trait Element: npyz::Serialize + Copy {
     /// NumPy's name of the type, little-endian on every machine.
@@ -145,11 +161,16 @@ impl Element for f64 {
 /// # Errors
 /// That of the stream.
 pub fn encode<T: Element, D: Dimension>(file: impl Write, array: ArrayView<'_, T, D>) -> io::Result<()> {
-    let shape: Vec<u64> = array.shape().iter().map(|&n| n as u64).collect();
-    let description = DType::Plain(T::DESCRIPTION.parse().map_err(io::Error::other)?);
-    let mut writer = WriteOptions::new().dtype(description).shape(&shape).writer(file).begin_nd()?;
+    let mut writer = begun(file, array.shape())?;
     writer.extend(array.iter().copied())?;
     writer.finish()
+}
+
+/// The writer of an array's values, with its header written.
+fn begun<T: Element, W: Write>(file: W, shape: &[usize]) -> io::Result<NpyWriter<T, W>> {
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    let description = DType::Plain(T::DESCRIPTION.parse().map_err(io::Error::other)?);
+    WriteOptions::new().dtype(description).shape(&shape).writer(file).begin_nd()
 }
 
 /// Reads `length` bytes of header and values; `what` and `path` name the source in errors.

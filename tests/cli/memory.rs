@@ -178,7 +178,7 @@ fn every_command_keeps_to_the_limit_and_names_it() {
     *views = vec![views[0].clone(); 3000];
     std::fs::write(sandbox.path("scan/often.json"), often.to_string()).unwrap();
     for (command, part) in [
-        ("voxelize model.npz --grid 1000,1000,1000 --out a.npy --max-memory 8GB", "fewer voxels"),
+        ("voxelize model.npz --grid 1000,1000,1000 --out a.npy --max-memory 8MB", "fewer voxels"),
         ("voxelize model.npz --grid 1000000,1000000,1000000 --out a.npy", "grid shape: got"),
         ("simulate --phantom torso --size 2000 --out big --max-memory 8GB", "fewer voxels, views or pixels"),
         ("simulate --phantom torso --detector 60000 --views 60000 --out big --max-memory 1TB", "no machine has"),
@@ -198,5 +198,14 @@ fn every_command_keeps_to_the_limit_and_names_it() {
         assert!(message.contains(part), "{command}: {message}");
         assert!(message.contains("; give ") && !message.contains("out of"), "{command}: {message}");
     }
+    // A volume of 8 MB is written by slices.
+    sandbox.done("voxelize model.npz --grid 100,100,100 --threads 1 --out a.npy --max-memory 2MB");
+    let cotangent = "--vjp a.npy --grad-out grad.npz";
+    let message =
+        sandbox.refused(&format!("voxelize model.npz --grid 100,100,100 --out b.npy {cotangent} --max-memory 2MB"));
+    assert!(message.contains("fewer voxels"), "{message}");
+    sandbox.done(&format!("voxelize model.npz --grid 100,100,100 --out b.npy {cotangent}"));
+    assert!(sandbox.read("a.npy") == sandbox.read("b.npy"));
+    std::fs::remove_file(sandbox.path("a.npy")).unwrap();
     assert!(!sandbox.path("a.npy").exists() && !sandbox.path("big").exists() && !sandbox.path("tables").exists());
 }

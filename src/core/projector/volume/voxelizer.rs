@@ -113,17 +113,26 @@ impl<'a, R: Kernels> GridField<'a, R> {
         volume
     }
 
-    /// [`Self::voxels`], the same bits; calls `see` now and then with the slices done and those of the grid.
-    pub fn voxels_seen(&self, see: &mut dyn FnMut(usize, usize)) -> Array3<R> {
-        let [nx, ny, nz] = self.grid.shape;
-        let mut volume = Array3::default((nx, ny, nz));
-        let together = SLABS_OF_WORKER * threads::count();
-        let values = volume.as_slice_mut().expect("standard layout");
-        for (number, values) in values.chunks_mut(together * SLAB * ny * nz).enumerate() {
-            self.slabs_into(number * together, values);
-            see(nx.min((number + 1) * together * SLAB), nx);
+    /// Slices (x) that [`Self::by_slabs`] computes together.
+    pub fn slices_together(&self) -> usize {
+        (SLABS_OF_WORKER * threads::count() * SLAB).min(self.grid.shape[0])
+    }
+
+    /// The values of [`Self::voxels`], the same bits, some slices after the others, for a volume that is larger than memory.
+    /// `give` also gets the number of slices so far.
+    ///
+    /// # Errors
+    /// That of `give`.
+    pub fn by_slabs<E>(&self, mut give: impl FnMut(&[R], usize) -> Result<(), E>) -> Result<(), E> {
+        let ([nx, ny, nz], together) = (self.grid.shape, self.slices_together());
+        let mut values = vec![R::ZERO; together * ny * nz];
+        for first in (0..nx).step_by(together) {
+            let last = nx.min(first + together);
+            let values = &mut values[..(last - first) * ny * nz];
+            self.slabs_into(first / SLAB, values);
+            give(values, last)?;
         }
-        volume
+        Ok(())
     }
 
     /// [`Self::voxels`] into an existing array.
