@@ -52,10 +52,6 @@ class ClosedForm(Truth):
         frame = self.frames[number][pixel[0]]
         return mpf(0) if frame is None else projection.closed_form(p, whiten, *self.rays[pixel], ratio)
 
-    def affine(self, number, pixel):
-        frame = self.frames[number][pixel[0]]
-        return mpf(0) if frame is None else frame.affine(*pixel[1:])
-
 
 def of_scene(stage, given, settings):
     """The table of a stage that takes a scene."""

@@ -9,6 +9,7 @@ use clap::Args;
 use glam::DVec3;
 use ndarray::Array3;
 use serde_json::json;
+use std::io;
 use std::path::{Path, PathBuf};
 use trgs::config::Precision;
 use trgs::duration::seconds_to_voxelize;
@@ -108,16 +109,24 @@ impl Voxelize {
         let what = format!("{} in {}", counted(primitives.len(), "primitive"), counted(grid.voxels(), "voxel"));
         announce(&what, seconds, || (!self.kernel.is_fast()).then(fast));
         let mut steps = Steps::new("slices", global);
+        let mut by_slabs = |write: &mut dyn FnMut(&[R]) -> io::Result<()>| {
+            on_grid.by_slabs(|values, done| {
+                steps.see(done, nx);
+                write(values)
+            })
+        };
         if self.kernel.vjp.is_some() {
+            let mut values = Vec::with_capacity(grid.voxels());
+            let gather = &mut |slab: &[R]| {
+                values.extend_from_slice(slab);
+                Ok(())
+            };
+            by_slabs(gather).expect("memory takes every slab");
+            let volume = Array3::from_shape_vec((nx, ny, nz), values).expect("as many values as voxels");
             let vjp_of = |d: &Array3<R>| voxelize_vjp(primitives, grid, cutoff, d.view());
-            self.kernel.write(out, &on_grid.voxels(), vjp_of)?;
+            self.kernel.write(out, &volume, vjp_of)?;
         } else {
-            npy::write_parts(out, &grid.shape, |write| {
-                on_grid.by_slabs(|values, done| {
-                    steps.see(done, nx);
-                    write(values)
-                })
-            })?;
+            npy::write_parts(out, &grid.shape, by_slabs)?;
         }
         drop(steps);
         Ok(Written {

@@ -89,7 +89,7 @@ keys! {
         scale_max: f64 = 0.5, UP_TO_1;
         /// Layer around the volume that is reconstructed as well and not written, as a fraction of the volume's longest side:
         /// for an object that is longer or wider than the volume. All methods have it.
-        margin: f64 = 0.0, FRACTION;
+        margin: f64 = 0.0, NOT_NEGATIVE;
     }
 }
 

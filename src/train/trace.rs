@@ -134,7 +134,7 @@ impl<R: Kernels> Trainer<'_, R> {
         arrays.extend(one("normals", rows(&normals)));
         let control = &self.config.density_control;
         let mut settings = self.activations();
-        let Value::Object(more) = json!({
+        settings.extend(object(json!({
             "dead": control.dead,
             "recycled": control.recycled,
             "growth": control.growth,
@@ -142,10 +142,7 @@ impl<R: Kernels> Trainer<'_, R> {
             "relocation": control.relocation,
             "spread": control.spread,
             "reset_parents": u8::from(control.reset_parents),
-        }) else {
-            unreachable!("an object")
-        };
-        settings.extend(more);
+        })));
         let id = format!("{}/step-{iteration}", recycling::STAGE);
         let of = format!("of {} of {}", self.config.iterations, self.dataset.name);
         Traced { id, title: format!("Recycling after iteration {iteration} {of}"), settings, scanner: None, arrays }
@@ -166,14 +163,11 @@ impl<R: Kernels> Trainer<'_, R> {
     fn activations(&self) -> Map<String, Value> {
         let activation = &self.activation;
         let kernel = if self.config.model.kernel == KernelKind::Gaussian { "gaussian" } else { "student-t" };
-        let Value::Object(settings) = json!({
+        object(json!({
             "kernel": kernel,
             "scale_range": [activation.scale.min, activation.scale.max],
             "nu_range": [activation.nu.min, activation.nu.max],
-        }) else {
-            unreachable!("an object")
-        };
-        settings
+        }))
     }
 
     /// The blocks of the losses that are due in the step after `done`: first voxel and shape.
@@ -220,10 +214,15 @@ impl<R: Kernels> Trainer<'_, R> {
             "friction": config.sghmc.friction,
             "reference": config.sghmc.density_reference,
         });
-        let Value::Object(mut settings) = settings else { unreachable!("an object") };
+        let mut settings = object(settings);
         settings.extend(self.activations());
         settings
     }
+}
+
+fn object(value: Value) -> Map<String, Value> {
+    let Value::Object(map) = value else { unreachable!("an object") };
+    map
 }
 
 fn rows(rows: &[[f64; 3]]) -> Array2<f64> {

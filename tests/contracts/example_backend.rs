@@ -3,7 +3,8 @@
 //! Then one deliberate bug after another is inserted; the report must catch and name each.
 //!
 //! Needs Python with NumPy, and mpmath for the truth of generated questions: `python3`, or the program named by
-//! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it. The test of the PyTorch backend is skipped with a message without PyTorch.
+//! `TRGS_PYTHON`. Without it the tests are skipped with a message; a CI server must have it. The test of the PyTorch backend is
+//! skipped with a message without PyTorch.
 
 use crate::common::vectors::vectors;
 use std::collections::BTreeMap;
@@ -100,7 +101,7 @@ fn the_pytorch_backend_passes_core_in_both_precisions() {
 /// The truth of generated questions is that of the definitions, evaluated with 50 digits.
 #[test]
 fn generated_truth_agrees_with_fifty_digits() {
-    let Some(python) = needed("mpmath") else { return };
+    let Some(python) = needed("mpmath, numpy") else { return };
     let script = folder().with_file_name("generate").join("fresh.py");
     // Truncation and wavelets have none.
     let left_out = ["image-cutoff", "density-cutoff", "haar", "wavelet-loss", "gradient-wavelet", "gradient-shadow"];

@@ -267,7 +267,7 @@ impl Grid {
             _ => (width / self.spacing[axis] - 1e-9).ceil().max(0.0) as usize,
         });
         let before = DVec3::from_array(more.map(|n| n as f64));
-        let shape = [0, 1, 2].map(|axis| self.shape[axis] + 2 * more[axis]);
+        let shape = [0, 1, 2].map(|axis| self.shape[axis].saturating_add(more[axis].saturating_mul(2)));
         Self { shape, min: self.min - before * self.spacing, spacing: self.spacing }
     }
 
@@ -475,6 +475,15 @@ mod tests {
             detector: Detector { rows: 6, columns: 9, pitch_v: 0.5, pitch_u: 0.4, offset_u: 0.3, offset_v: -0.2 },
             grid: Grid::cube(8),
         }
+    }
+
+    #[test]
+    fn a_margin_has_voxels_of_the_same_size_on_both_sides() {
+        let grid = Grid::new([8, 4, 1], DVec3::new(-1.0, -0.5, 0.0), DVec3::new(1.0, 0.5, 0.25)).unwrap();
+        let around = grid.with_margin(0.25);
+        assert_eq!((around.shape, around.min), ([12, 8, 1], DVec3::new(-1.5, -1.0, 0.0)));
+        assert_eq!((around.spacing, grid.with_margin(0.0)), (grid.spacing, grid));
+        assert_eq!(grid.with_margin(1e300).voxels(), usize::MAX);
     }
 
     #[test]

@@ -164,6 +164,9 @@ fn an_object_larger_than_the_volume_is_found_and_the_size_said_holds_it() {
                 // Not smaller than before, and not larger than the object's diagonal needs.
                 assert!(size[axis] >= 2.0 * half[axis] - 1e-9 && size[axis] < 3.0, "{found:?}");
             }
+            let (_, margin) = found[0].split_once("model.margin to ").unwrap();
+            scan.scanner.grid = within(half).with_margin(margin.split_once(',').unwrap().0.parse().unwrap());
+            assert_eq!(larger(&scan), [""; 0], "{half:?} {air} {margin}");
             scan.scanner.grid = within(size.map(|size| size / 2.0));
             assert_eq!(larger(&scan), [""; 0], "{half:?} {air} {size:?}");
         }
