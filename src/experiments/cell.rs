@@ -8,13 +8,14 @@ use crate::config::{Config, Method};
 use crate::error::Result;
 use crate::geometry::Volume;
 use crate::provenance::{commit, digest_bytes};
-use crate::reconstruction::{self, Reconstruction, Run};
+use crate::reconstruction::{self, Checkpoints, Reconstruction, Run};
 use crate::report::slice::{Cut, Picture, Window};
 use crate::report::viewer::{self, Depth, Scene};
 use crate::scan::Dataset;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 
 /// Digits of an id: among a million cells, two equal ids are improbable.
 const ID_DIGITS: usize = 20;
@@ -142,14 +143,18 @@ impl Cell {
         Ok(scan)
     }
 
-    /// Runs the cell on its scan; also returns the [`picture`] of its result, and a page to scroll through it.
+    /// Runs the cell on its scan, from the checkpoint in `state` if there is one; also returns the [`picture`] of its result,
+    /// and a page to scroll through it.
     pub(super) fn run(
         &self,
         dataset: &Dataset,
+        state: PathBuf,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(Finding, Vec<u8>, String)> {
-        let Reconstruction { primitives, volume, unfinished, log, .. } =
-            Run::new(dataset, &self.config).observe(|_| go_on()).reconstruct()?;
+        let Reconstruction { primitives, volume, unfinished, log, .. } = Run::new(dataset, &self.config)
+            .checkpoints(Checkpoints::resume(state)?)
+            .observe(|_| go_on())
+            .reconstruct()?;
         let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
         let mut metrics: BTreeMap<String, f64> = names

@@ -81,7 +81,8 @@ impl Work<'_> {
                     Some(dataset) => dataset,
                     none => none.insert(self.scan(cell)?),
                 };
-                let found = cell.run(dataset, &mut || (self.observe)(None)).map_err(say_how_to_go_on)?;
+                let found = cell.run(dataset, self.store.state(&cell.id), &mut || (self.observe)(None));
+                let found = found.map_err(say_how_to_go_on)?;
                 self.store.keep(cell, &found)?;
             } else if !wait {
                 // Another process is running it.

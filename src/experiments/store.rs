@@ -1,7 +1,8 @@
 //! A folder of finished cells that any number of processes can share.
 //!
 //! `cells/ID.json` is the result of a cell, `cells/ID.png` a slice of it, `cells/ID.html` a page that shows it. `cells/ID.lock` is locked by the process that
-//! runs the cell: the system releases the lock of a process that dies, so a kill loses at most one cell.
+//! runs the cell: the system releases the lock of a process that dies. `cells/ID.state` is the last checkpoint of a cell that is
+//! not finished: the next process goes on from it.
 
 use super::cell::{Cell, Finding};
 use crate::error::{Error, Result};
@@ -83,8 +84,14 @@ impl Store {
         Ok(self.find(id)?.is_none().then_some(claim))
     }
 
-    /// Removes the lock of a finished cell whose process died before it could.
+    /// Where a cell keeps its checkpoints until it is finished.
+    pub(super) fn state(&self, id: &str) -> PathBuf {
+        self.path(id, "state")
+    }
+
+    /// Removes what a finished cell needed, if its process died before it could.
     pub(super) fn clear(&self, id: &str) {
+        let _ = std::fs::remove_file(self.state(id));
         let path = self.path(id, "lock");
         if let Ok(lock) = File::open(&path)
             && lock.try_lock().is_ok()
@@ -98,7 +105,9 @@ impl Store {
         let text = serde_json::to_string_pretty(finding).expect("a finding has string keys") + "\n";
         write_atomically(&self.path(&cell.id, "png"), |file| file.write_all(picture))?;
         write_atomically(&self.path(&cell.id, "html"), |file| file.write_all(page.as_bytes()))?;
-        write_atomically(&self.path(&cell.id, "json"), |file| file.write_all(text.as_bytes()))
+        write_atomically(&self.path(&cell.id, "json"), |file| file.write_all(text.as_bytes()))?;
+        let _ = std::fs::remove_file(self.state(&cell.id));
+        Ok(())
     }
 
     /// Stores the slice of the truth that belongs to those of the cells.

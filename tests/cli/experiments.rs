@@ -154,6 +154,41 @@ fn a_kill_loses_no_finished_cell() {
 }
 
 #[test]
+fn a_killed_cell_goes_on_from_its_checkpoint() {
+    for (method, networks) in [("tr-gs", ""), ("naf", " --networks naf")] {
+        let sandbox = Sandbox::new();
+        let set = "set = ['iterations=120', 'checkpoint_every=2']";
+        let row = format!("[[rows]]\nname = 'one'\nmethod = '{method}'\n{set}\n");
+        let head = "title = 'long'\nmetrics = ['psnr_3d']\nviews = [6]\nnoise = ['low']\nfull = 'one'\n";
+        sandbox.write("long.toml", head.to_owned() + &row);
+        let arguments = |out: &str| format!("long.toml --out {out} --size 8 --cases chest --threads 1{networks}");
+        let table = |out: &str| format!("table {}", arguments(out));
+        let id = cells(&sandbox, &arguments("out"), "id").remove(0);
+        let file = |out: &str, kind: &str| format!("{out}/cells/{id}.{kind}");
+        let mut process = begun(&sandbox, &table("out"));
+        while !sandbox.path(&file("out", "state")).exists() {
+            assert!(process.try_wait().unwrap().is_none(), "{method}: it ended before it could be killed");
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        process.kill().unwrap();
+        process.wait().unwrap();
+        assert!(!sandbox.path(&file("out", "json")).exists(), "{method}");
+        // What it goes on from is read: a file that is damaged is refused.
+        let state = std::fs::read(sandbox.path(&file("out", "state"))).unwrap();
+        sandbox.write(&file("out", "state"), &state[..state.len() / 2]);
+        let refused = sandbox.run(&table("out"));
+        let error = crate::program::stderr(&refused);
+        assert!(refused.status.code() == Some(2) && error.contains(&id), "{method}: {error}");
+        sandbox.write(&file("out", "state"), state);
+        sandbox.done(&table("out"));
+        sandbox.done(&table("whole"));
+        let found = |out: &str| sandbox.text(&file(out, "json"));
+        assert_eq!(found("out"), found("whole"), "{method}");
+        assert!(!sandbox.path(&file("out", "state")).exists(), "{method}");
+    }
+}
+
+#[test]
 fn a_table_of_a_file_runs_and_its_pages_are_made_again() {
     let sandbox = Sandbox::new();
     let row = |name: &str, set: &str| format!("[[rows]]\nname = '{name}'\nmethod = 'tr-gs'\nset = ['{set}']\n");
