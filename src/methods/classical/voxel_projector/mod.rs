@@ -176,9 +176,7 @@ impl VoxelProjector {
                 if !view.is_upright() {
                     for (k, out) in out.iter_mut().enumerate() {
                         let ray = SlantedRay::new(grid, view, column, k);
-                        self.visit(&ray, &slab, |line, z, weight| {
-                            *out += volume[line * grid.shape[2] + z] * real(weight)
-                        });
+                        self.visit(&ray, &slab, |voxel, weight| *out += volume[voxel] * real(weight));
                     }
                     continue;
                 }
@@ -246,7 +244,7 @@ impl VoxelProjector {
                 if !view(number).is_upright() {
                     for k in 0..rows {
                         let ray = SlantedRay::new(grid, view(number), number % columns, k);
-                        self.visit(&ray, &slab, |line, z, weight| add(&mut sums, line * nz + z, first + k, weight));
+                        self.visit(&ray, &slab, |voxel, weight| add(&mut sums, voxel, first + k, weight));
                     }
                     continue;
                 }
@@ -275,8 +273,8 @@ impl VoxelProjector {
 }
 
 impl VoxelProjector {
-    /// Calls `visit(line, z, weight)` for the voxels of a slab on a ray.
-    fn visit(&self, ray: &SlantedRay, slab: &Slab, visit: impl FnMut(usize, usize, f64)) {
+    /// Calls `visit(voxel, weight)` for the voxels of a slab on a ray.
+    fn visit(&self, ray: &SlantedRay, slab: &Slab, visit: impl FnMut(usize, f64)) {
         match self.model {
             RayModel::Joseph => ray.visit_joseph(slab, visit),
             RayModel::Siddon => ray.visit_siddon(slab, visit),

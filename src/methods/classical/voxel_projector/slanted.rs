@@ -22,8 +22,8 @@ impl SlantedRay {
         Self { origin: origin.to_array(), direction: (ray.direction / grid.spacing).to_array() }
     }
 
-    /// Calls `visit(line, z, weight)` for the voxels of the slab by Joseph's method.
-    pub(super) fn visit_joseph(&self, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
+    /// Calls `visit(voxel, weight)` for the voxels of the slab by Joseph's method, counted from the slab's first.
+    pub(super) fn visit_joseph(&self, slab: &Slab, mut visit: impl FnMut(usize, f64)) {
         let per_voxel = self.direction.map(f64::abs);
         let horizontal = if per_voxel[0] >= per_voxel[1] { 0 } else { 1 };
         let main = if per_voxel[2] > per_voxel[horizontal] { 2 } else { horizontal };
@@ -37,29 +37,30 @@ impl SlantedRay {
         let planes = (from.min(to).floor() - 1.0).max(ends[main].start as f64) as usize
             ..(from.max(to).ceil() + 2.0).clamp(0.0, ends[main].end as f64) as usize;
         let step = 1.0 / per_voxel[main];
+        let strides = strides(slab);
+        let first = slab.x.start * strides[0];
         for plane in planes {
             let t = (plane as f64 - self.origin[main]) / self.direction[main];
             let [at_a, at_b] = [a, b].map(|axis| self.origin[axis] + t * self.direction[axis]);
             let (low_a, low_b) = (at_a.floor(), at_b.floor());
             let (share_a, share_b) = (at_a - low_a, at_b - low_b);
-            for (i, weight_a) in [(low_a, 1.0 - share_a), (low_a + 1.0, share_a)] {
-                if !(i >= ends[a].start as f64 && i < ends[a].end as f64) {
+            let (low_a, low_b) = (low_a as isize, low_b as isize);
+            for (i, weight_a) in [(low_a, step * (1.0 - share_a)), (low_a + 1, step * share_a)] {
+                if !ends[a].contains(&(i as usize)) {
                     continue;
                 }
-                for (j, weight_b) in [(low_b, 1.0 - share_b), (low_b + 1.0, share_b)] {
-                    if !(j >= ends[b].start as f64 && j < ends[b].end as f64) {
-                        continue;
+                let line = plane * strides[main] + i as usize * strides[a] - first;
+                for (j, weight_b) in [(low_b, 1.0 - share_b), (low_b + 1, share_b)] {
+                    if ends[b].contains(&(j as usize)) {
+                        visit(line + j as usize * strides[b], weight_a * weight_b);
                     }
-                    let mut voxel = [0; 3];
-                    (voxel[main], voxel[a], voxel[b]) = (plane, i as usize, j as usize);
-                    visit(line(slab, voxel), voxel[2], step * weight_a * weight_b);
                 }
             }
         }
     }
 
-    /// Calls `visit(line, z, length)` for the voxels of the slab by Siddon's method.
-    pub(super) fn visit_siddon(&self, slab: &Slab, mut visit: impl FnMut(usize, usize, f64)) {
+    /// Calls `visit(voxel, length)` for the voxels of the slab by Siddon's method, counted from the slab's first.
+    pub(super) fn visit_siddon(&self, slab: &Slab, mut visit: impl FnMut(usize, f64)) {
         let ends = ends(slab);
         let low = ends.each_ref().map(|end| end.start as f64 - 0.5);
         let high = ends.each_ref().map(|end| end.end as f64 - 0.5);
@@ -74,12 +75,13 @@ impl SlantedRay {
             let border = if direction > 0.0 { at + 0.5 } else { at - 0.5 };
             if direction == 0.0 { f64::INFINITY } else { (border - origin) / direction }
         };
+        let strides = strides(slab);
         while from < end {
             let next = [0, 1, 2].map(|axis| crossing(axis, cell[axis]));
             let to = end.min(next[0]).min(next[1]).min(next[2]);
             if to > from {
-                let voxel = cell.map(|at| at as usize);
-                visit(line(slab, voxel), voxel[2], to - from);
+                let [x, y, z] = cell.map(|at| at as usize);
+                visit((x - slab.x.start) * strides[0] + y * strides[1] + z, to - from);
                 from = to;
             }
             for axis in 0..3 {
@@ -99,7 +101,7 @@ fn ends(slab: &Slab) -> [Range<usize>; 3] {
     [slab.x.clone(), 0..slab.shape[1], 0..slab.shape[2]]
 }
 
-/// The line of a voxel, counted from the slab's first.
-fn line(slab: &Slab, [x, y, _]: [usize; 3]) -> usize {
-    (x - slab.x.start) * slab.shape[1] + y
+/// The distance of neighbours along x, y and z in array order.
+fn strides(slab: &Slab) -> [usize; 3] {
+    [slab.shape[1] * slab.shape[2], slab.shape[2], 1]
 }
