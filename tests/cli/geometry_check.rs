@@ -90,8 +90,11 @@ fn assert_found(scan: &Dataset, convention: &Convention) {
 #[test]
 fn every_fault_of_the_images_and_of_the_rotation_is_found() {
     let scan = with_truth(scan_of(&axes(), &scanner(CONE, 26, 26), &turn(18)), &axes());
+    // Images that are not transposed: the next test, on another detector.
     for convention in Convention::all(true, false) {
-        assert_found(&scan, &convention);
+        if convention.transposed || convention == Convention::AS_STATED {
+            assert_found(&scan, &convention);
+        }
     }
 }
 
