@@ -23,10 +23,16 @@ pub use trgs_methods::memory::Allocation;
 
 /// Bytes of the program itself, its threads' stacks and small objects.
 const PROGRAM: u64 = 20 << 20;
-/// Memory that the allocator keeps, as a fraction of all arrays.
-const SLACK: f64 = 0.15;
+/// What arrays that are not named need, as a fraction of all others.
+const SLACK: f64 = 0.04;
+/// Memory that the allocator keeps between two uses, as a fraction of all arrays, and at most: glibc returns blocks that are
+/// larger to the system.
+const KEPT: f64 = 0.15;
+const MOST_KEPT: f64 = (32 << 20) as f64;
 /// Numbers per primitive: mean, scales, quaternion, density, ν.
 const NUMBERS: usize = 12;
+/// Views that the page of a run compares with those of the result, at most.
+pub const COMPARED_VIEWS: usize = 24;
 /// Rows named in the message that rejects a run.
 const SHOWN: usize = 3;
 
@@ -80,7 +86,7 @@ impl Estimate {
                 allocation("all training projections, before the choice of views", scan.train * sizes.detector, F32);
             phases.push(Phase { name: "reading", allocations: vec![all] });
         }
-        phases.push(run.evaluation(config));
+        phases.extend([run.evaluation(config), run.page(config)]);
         Self {
             lasting: vec![
                 allocation("training projections", sizes.pixels, if config.model.margin > 0.0 { 2 * F32 } else { F32 }),
@@ -102,7 +108,8 @@ impl Estimate {
     /// Bytes in the phase that needs most.
     pub fn peak(&self) -> u64 {
         let arrays = sum(&self.lasting).saturating_add(sum(&self.worst().allocations));
-        PROGRAM.saturating_add(arrays).saturating_add((arrays as f64 * SLACK) as u64)
+        let more = SLACK * arrays as f64 + (KEPT * arrays as f64).min(MOST_KEPT);
+        PROGRAM.saturating_add(arrays).saturating_add(more as u64)
     }
 
     /// The phase that needs most.
@@ -294,7 +301,7 @@ impl Run {
                 self.test * sizes.detector,
                 F32 + if m > 0 { sizes.real } else { 0 },
             ),
-            allocation("images that are compared", largest, 12 * F64 * sizes.threads),
+            allocation("images that are compared", largest, 6 * F64 * sizes.threads),
             allocation(
                 "primitives in a view",
                 m,
@@ -302,6 +309,20 @@ impl Run {
             ),
         ];
         Phase { name: "evaluation", allocations }
+    }
+
+    /// The views that the page compares with those of the result.
+    fn page(&self, config: &Config) -> Phase {
+        let Self { sizes, .. } = self;
+        let compared = if self.test > 0 { self.test * sizes.detector } else { sizes.pixels };
+        let compared = compared.min(COMPARED_VIEWS * sizes.detector);
+        let real = if config.method.fits_primitives() { sizes.real } else { 0 };
+        let allocations = vec![
+            allocation("volume", sizes.voxels, F32),
+            allocation("views, those of the result and their difference", compared, 3 * F32 + real),
+            allocation("differences of neighbouring pixels", sizes.pixels / 4, F64),
+        ];
+        Phase { name: "page", allocations }
     }
 }
 

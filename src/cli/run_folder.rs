@@ -14,6 +14,7 @@ use trgs::confidence::Coverage;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::geometry::Volume;
+use trgs::memory::COMPARED_VIEWS;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind, stage_folder, write_atomically};
 use trgs::primitives::Primitives;
@@ -36,9 +37,8 @@ const CHECKPOINTS: &str = "checkpoints";
 /// The volume, and its place beside it: spacing, origin, directions and unit.
 const VOLUME: &str = "volume.npy";
 const PLACE: &str = "volume.npy.json";
-/// Views on the page, and views that are compared for it.
+/// Views on the page.
 const SHOWN_VIEWS: usize = 6;
-const COMPARED_VIEWS: usize = 24;
 /// Training views from which on some can be held out for a test.
 const ENOUGH_VIEWS: usize = 8;
 /// Files that contain no time, so that equal runs have equal digests.

@@ -195,7 +195,7 @@ fn of_object(measured: &Array3<f32>, residuals: &Array3<f32>) -> f64 {
 
 /// Noise of pixels that show the object; `None` without any.
 fn noise(images: &Array3<f32>) -> Option<f64> {
-    let mut steps = Vec::new();
+    let mut steps = Vec::with_capacity(images.len() / 4);
     each_square(images, images, |pixels, _| {
         let step = pixels[[0, 0]] - pixels[[0, 1]] - pixels[[1, 0]] + pixels[[1, 1]];
         steps.push(f64::from(step.abs()) / 2.0);

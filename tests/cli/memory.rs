@@ -16,6 +16,12 @@ const MIB: f64 = (1 << 20) as f64;
 /// Allowed underestimate: memory that the system gives to any program.
 const BASE: f64 = 8.0 * MIB;
 
+/// Where data dominate, the estimate is at most so many times the measurement: it has a share for what the allocator keeps,
+/// which is less for arrays over 32 MiB. Primitives count as if all of them were in
+/// each block and the population doubled.
+const CLOSE: Option<f64> = Some(1.25);
+const CROWD: Option<f64> = Some(1.9);
+
 /// A ball of radius 0.8 in parallel rays: all views are equal, so a large scan is made quickly.
 fn ball(voxels: usize, rows: usize, columns: usize, views: usize, test_views: usize) -> Dataset {
     let pitch = |n: usize| 2.4 / n as f64;
@@ -61,14 +67,14 @@ fn measured(sandbox: &Sandbox, arguments: &str, out: &str) -> (f64, f64) {
     (provenance["memory"].as_f64().unwrap(), largest)
 }
 
-/// Compares the estimate with the measurement. Where data dominates, it is at most twice as large.
-fn assert_honest(sandbox: &Sandbox, name: &str, arguments: &str, dominated: bool) {
+/// Compares the estimate with the measurement. Where data dominates, it is at most `largest` times as large.
+fn assert_honest(sandbox: &Sandbox, name: &str, arguments: &str, largest: Option<f64>) {
     let (estimate, measured) = measured(sandbox, arguments, name);
     eprintln!("{name}: estimate {:.0} MiB, measured {:.0} MiB", estimate / MIB, measured / MIB);
     assert!(estimate >= measured - BASE, "{name}: {:.1} MiB for {:.1}", estimate / MIB, measured / MIB);
-    if dominated {
+    if let Some(largest) = largest {
         assert!(measured > 50.0 * MIB, "{name}: {:.1} MiB are too few", measured / MIB);
-        assert!(estimate <= 2.0 * measured, "{name}: {:.1} MiB for {:.1}", estimate / MIB, measured / MIB);
+        assert!(estimate <= largest * measured, "{name}: {:.1} MiB for {:.1}", estimate / MIB, measured / MIB);
     }
 }
 
@@ -95,18 +101,26 @@ fn methods_on_voxels_need_what_was_said() {
         (with(&ball(20, 24, 30, 4, 2)), with(&ball(24, 400, 500, 22, 3)), with(&ball(168, 40, 48, 3, 1)));
     // Networks need more of a voxel, and more time.
     let fewer = with(&ball(80, 40, 48, 3, 1));
+    // Few views are one set: tv begins with iterations over all of them, which need most.
+    let large = with(&ball(24, 800, 1000, 5, 1));
+    // Without test views the page compares those of the fit.
+    let untested = with(&ball(24, 400, 500, 22, 0));
+    for method in ["fdk", "sart"] {
+        assert_honest(&untested, &format!("{method}-untested"), &format!("--method {method} --iterations 1"), CLOSE);
+    }
     for method in ["fdk", "sart", "os-sart", "asd-pocs", "cgls", "tv", "naf", "sax-nerf"] {
         let steps = match method {
             "fdk" => "",
             // Held-out runs take time, and are smaller.
-            "tv" => "--iterations 1 --set tv.weight=1e-3",
+            "tv" => "--iterations 3 --set tv.weight=1e-3",
             "naf" | "sax-nerf" => "--iterations 2 --set neural.rays=512",
             // All views in one set, the most that it can need.
             "os-sart" => "--iterations 1 --set algebraic.subset=22",
             _ => "--iterations 1",
         };
         let voxels = if matches!(method, "naf" | "sax-nerf") { &fewer } else { &voxels };
-        for (what, sandbox, dominated) in [("small", &small, false), ("views", &views, true), ("voxels", voxels, true)]
+        let views = if method == "tv" { &large } else { &views };
+        for (what, sandbox, dominated) in [("small", &small, None), ("views", views, CLOSE), ("voxels", voxels, CLOSE)]
         {
             assert_honest(sandbox, &format!("{method}-{what}"), &format!("--method {method} {steps}"), dominated);
         }
@@ -123,18 +137,18 @@ fn training_needs_what_was_said() {
     for method in ["tr-gs", "r2-gaussian"] {
         let cap = "--set density_control.cap=2000 --points 1500 --iterations 4 --set density_control.every=2";
         let finished = format!("{cap} --set finish=tv --set tv.weight=1e-3 --set tv.finish_iterations=1");
-        assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {finished}"), false);
+        assert_honest(&small, &format!("{method}-small"), &format!("--method {method} {finished}"), None);
         let cap = format!("{cap} --set finish=none --set sampling=point --set initialisation.from=fdk");
-        assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), true);
+        assert_honest(&views, &format!("{method}-views"), &format!("--method {method} {cap}"), CLOSE);
         // ADC may double the primitives in a step but rarely does; the cap prevents it here.
         let most = if method == "tr-gs" { 95_000 } else { 90_000 };
         let crowd = format!(
             "--points 90000 --iterations 3 --set density_control.every=2 --set density_control.cap={most} \
                  --set finish=none --set initialisation.from=fdk"
         );
-        assert_honest(&many, &format!("{method}-many"), &format!("--method {method} {crowd}"), true);
+        assert_honest(&many, &format!("{method}-many"), &format!("--method {method} {crowd}"), CROWD);
     }
-    assert_honest(&many, "double", "--precision f64 --points 90000 --iterations 2 --set finish=none", true);
+    assert_honest(&many, "double", "--precision f64 --points 90000 --iterations 2 --set finish=none", CROWD);
 }
 
 #[test]

@@ -122,15 +122,27 @@ impl NeuralSettings {
         let (points, codes) = (rays * self.samples, 4 * F64 + (3 + 41) * sizes.real);
         // Each task of a step has a gradient of the network.
         let gradients = rays.div_ceil(BUNDLE) * network.parameters();
-        vec![
-            allocation("parameters and moments", parameters, 3 * F64),
-            // A step has its gradients there, which are less.
-            allocation("parameters and moments as they are written to a checkpoint", parameters, 4 * F64),
-            allocation("points of a step and gradients to their codes", points, codes),
-            allocation("gradients of the network", gradients, F64),
-            allocation("samples in the network", sizes.threads * together, computed * sizes.real),
-            allocation("volume", sizes.voxels, F32),
-        ]
+        let kept = allocation("parameters and moments", parameters, 3 * F64);
+        let samples = allocation("samples in the network", sizes.threads * together, computed * sizes.real);
+        // What lives beside them in a step, as a checkpoint is written, and as the volume is read off.
+        let phases = [
+            vec![
+                allocation("gradient and parameters as the network has them", parameters, F64 + sizes.real),
+                allocation("points of a step and gradients to their codes", points, codes),
+                allocation("gradients of the network", gradients, F64),
+                samples,
+            ],
+            vec![allocation("parameters and moments as they are written to a checkpoint", parameters, 4 * F64)],
+            vec![
+                allocation("parameters as the network has them", parameters, sizes.real),
+                samples,
+                allocation("volume", sizes.voxels, F32),
+            ],
+        ];
+        let total = |phase: &Vec<Allocation>| phase.iter().map(Allocation::total).sum::<u64>();
+        let mut largest = phases.into_iter().max_by_key(total).expect("three");
+        largest.insert(0, kept);
+        largest
     }
 }
 

@@ -29,7 +29,7 @@ pub fn cgls<R: Real>(
 pub fn arrays(sizes: &Sizes) -> Vec<Allocation> {
     let volumes = "volume, direction and gradient, and as it is written";
     vec![
-        allocation("projections, residual, image and pairs", sizes.pixels, 4 * sizes.real),
+        allocation("projections, residual, image or pairs", sizes.pixels, 3 * sizes.real),
         allocation(volumes, sizes.voxels, 3 * sizes.real + sizes.written()),
         sizes.at_work(1),
     ]

@@ -56,7 +56,7 @@ impl SartSettings {
     pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
         let subset = self.subset.saturating_mul(sizes.detector).min(sizes.pixels);
         vec![
-            allocation("projections and lengths of rays", sizes.pixels, 3 * sizes.real),
+            allocation("projections and lengths of rays", sizes.pixels, 2 * sizes.real),
             allocation("corrections of a set of views, and as the projector orders them", subset, 5 * sizes.real),
             allocation("volume, and as it is written", sizes.voxels, sizes.real + sizes.written()),
             sizes.at_work(2),

@@ -54,7 +54,7 @@ impl TvSettings {
         let held_out = if chooses { sizes.pixels } else { 0 };
         let volumes = "four volumes, dual of the total variation, and as it is written";
         vec![
-            allocation("projections, images of two volumes, residual and pairs", sizes.pixels, 6 * sizes.real + 1),
+            allocation("projections, images of three volumes, residual", sizes.pixels, 5 * sizes.real + 1),
             allocation("views held out and the others", held_out, F32 + sizes.real),
             allocation("volume that predicts them best", if chooses { sizes.voxels } else { 0 }, sizes.real),
             allocation(volumes, sizes.voxels, 7 * sizes.real + sizes.written()),
@@ -278,6 +278,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         let [step, tau] = self.step_lengths();
         let step: R = real(step);
         self.system.projector.adjoin(&self.views, [&residual], &mut self.y, |y, [gradient]| *y += -(step * gradient));
+        drop(residual);
         self.proximal.solve(&self.y, tau, self.settings.steps, &mut self.next);
 
         let seen = self.project(&self.next);
