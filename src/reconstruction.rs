@@ -27,6 +27,7 @@ use crate::projector::forward;
 use crate::scan::{Dataset, trilinear};
 use crate::train::{self, Record, train};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -38,6 +39,8 @@ pub struct Reconstruction {
     pub primitives: Option<Primitives>,
     /// Density on the dataset's grid, attenuation per scene unit of length.
     pub volume: Volume,
+    /// With the layer of `model.margin` around it, of a method without primitives: its projections are those of the scan.
+    pub around: Option<Volume>,
     /// That of the primitives, where `volume` is finished on voxels.
     pub unfinished: Option<Volume>,
     /// Of a method that fits primitives.
@@ -109,7 +112,8 @@ fn reconstruct_with(
     let around = dataset.on(config.with_margin(&dataset.scanner).grid);
     let found = reconstruct_whole(&around, config, checkpoints, observe)?;
     let inside = |volume: Volume| volume.without_margin(&dataset.scanner.grid);
-    Ok(Reconstruction { volume: inside(found.volume), unfinished: found.unfinished.map(inside), ..found })
+    let around = found.primitives.is_none().then(|| found.volume.clone());
+    Ok(Reconstruction { volume: inside(found.volume), around, unfinished: found.unfinished.map(inside), ..found })
 }
 
 /// The method of a plan, on the whole grid of the dataset.
@@ -138,7 +142,17 @@ fn reconstruct_whole(
         (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
     };
     let (log, continued) = (Vec::new(), Vec::new());
-    Ok(Reconstruction { primitives: None, volume, unfinished: None, log, sampled: None, unit, choice, continued })
+    Ok(Reconstruction {
+        primitives: None,
+        volume,
+        around: None,
+        unfinished: None,
+        log,
+        sampled: None,
+        unit,
+        choice,
+        continued,
+    })
 }
 
 /// The volume of trained primitives, sampled and finished as `config` has it.
@@ -185,7 +199,7 @@ fn after_training(
         choice = chosen;
     }
     let (primitives, sampled, unit) = (Some(primitives), Some(sampled), Some(unit));
-    Ok(Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued })
+    Ok(Reconstruction { primitives, volume, around: None, unfinished, log, sampled, unit, choice, continued })
 }
 
 /// The checkpoints as training takes them.
@@ -202,6 +216,9 @@ fn of_training(Checkpoints { file, from }: Checkpoints) -> Result<train::Checkpo
 
 /// Evaluates a volume, and the projections of the primitives that it came from, or where there are none its own.
 ///
+/// The volume may have the layer of `model.margin` around it. Without the layer and primitives it has no projections to
+/// compare, where `config` has a margin.
+///
 /// # Errors
 /// When the volume does not have the shape of the truth.
 pub fn evaluate(
@@ -211,11 +228,20 @@ pub fn evaluate(
     config: &Config,
 ) -> Result<Evaluation> {
     let mut absent = BTreeMap::new();
-    let volumes = dataset.truth.as_ref().map(|truth| (truth, volume));
+    let grid = &dataset.scanner.grid;
+    let is_layered =
+        volume.grid.shape != grid.shape && volume.grid.shape == config.with_margin(&dataset.scanner).grid.shape;
+    let inside = if is_layered { Cow::Owned(volume.clone().without_margin(grid)) } else { Cow::Borrowed(volume) };
+    let volumes = dataset.truth.as_ref().map(|truth| (truth, &*inside));
     if volumes.is_none() {
         absent.extend(["psnr_3d", "ssim_3d"].map(|name| (name, "the dataset has no true volume")));
     }
     let projections = match &dataset.test {
+        Some(_) if config.model.margin > 0.0 && primitives.is_none() && !is_layered => {
+            let reason = "the layer around the volume (model.margin), which its views show as well, is not written";
+            absent.extend(["psnr_2d", "ssim_2d"].map(|name| (name, reason)));
+            None
+        }
         Some(test) => Some((test, reproject(dataset, test, volume, primitives, config)?)),
         None => {
             absent.extend(["psnr_2d", "ssim_2d"].map(|name| (name, "the dataset has no test views")));

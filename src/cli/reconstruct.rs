@@ -128,7 +128,8 @@ impl Reconstruct {
         self.corrections.refuse_region("a scan")?;
         self.corrections.apply(&mut dataset, [false; 2])?;
         let oddities = dataset.oddities.iter().map(Text::from);
-        let mut remarks: Vec<Text> = oddities.chain(plausibility::remarks(&dataset)).collect();
+        let mut remarks: Vec<Text> =
+            oddities.chain(plausibility::remarks_with(&dataset, config.model.margin)).collect();
         warnings(&self.dataset, remarks.iter().cloned());
         if let Some(n) = self.views {
             dataset.train = dataset.train.evenly_spaced(n)?;
@@ -344,9 +345,9 @@ pub(super) fn reconstruct(
         };
         let found = run.reconstruct()?;
         let seconds = began.elapsed().as_secs_f64();
-        let Reconstruction { primitives, volume, unfinished, log, sampled, unit, choice, continued } = found;
+        let Reconstruction { primitives, volume, around, unfinished, log, sampled, unit, choice, continued } = found;
         progress.evaluating();
-        let evaluation = evaluate(dataset, &volume, primitives.as_ref(), config)?;
+        let evaluation = evaluate(dataset, around.as_ref().unwrap_or(&volume), primitives.as_ref(), config)?;
         let metrics = |volume: &Volume| Metrics::compute(dataset.truth.as_ref().map(|truth| (truth, volume)), None);
         let unfinished = unfinished.map(|volume| metrics(&volume).map(|metrics| (volume, metrics))).transpose()?;
         drop(progress);
@@ -364,6 +365,7 @@ pub(super) fn reconstruct(
             method,
             primitives,
             volume,
+            around,
             unfinished,
             log,
             passes,

@@ -60,6 +60,8 @@ pub(super) struct Outcome {
     /// `None` if the method has no primitives.
     pub(super) primitives: Option<Primitives>,
     pub(super) volume: Volume,
+    /// With the layer around it, where the projections come from that.
+    pub(super) around: Option<Volume>,
     /// Volume and metrics of the primitives, if `volume` was finished on voxels.
     pub(super) unfinished: Option<(Volume, Metrics)>,
     pub(super) log: Vec<Record>,
@@ -357,7 +359,13 @@ fn facts(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Vec<(String, 
 fn views(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Result<(Agreement, Scene<'static>)> {
     let (views, kind) = dataset.test.as_ref().map_or((&dataset.train, "training"), |test| (test, "test"));
     let views = views.evenly_spaced(views.len().min(COMPARED_VIEWS))?;
-    let rendered = reproject(dataset, &views, &outcome.volume, outcome.primitives.as_ref(), config)?;
+    let rendered = reproject(
+        dataset,
+        &views,
+        outcome.around.as_ref().unwrap_or(&outcome.volume),
+        outcome.primitives.as_ref(),
+        config,
+    )?;
     let agreement = Agreement::new([&views, &rendered], &dataset.train, &dataset.scanner, dataset.test.is_none())?;
     let [views, rendered] = [&views, &rendered].map(|views| views.evenly_spaced(views.len().min(SHOWN_VIEWS)));
     let stacks = vec![("Measured", Cow::Owned(views?)), (outcome.name(), Cow::Owned(rendered?))];

@@ -151,11 +151,12 @@ impl Cell {
         state: PathBuf,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<(Finding, Vec<u8>, String)> {
-        let Reconstruction { primitives, volume, unfinished, log, .. } = Run::new(dataset, &self.config)
+        let Reconstruction { primitives, volume, around, unfinished, log, .. } = Run::new(dataset, &self.config)
             .checkpoints(Checkpoints::resume(state)?)
             .observe(|_| go_on())
             .reconstruct()?;
-        let evaluation = reconstruction::evaluate(dataset, &volume, primitives.as_ref(), &self.config)?;
+        let evaluation =
+            reconstruction::evaluate(dataset, around.as_ref().unwrap_or(&volume), primitives.as_ref(), &self.config)?;
         let names = crate::evaluation::Metrics::NAMES.into_iter().zip(evaluation.metrics.columns());
         let mut metrics: BTreeMap<String, f64> = names
             .filter_map(|(name, metric)| Some((name.into(), metric?.value)))

@@ -9,7 +9,7 @@ use trgs::loss::{ImageTerms, Ssim, SsimTarget, image_loss, image_loss_into, tv};
 use trgs::numeric::threads;
 use trgs::primitives::Group;
 use trgs::projector::{Field, Projection};
-use trgs::reconstruction::{Checkpoints as RunCheckpoints, Progress, Run};
+use trgs::reconstruction::{Checkpoints as RunCheckpoints, Progress, Reconstruction, Run, evaluate};
 use trgs::scan::Dataset;
 use trgs::scan::noise::Noise;
 use trgs::scan::phantom::Phantom;
@@ -60,7 +60,7 @@ fn a_margin_keeps_what_is_around_the_volume_out_of_it() {
     let grid = whole.scanner.grid;
     let inside = grid.block([0, 0, 5], [20, 20, 10]);
     let part = |volume: &Volume| volume.clone().without_margin(&inside);
-    let cut = whole.on(inside);
+    let cut = Dataset { test: whole.test.clone(), ..whole.on(inside) };
     let truth = part(whole.truth.as_ref().unwrap());
     let db = |volume: &Volume| evaluation::psnr_3d(truth.values.view(), volume.values.view()).value;
     for method in [Method::Sart, Method::Tv, Method::TrGs] {
@@ -74,6 +74,21 @@ fn a_margin_keeps_what_is_around_the_volume_out_of_it() {
         within!(of_whole - db(&with.volume), "{method:?}: {of_whole} dB, without a margin {}", db(&without.volume));
         if method != Method::TrGs {
             beyond!("without, dB", of_whole - db(&without.volume), "{method:?}");
+        }
+        // Projections are those of the layer as well; without it there are none to compare.
+        let db_2d = |result: &Reconstruction, config: &Config, volume: &Volume| {
+            let found = evaluate(&cut, volume, result.primitives.as_ref(), config).unwrap();
+            (found.metrics.psnr_2d.map(|metric| metric.value), found.absent.contains_key("psnr_2d"))
+        };
+        let of_layer = db_2d(&with, &config, with.around.as_ref().unwrap_or(&with.volume)).0.unwrap();
+        if method == Method::TrGs {
+            assert!(with.around.is_none(), "{method:?}");
+        } else {
+            assert_eq!(db_2d(&with, &config, &with.volume), (None, true), "{method:?}");
+            let mut bare = config.clone();
+            bare.model.margin = 0.0;
+            let alone = db_2d(&with, &bare, &with.volume).0.unwrap();
+            assert!(of_layer > alone, "{method:?}: {of_layer} dB, without the layer {alone}");
         }
         let folder = tempfile::tempdir().unwrap();
         let (file, mut left) = (folder.path().join("state"), 3);

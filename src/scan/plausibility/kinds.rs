@@ -157,6 +157,10 @@ fn an_object_larger_than_the_volume_is_found_and_the_size_said_holds_it() {
             scan.train.images += air;
             let found = larger(&scan);
             assert_eq!(found.len(), 1, "{half:?} {air}: {found:?}");
+            // The mass outside is no other scale of the volume.
+            let truth = Phantom::by_name("torso", 0).unwrap().voxelize(&scan.scanner.grid, 2);
+            let with_truth = Dataset { truth: Some(truth), ..scan.clone() };
+            assert!(!remarks(&with_truth).iter().any(|remark| remark.contains("times the mass")), "{half:?} {air}");
             let (size, count) = (sizes(&found[0], "sVoxel").map(|size| size * scale), sizes(&found[0], "nVoxel"));
             for axis in 0..3 {
                 let (voxel, before) = (size[axis] / count[axis], 2.0 * half[axis] / 8.0);
@@ -165,7 +169,18 @@ fn an_object_larger_than_the_volume_is_found_and_the_size_said_holds_it() {
                 assert!(size[axis] >= 2.0 * half[axis] - 1e-9 && size[axis] < 3.0, "{found:?}");
             }
             let (_, margin) = found[0].split_once("model.margin to ").unwrap();
-            scan.scanner.grid = within(half).with_margin(margin.split_once(',').unwrap().0.parse().unwrap());
+            let margin: f64 = margin.split_once(',').unwrap().0.parse().unwrap();
+            // A layer that wide holds it, a quarter of it does not, and the width that is said stays the same.
+            let with = |margin| {
+                let remarks = remarks_with(&scan, margin).into_iter().map(|remark| remark.to_string());
+                remarks.filter(|remark| remark.contains("larger than the volume")).collect::<Vec<_>>()
+            };
+            assert_eq!(with(margin), [""; 0], "{half:?} {air} {margin}");
+            assert!(
+                with(margin / 4.0)[0].contains(&format!("model.margin to {margin:.2},")),
+                "{half:?} {air} {margin}"
+            );
+            scan.scanner.grid = within(half).with_margin(margin);
             assert_eq!(larger(&scan), [""; 0], "{half:?} {air} {margin}");
             scan.scanner.grid = within(size.map(|size| size / 2.0));
             assert_eq!(larger(&scan), [""; 0], "{half:?} {air} {size:?}");

@@ -43,6 +43,8 @@ use trgs_core::setting::Text;
 /// A scan and what several judges need of it, measured once.
 pub(super) struct Evidence<'a> {
     pub(super) dataset: &'a Dataset,
+    /// Layer around the volume that is reconstructed as well, as a fraction of its longest side.
+    pub(super) margin: f64,
     /// Those of the training views.
     pub(super) borders: Borders,
     /// Those of the detector.
@@ -92,8 +94,14 @@ fn texts<T: Into<Text>>(remarks: impl IntoIterator<Item = T>) -> Vec<Text> {
 
 /// What is implausible about the values of a scan, one sentence each, with numbers and the remedy.
 pub fn remarks(dataset: &Dataset) -> Vec<Text> {
+    remarks_with(dataset, 0.0)
+}
+
+/// [`remarks`] where a layer around the volume is reconstructed as well, a fraction `margin` of its longest side.
+pub fn remarks_with(dataset: &Dataset, margin: f64) -> Vec<Text> {
     let evidence = Evidence {
         dataset,
+        margin,
         borders: Borders::of(dataset.train.images.view()),
         wrong: WrongPixels::of(&dataset.scanner, &dataset.train),
         are_readings: readings::remark(dataset).is_some(),

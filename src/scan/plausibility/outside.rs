@@ -32,14 +32,25 @@ struct Seen {
     height: f64,
 }
 
-/// A remark on an object that is larger than the volume.
+/// A remark on an object that is larger than the volume and its layer.
 pub(super) fn remark(scan: &Evidence<'_>) -> Option<String> {
+    beyond(scan, scan.margin)
+}
+
+/// Whether the object is larger than the volume.
+pub(super) fn is_larger(scan: &Evidence<'_>) -> bool {
+    beyond(scan, 0.0).is_some()
+}
+
+/// A remark on an object that is larger than the volume with such a layer.
+fn beyond(scan: &Evidence<'_>, margin: f64) -> Option<String> {
     if scan.are_readings {
         return None;
     }
     let (scanner, train) = (&scan.dataset.scanner, &scan.dataset.train);
     let used = train.len().min(VIEWS);
-    let seen = threads::map(used, |i| look(scanner, train, i * train.len() / used));
+    let around = Scanner { grid: scanner.grid.with_margin(margin), ..*scanner };
+    let seen = threads::map(used, |i| look(&around, train, i * train.len() / used));
     let is_cut = |sides: [Side; 2]| sides.iter().any(|&side| scan.borders.at(side).is_cut());
     let farthest = |of: &dyn Fn(&Seen) -> f64| {
         let found: Vec<f64> = seen.iter().map(of).filter(|distance| *distance > 0.0).collect();

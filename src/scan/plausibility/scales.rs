@@ -1,6 +1,6 @@
 //! Training views, test views and the true volume on different scales.
 
-use super::Evidence;
+use super::{Evidence, outside};
 use crate::borders::Side;
 use crate::dataset::Dataset;
 use trgs_core::geometry::Beam;
@@ -52,7 +52,9 @@ pub(super) fn of_truth(scan: &Evidence<'_>) -> Option<String> {
     let pixels = train.images.len() as f64;
     let seen = (values(&train.images) - scan.air() * pixels) * pixel / train.len() as f64;
     let ratio = seen / mass;
-    (seen > 0.0 && mass > 0.0 && !(1.0 / SCALE..=SCALE).contains(&ratio)).then(|| {
+    let differs = seen > 0.0 && mass > 0.0 && !(1.0 / SCALE..=SCALE).contains(&ratio);
+    // Views of an object that is larger than the volume see more than the volume holds.
+    (differs && !(ratio > 1.0 && outside::is_larger(scan))).then(|| {
         format!(
             "the training views see {ratio:.3} times the mass of the true volume: the unit of length, or that of the \
              densities, differs; divide the projections by {ratio:.3}, or correct sVoxel and sDetector"
