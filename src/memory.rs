@@ -273,12 +273,17 @@ impl Run {
                 allocation("views of the pilot run and those held out", sizes.pixels, F32),
             ];
             phases.push(working("pilot run", &run));
-            let mut allocations = tv(config, sizes);
+            // Weights are chosen on the voxels that the training sees, all else on those of the scan.
+            let mut allocations = tv(config, whole);
             allocations.extend(run);
             allocations.extend([
-                allocation("volume of the pilot run, its interpolant as solved", sizes.voxels, F64 + 3 * F32),
+                allocation(
+                    "volume of the pilot run, and its interpolant as it is solved for",
+                    whole.voxels,
+                    F64 + 2 * F32,
+                ),
                 allocation("primitives of the pilot run", m, NUMBERS * F64),
-                allocation("corrected projections, and what they come from", sizes.pixels, 3 * F32),
+                allocation("corrected projections, and what they come from", whole.pixels, 3 * F32),
             ]);
             phases.push(Phase { name: "choice of sampling and finish", allocations });
         }
@@ -380,6 +385,20 @@ mod tests {
             let double = Config { precision: Precision::F64, ..config.clone() };
             assert!(of(&larger, 18, &double) >= of(&larger, 18, &config), "{method:?}");
         }
+    }
+
+    /// The training sees longer voxels there, and the finish is judged on those of the scan.
+    #[test]
+    fn a_coarse_pilot_has_whole_volumes() {
+        let mut scan = scan();
+        scan.scanner.grid = Grid::cube(256);
+        let of = |method| {
+            let plan = Config::of(method).plan(&scan.scanner, 18).unwrap();
+            assert!(method == Method::Tv || plan.coarse == 2);
+            Estimate::new(&scan, 18, &plan, 2).peak()
+        };
+        let volumes = 3 * 4 * (256_u64 * 256 * 256);
+        assert!([Method::TrGs, Method::R2Gaussian].into_iter().all(|method| of(method) > of(Method::Tv) + volumes));
     }
 
     #[test]

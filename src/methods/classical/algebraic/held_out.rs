@@ -267,8 +267,10 @@ pub fn choose_finish<R: Real>(
     const KEY: &str = "tv.weight";
     let [train, held] = views;
     let held = Held::<R>::new(projector, held)?;
-    let x: Vec<R> = start.values.iter().map(|&value| real(f64::from(value.max(0.0)))).collect();
-    let before = held.residual(&x);
+    let before = {
+        let x: Vec<R> = start.values.iter().map(|&value| real(f64::from(value.max(0.0)))).collect();
+        held.residual(&x)
+    };
     let error = |x: &[R]| held.mixed(&before, x, search.share);
     let mut steps = 0;
     // The least error with a weight, and the fewest iterations within one standard error of it.
