@@ -34,9 +34,15 @@ fn is_ignored(signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-#[cfg(not(unix))]
+#[cfg(windows)]
 fn listen() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(end)
+}
+
+/// There are no signals in WebAssembly.
+#[cfg(not(any(unix, windows)))]
+fn listen() -> std::io::Result<()> {
+    Ok(())
 }
 
 /// Ends the program, or asks shielded work to end it.

@@ -416,3 +416,40 @@ fn metrics(q: &Question) -> Result<Outputs> {
     let arrays = values.into_iter().map(|(name, metric)| (name.to_owned(), array(metric.value))).collect();
     Ok([("metrics".to_owned(), arrays)].into())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check::select;
+    use crate::difference::Difference;
+    use crate::format::Format;
+    use crate::limits::Tolerances;
+    use crate::manifest::{Level, Vectors};
+    use trgs_scan::digest::digest_bytes;
+
+    /// `.ci/portable` compares the digests that it prints between processors, WebAssembly among them.
+    #[test]
+    fn core_answers_are_within_their_limits_on_every_processor() {
+        let (vectors, tolerances) = (Vectors::embedded().unwrap(), Tolerances::embedded().unwrap());
+        for (precision, format) in [(Precision::F32, Format::F32), (Precision::F64, Format::F64)] {
+            let mut bytes = Vec::new();
+            for case in select(&vectors, Level::Core, &[]).unwrap() {
+                let answers = answer(&Question::new(&vectors, case).unwrap(), precision).unwrap();
+                let format = tolerances.judged_as(&case.stage, format);
+                for (role, file) in &case.outputs {
+                    let allowances = case.allowances.get(role).map(|file| vectors.arrays(file).unwrap());
+                    for (name, expected) in vectors.arrays(file).unwrap() {
+                        let got = &answers[role.as_str()][&name];
+                        bytes.extend(got.iter().flat_map(|x| x.to_le_bytes()));
+                        let part = if name.is_empty() { role } else { &name };
+                        let allowance = allowances.as_ref().and_then(|arrays| arrays.get(&name));
+                        let difference = Difference::new(&expected, got, allowance, format);
+                        let rule = tolerances.rule(case, part, format).unwrap();
+                        assert!(rule.limits[&format].exceeded(&difference).is_empty(), "{} {part} {format}", case.id);
+                    }
+                }
+            }
+            println!("core answers, {format}: {} bytes, {}", bytes.len(), digest_bytes(&bytes));
+        }
+    }
+}

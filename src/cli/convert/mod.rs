@@ -160,17 +160,17 @@ impl Convert {
             Err(Error::invalid(flag, got, expected, "omit the flag, or name an output of that kind"))
         };
         let is_surface = source == Kind::Volume && Mesh::is_written_as(extension(&self.out));
-        match (self.stack.first_flag(), self.protocol.flag()) {
-            (Some(flag), _) if source != Kind::Stack => {
+        match (self.stack.first_flag(), self.protocol.flag(), self.corrections.flag()) {
+            (Some(flag), ..) if source != Kind::Stack => {
                 return refuse(
                     flag,
                     "a stack of projections to read and a folder to write, a name without an extension",
                 );
             }
-            (_, Some(flag)) if out != Kind::Scan => {
+            (_, Some(flag), _) if out != Kind::Scan => {
                 return refuse(flag, "a scan to choose views of, and a folder to write, a name without an extension");
             }
-            _ if let (Some(flag), false) = (self.corrections.flag(), out == Kind::Scan) => {
+            (.., Some(flag)) if out != Kind::Scan => {
                 return refuse(flag, "a scan or a stack to read, and a folder to write, a name without an extension");
             }
             _ if self.r2 && (source, out) != (Kind::Model, Kind::Model) => {
@@ -195,7 +195,10 @@ impl Convert {
             (Kind::Stack, _) => stack::convert(self),
             (Kind::Model, Kind::Model) => model::convert(self),
             (Kind::Volume, _) if is_surface => surface::convert(self),
-            (Kind::Volume, Kind::Scan) if let Some(format) = self.slices => surface::slices(self, format),
+            (Kind::Volume, Kind::Scan) => match self.slices {
+                Some(format) => surface::slices(self, format),
+                None => Err(self.impossible(source, out)),
+            },
             (Kind::Volume, Kind::Volume) if extension(&self.out) == "png" => surface::sheet(self),
             // An unknown extension leads to an error that lists the known ones.
             (Kind::Volume, Kind::Volume) => volume::convert(self),

@@ -194,7 +194,11 @@ impl Detector {
 }
 
 /// Most voxels or pixels that a count is computed for: no memory holds them.
-const MOST: usize = 1 << 40;
+const MOST: usize = match 1_usize.checked_shl(40) {
+    Some(most) => most,
+    // Addresses of 32 bits.
+    None => usize::MAX / 2,
+};
 
 /// Rejects a shape whose elements are too many to be counted.
 fn check_count(what: &str, shape: &[usize]) -> Result<()> {

@@ -11,8 +11,8 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 use std::sync::Mutex;
 
-/// A thread pool.
-pub struct WorkerPool(rayon::ThreadPool);
+/// A thread pool; none in WebAssembly, where the calling thread does all work.
+pub struct WorkerPool(Option<rayon::ThreadPool>);
 
 impl WorkerPool {
     /// `threads` workers (0: one for each core).
@@ -20,8 +20,11 @@ impl WorkerPool {
     /// # Errors
     /// When the operating system refuses to start them.
     pub fn new(threads: usize) -> Result<Self> {
+        if cfg!(target_family = "wasm") {
+            return Ok(Self(None));
+        }
         let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        built.map(Self).map_err(|source| {
+        built.map(|pool| Self(Some(pool))).map_err(|source| {
             let got = format!("{threads} ({source})");
             Error::invalid(Setting::Threads, got, "as many as the system can start", "give " + Setting::Threads + " 1")
         })
@@ -29,7 +32,10 @@ impl WorkerPool {
 
     /// Runs `work` and all that it maps over on these workers.
     pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
-        self.0.install(work)
+        match &self.0 {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
     }
 }
 
@@ -46,6 +52,9 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
 /// # Errors
 /// When the operating system refuses to start the threads.
 pub fn side_by_side(n: usize, work: impl Fn(usize) + Sync) -> Result<()> {
+    if n == 1 {
+        return install(1, || work(0));
+    }
     let pools = (0..n).map(|_| WorkerPool::new(1)).collect::<Result<Vec<_>>>()?;
     std::thread::scope(|scope| {
         for (number, pool) in pools.iter().enumerate() {
