@@ -17,6 +17,8 @@ pub(super) const GRADIENT: f64 = 5e-5;
 const ITERATIONS: f64 = 30_000.0;
 /// Primitives at the start and at most, there; primitives beyond which R²-Gaussian's density control adds none.
 const POPULATIONS: [f64; 3] = [50_000.0, 100_000.0, 500_000.0];
+/// R²-Gaussian's weight of the total variation there: the mean difference of neighbours is in proportion to the voxel.
+pub(super) const TOTAL_VARIATION: f64 = 0.05;
 /// Weight of the pull on ν.
 const PULL: f64 = 1e-4;
 /// Voxels along a side of the blocks, and iterations between two wavelet blocks there.
@@ -56,6 +58,7 @@ impl Config {
         fill(&mut self.confidence.every, (self.iterations / 60).clamp(1, 500));
         let block = ((side / 4.0) as usize).clamp(4, BLOCK) & !1;
         fill(&mut self.loss.tv_block, block);
+        self.loss.tv = Auto::Fixed(self.loss.tv.or(TOTAL_VARIATION * ratio));
         let whole = 1 << self.wavelet.levels;
         fill(&mut self.wavelet.block, (block / whole).max(1) * whole);
         // A voxel is in as many blocks as at 256³, from 64³ on: there is at most one block an iteration.

@@ -16,13 +16,13 @@
 //! | `neural.samples` | 1.5 n | NAF has 192 to 320 for 256³ |
 //! | `neural.drop` | ⅔ of the steps | the last third refines, however long the run is |
 //! | `density_control.stop` | 1/2 with adc, 5/6 with ar | R²-Gaussian's 15,000 and 3D Student Splatting's 25,000 of 30,000 |
-//! | `loss.tv` | 0.05 n/256 | the mean difference of neighbours is in proportion to the voxel: R²'s weight is for 256³ |
+//! | `loss.tv` | 0.1 n/256 | the mean difference of neighbours is in proportion to the voxel: twice R²'s weight for 256³ |
 //!
 //! Wavelets are left out where the volume has fewer than `2^wavelet.levels` voxels a side, as that of a single row has.
 //! Lengths need no rule: they are stated in voxels. What was measured is in CHOICES.md.
 
 use super::auto::fill;
-use super::paper::{BLOCK, GRADIENT, SIDE};
+use super::paper::{BLOCK, GRADIENT, SIDE, TOTAL_VARIATION};
 use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start, TvConfig};
 use crate::error::Result;
 use crate::geometry::Scanner;
@@ -44,8 +44,6 @@ const RAYS: usize = 8;
 /// Cells of the finest level of a hash grid along a voxel, and most doublings of anything.
 const CELLS_PER_VOXEL: f64 = 4.0;
 const LEVELS: u32 = 19;
-/// R²-Gaussian's weight of the total variation, for the side of the paper's volumes.
-const TOTAL_VARIATION: f64 = 0.05;
 /// Iterations between two wavelet blocks.
 const WAVELET_EVERY: usize = 10;
 
@@ -128,7 +126,7 @@ impl Config {
         fill(&mut config.wavelet.every, WAVELET_EVERY);
         fill(&mut config.wavelet.block, BLOCK);
         fill(&mut config.loss.tv_block, (side as usize / 4).clamp(BLOCK / 2, BLOCK));
-        config.loss.tv = Auto::Fixed(config.loss.tv.or(TOTAL_VARIATION * side / SIDE));
+        config.loss.tv = Auto::Fixed(config.loss.tv.or(2.0 * TOTAL_VARIATION * side / SIDE));
         config.wavelet.enabled &= scanner.grid.shape.into_iter().all(|n| n >= 1 << config.wavelet.levels);
         config
     }
@@ -200,8 +198,12 @@ mod tests {
         };
         assert_eq!(of(64, 128, 18), (2520, 3072, 8192, 42));
         assert_eq!(of(255, 512, 50), (5000, 48_769, 130_050, 83));
-        let weight = |voxels| Config::of(Method::TrGs).resolved(&scanner(voxels, 128), 18).loss.tv;
-        assert_eq!([weight(128), weight(64)], [Auto::Fixed(0.025), Auto::Fixed(0.0125)]);
+        let weight = |rules, voxels| {
+            let config = Config { coarse: 1, rules, ..Config::of(Method::TrGs) };
+            config.resolved(&scanner(voxels, 128), 18).loss.tv
+        };
+        assert_eq!([256, 64, 16].map(|n| weight(Rules::Trgs, n)), [0.1, 0.025, 0.006_25].map(Auto::Fixed));
+        assert_eq!([256, 64, 16].map(|n| weight(Rules::Paper, n)), [0.05, 0.0125, 0.003_125].map(Auto::Fixed));
         // Few rays make fewer primitives.
         assert_eq!(of(64, 32, 6), (1000, 768, 768, 16));
         assert_eq!(of(2, 2, 1), (1000, 64, 64, 16));

@@ -114,7 +114,7 @@ keys! {
     pub struct LossConfig {
         /// Weight of 1-SSIM of the projection.
         d_ssim: f64 = 0.25, NOT_NEGATIVE;
-        /// Weight of the total variation of the block; 0: none. auto: 0.05 n/256 for a volume of n³ voxels.
+        /// Weight of the total variation of the block; 0: none. auto: 0.1 n/256 for a volume of n³ voxels.
         tv: Auto<f64> = Auto::Auto, NOT_NEGATIVE_OR_AUTO;
         /// Side of the block, voxels. 0: 32.
         tv_block: usize = 0, BLOCK;
