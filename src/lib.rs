@@ -141,6 +141,13 @@
 #[path = "../tests/common/tolerances.rs"]
 mod tolerances;
 
+// Names of the library in the modules of the program.
+#[cfg(feature = "cli")]
+extern crate self as trgs;
+
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod cli;
 pub mod config;
 pub mod experiments;
 pub mod memory;

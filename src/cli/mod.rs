@@ -39,7 +39,8 @@ use bytesize::ByteSize;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum, value_parser};
 use output::Output;
-use std::process::ExitCode;
+use std::ffi::OsString;
+use std::sync::OnceLock;
 use trgs::numeric::threads;
 use trgs::words::counted;
 use trgs::{Error, Result, limit};
@@ -111,14 +112,21 @@ enum Command {
     View(view::View),
 }
 
-/// Runs the program.
-pub(crate) fn main() -> ExitCode {
-    let cli = match Cli::try_parse().map_err(name_the_commands) {
+/// The name of the program and its arguments.
+static ARGUMENTS: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Runs the program with its name and its arguments; returns the exit code.
+///
+/// # Panics
+/// The second time in a process: signals, messages and limits are those of the process.
+pub fn main(given: impl IntoIterator<Item = OsString>) -> u8 {
+    ARGUMENTS.set(given.into_iter().collect()).expect("the program runs once in a process");
+    let cli = match Cli::try_parse_from(arguments()).map_err(name_the_commands) {
         Ok(cli) => cli,
         Err(usage) => {
             // If standard error is closed, there is no place to report to.
             let _ = usage.print();
-            return ExitCode::from(if usage.use_stderr() { BAD_INPUT } else { 0 });
+            return if usage.use_stderr() { BAD_INPUT } else { 0 };
         }
     };
     messages::install(&cli.global);
@@ -126,17 +134,22 @@ pub(crate) fn main() -> ExitCode {
     messages::unused_instructions();
     interrupt::install();
     trgs::input::record();
-    std::env::args_os().skip(1).for_each(|argument| trgs::output::recover(argument.as_ref()));
+    arguments().skip(1).for_each(|argument| trgs::output::recover(argument.as_ref()));
     tell_of_threads(cli.global.threads.into());
     let answer = threads::install(cli.global.threads.into(), || cli.command.run(&cli.global));
     match answer.flatten().and_then(|answer| answer.print(cli.global.json).map(|()| answer.approves())) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(CHECK_SAID_NO),
+        Ok(true) => 0,
+        Ok(false) => CHECK_SAID_NO,
         Err(error) => {
             messages::error(&error);
-            ExitCode::from(if matches!(error, Error::Interrupted { .. }) { INTERRUPTED } else { BAD_INPUT })
+            if matches!(error, Error::Interrupted { .. }) { INTERRUPTED } else { BAD_INPUT }
         }
     }
+}
+
+/// The name of the program and its arguments.
+fn arguments() -> impl Iterator<Item = &'static OsString> {
+    ARGUMENTS.get().into_iter().flatten()
 }
 
 impl Command {

@@ -56,7 +56,7 @@ struct Source {
     #[arg(long, value_name = "STAGE,..", value_delimiter = ',')]
     stage: Vec<String>,
     /// Folder with vectors, instead of the built-in ones
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", env = "TRGS_VECTORS", hide_env_values = true)]
     vectors: Option<PathBuf>,
 }
 

@@ -145,7 +145,7 @@ impl RunFolder {
     pub(super) fn begin(claim: Claim, config: &Config, memory: u64, source: Source) -> Result<Self> {
         let destination = claim.destination().by(word(&config.method));
         destination.check()?;
-        let mut provenance = Provenance::new(threads::count(), std::env::args_os().map(words::name));
+        let mut provenance = Provenance::new(threads::count(), super::arguments().map(words::name));
         provenance.seeds.insert("reconstruct".into(), config.seed);
         provenance.memory = Some(memory);
         provenance.inputs = source.digests;

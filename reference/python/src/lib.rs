@@ -57,5 +57,5 @@ mod _core {
     #[pymodule_export]
     use crate::views::{geometry_of, motion_vjp};
     #[pymodule_export]
-    use crate::work::{build, cpu_level, is_fast, set_max_memory, set_threads, threads};
+    use crate::work::{build, command_line, cpu_level, is_fast, set_max_memory, set_threads, threads};
 }

@@ -145,6 +145,22 @@ pub(crate) fn build() -> Vec<(String, String)> {
     ]
 }
 
+/// Runs the program `trgs`, once in a process. A signal may end the process.
+///
+/// Parameters
+/// ----------
+/// arguments : list of str
+///     The name of the program and its arguments.
+///
+/// Returns
+/// -------
+/// int
+///     The exit code.
+#[pyfunction]
+pub(crate) fn command_line(py: Python<'_>, arguments: Vec<std::ffi::OsString>) -> u8 {
+    py.detach(|| trgs::cli::main(arguments))
+}
+
 /// The highest level of x86-64 that this CPU has all instructions of: `v4`, `v3`, or `baseline`, also on other architectures.
 #[pyfunction]
 pub(crate) fn cpu_level() -> &'static str {

@@ -4,9 +4,12 @@ import doctest
 import importlib.metadata
 import importlib.util
 import inspect
+import json
 import os
+import pathlib
 import platform
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -305,3 +308,46 @@ def test_types_agree_with_the_module():
         [sys.executable, "-m", "mypy.stubtest", "trgs._core", "--ignore-disjoint-bases"], capture_output=True, text=True
     )
     assert run.returncode == 0, run.stdout + run.stderr
+
+
+def program(*arguments, folder, **options):
+    """Begins the command that comes with the package."""
+    path = pathlib.Path(sys.executable).with_name("trgs.exe" if os.name == "nt" else "trgs")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([path, *map(str, arguments)], cwd=folder, text=True, **pipes, **options)
+
+
+def test_the_program_comes_with_the_package(tmp_path):
+    def said(*arguments):
+        run = program(*arguments, folder=tmp_path)
+        out, errors = run.communicate()
+        return run.returncode, out, errors
+
+    assert said("--version") == (0, f"trgs {dict(trgs.build())['version']}\n", "")
+    scan = ["--phantom", "torso", "--size", 16, "--detector", 24, "--views", 6, "--test-views", 1]
+    code, _, errors = said("simulate", *scan, "--out", "scan", "--quiet")
+    assert code == 0, errors
+    code, _, errors = said("reconstruct", "scan", "--method", "sart", "--out", "run", "--quiet")
+    assert code == 0, errors
+    expected = trgs.reconstruct(trgs.load_scan(tmp_path / "scan"), method="sart").volume
+    assert np.array_equal(np.load(tmp_path / "run/volume.npy"), expected)
+    assert "trgs reconstruct scan --method sart" in (tmp_path / "run/report.html").read_text()
+    code, out, errors = said("reconstruct", "nothing", "--out", "other")
+    assert (code, out) == (2, "") and errors.startswith("error") and "Traceback" not in errors
+    assert not (tmp_path / "other").exists()
+    # The wheel of .ci/wheel has the vectors as files.
+    code, out, errors = said("oracle", "list", "--level", "core", "--json")
+    assert code == 0 and any(case["stage"] == "image-exact" for case in json.loads(out)["cases"]), errors
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signal")
+def test_the_program_is_interrupted_as_elsewhere(tmp_path):
+    # A script's background jobs ignore Ctrl-C, and so would the program.
+    heeded = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    run = program("demo", "--out", "demo", folder=tmp_path, **heeded)
+    for line in run.stderr:
+        if "iteration" in line:
+            break
+    run.send_signal(signal.SIGINT)
+    errors = run.communicate()[1]
+    assert run.returncode == 130 and "Traceback" not in errors, errors
