@@ -6,7 +6,7 @@ memory does not grow with them. Linux alone: the resident set is that of `wait4`
 import json, os, subprocess, sys, tempfile
 from pathlib import Path
 
-SHORT = "--set density_control.every=2 --set checkpoint_every=2"
+SHORT = "--set density_control.every=2 --set checkpoint_every=2 --set tv.weight=1e-3 --set tv.finish_iterations=2"
 # Of each method, its settings: what takes long and needs no memory is left out.
 METHODS = {
     "fdk": "",
@@ -18,7 +18,7 @@ METHODS = {
     "naf": "--iterations 2",
     "sax-nerf": "--iterations 2",
     "r2-gaussian": f"--iterations 4 {SHORT}",
-    "tr-gs": f"--iterations 4 {SHORT} --set tv.weight=1e-3 --set tv.finish_iterations=2",
+    "tr-gs": f"--iterations 4 {SHORT}",
 }
 
 
