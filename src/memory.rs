@@ -2,12 +2,12 @@
 //! states its own, beside itself.
 //!
 //! Populations are counted as large as their settings let them become, and an allowance covers memory that the
-//! allocator keeps between two uses. The estimate needs sizes only, so a run can be rejected before a projection is
-//! read.
+//! allocator keeps between two uses. Volumes of total variation are in slabs of files where whole ones need more than the
+//! limit. The estimate needs sizes only, so a run can be rejected before a projection is read.
 //!
 //! Tests: `tests/cli/memory.rs` compares it with the largest resident set of runs.
 
-use crate::classical::algebraic::{SartSettings, TvSettings, cgls_arrays};
+use crate::classical::algebraic::{SartSettings, cgls_arrays};
 use crate::classical::fdk;
 use crate::config::{Config, DensityControl, Finish, Method, Plan, Precision, Sampling, Start};
 use crate::error::{Error, Result};
@@ -63,7 +63,7 @@ impl Estimate {
     pub fn new(scan: &DatasetInfo, views: usize, plan: &Plan, threads: usize) -> Self {
         let config: &Config = plan;
         let scan = &DatasetInfo { scanner: config.with_margin(&scan.scanner), ..scan.clone() };
-        let run = Run::new(scan, views, config, threads);
+        let run = Run::new(scan, views, plan, threads);
         let sizes = &run.sizes;
         let reconstruction = |allocations| vec![Phase { name: "reconstruction", allocations }];
         let mut phases = match config.method {
@@ -95,6 +95,25 @@ impl Estimate {
                 allocation("initial points", scan.points, 4 * F64),
             ],
             phases,
+        }
+    }
+
+    /// The plan with as few slabs as keep the run within `limit` bytes, and its estimate.
+    ///
+    /// # Errors
+    /// As [`Self::check`] of whole volumes, when no number of slabs is enough or the method has none.
+    pub fn fitted(scan: &DatasetInfo, views: usize, plan: &Plan, threads: usize, limit: u64) -> Result<(Plan, Self)> {
+        let slices = if plan.has_slabs() { scan.scanner.grid.shape[0] } else { 1 };
+        let numbers = std::iter::successors(Some(1), |slabs| Some(2 * slabs)).take_while(|&slabs| slabs <= slices);
+        let plans = numbers.map(|slabs| plan.in_slabs(slabs));
+        let mut estimates = plans.map(|plan| (Self::new(scan, views, &plan, threads), plan));
+        match estimates.find(|(estimate, _)| estimate.peak() <= limit) {
+            Some((estimate, plan)) => Ok((plan, estimate)),
+            None => {
+                let estimate = Self::new(scan, views, plan, threads);
+                estimate.check(limit)?;
+                Ok((plan.clone(), estimate))
+            }
         }
     }
 
@@ -147,7 +166,7 @@ impl fmt::Display for Estimate {
 
 /// The arrays of TV by a configuration.
 fn tv(config: &Config, sizes: &Sizes) -> Vec<Allocation> {
-    TvSettings::arrays(sizes, config.tv.weight.fixed().is_none())
+    config.tv().arrays(sizes, config.tv.weight.fixed().is_none())
 }
 
 /// The sizes that the rows of a run follow from.
@@ -165,7 +184,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(scan: &DatasetInfo, views: usize, config: &Config, threads: usize) -> Self {
+    fn new(scan: &DatasetInfo, views: usize, config: &Plan, threads: usize) -> Self {
         let grid = config.seen(&scan.scanner).grid;
         let points = match config.initialisation.from {
             Start::Fdk | Start::SmoothedFdk | Start::Sart | Start::Tv => config.model.points.min(grid.voxels()),
@@ -184,6 +203,7 @@ impl Run {
                 Precision::F64 => F64,
             },
             threads,
+            slabs: config.division().slabs,
         };
         let seen = config.seen(&scan.scanner);
         let (rows, most) = (seen.detector.rows, most_primitives(points, config));

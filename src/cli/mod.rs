@@ -75,7 +75,8 @@ struct Global {
     /// Format of progress and messages on standard error
     #[arg(long, global = true, display_order = 1000, value_enum, value_name = "FORMAT", default_value_t = LogFormat::Text)]
     log_format: LogFormat,
-    /// Refuse what may need more memory than this, such as 12GB or 512MiB [default: three quarters of the machine's]
+    /// Use at most this much memory, such as 12GB or 512MiB, with volumes of total variation in slabs of files where that is
+    /// enough; refuse what may need more [default: three quarters of the machine's]
     #[arg(long, global = true, display_order = 1000, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
     /// Print the result as one JSON object

@@ -119,7 +119,7 @@ impl Reconstruct {
         let claim = RunFolder::claim(&self.out, &self.dataset, self.replace.overwrite)?;
         let mut checkpoint = self.checkpoint()?;
         let config = self.config(&mut checkpoint)?;
-        self.estimate(&config)?.check(limit::bytes())?;
+        self.allow(&config)?;
         let mut dataset = Dataset::read(&self.dataset)?;
         plausibility::check(&dataset, AnglesFrom::File).map_err(|error| error.in_file(&self.dataset))?;
         for note in &dataset.notes {
@@ -188,14 +188,15 @@ impl Reconstruct {
         }
     }
 
-    /// The memory that the run needs, as far as it is known before the scan is read.
-    fn estimate(&self, config: &Config) -> Result<Estimate> {
+    /// Refuses a run that needs more memory than the limit, as far as it is known before the scan is read.
+    fn allow(&self, config: &Config) -> Result<()> {
         let Some(scan) = DatasetInfo::read(&self.dataset)? else {
             let file = std::fs::metadata(&self.dataset).map_err(|source| Error::read(&self.dataset, source))?;
-            return Ok(Estimate::of_file(file.len()));
+            return Estimate::of_file(file.len()).check(limit::bytes());
         };
         let views = self.views.map_or(scan.train, |n| n.min(scan.train));
-        Ok(Estimate::new(&scan, views, &config.plan(&scan.scanner, views)?, threads::count()))
+        let plan = config.plan(&scan.scanner, views)?;
+        Estimate::fitted(&scan, views, &plan, threads::count(), limit::bytes()).map(drop)
     }
 
     /// The checkpoint to resume from.
@@ -311,11 +312,17 @@ pub(super) fn reconstruct(
     global: &Global,
 ) -> Result<Outcome> {
     interrupt::shielded(|| {
-        let estimate = Estimate::new(&DatasetInfo::of(dataset), dataset.train.len(), config, threads::count());
         // Checked again with sizes that are known only after reading.
-        estimate.check(limit::bytes())?;
-        let folder = RunFolder::begin(claim, config, estimate.peak(), source)?;
+        let (info, views) = (DatasetInfo::of(dataset), dataset.train.len());
+        let (plan, estimate) = Estimate::fitted(&info, views, config, threads::count(), limit::bytes())?;
+        let folder = RunFolder::begin(claim, &plan, estimate.peak(), source)?;
+        let config = &plan.with_files_in(&folder.path());
         tracing::info!(memory = estimate.peak(), parts = %estimate, "memory: at most {}", ByteSize(estimate.peak()));
+        let slabs = config.division().slabs;
+        if slabs > 1 {
+            let lost = if config.method.fits_primitives() { "" } else { ": there are no checkpoints" };
+            tracing::info!("volumes of total variation are in {slabs} slabs of files beside the result{lost}");
+        }
         if let Some(installed) = limit::available().filter(|&installed| installed < estimate.peak()) {
             tracing::warn!("this machine has only {} of memory: the run may be slow or be killed", ByteSize(installed));
         }

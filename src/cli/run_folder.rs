@@ -156,6 +156,11 @@ impl RunFolder {
         Ok(Self { claim, destination, provenance, scan: source.scan, warnings: source.warnings })
     }
 
+    /// The folder of the run while it goes on.
+    pub(super) fn path(&self) -> PathBuf {
+        self.claim.folder().into()
+    }
+
     /// The log that grows while the run goes on.
     pub(super) fn log(&self, from: Option<&Checkpoint>) -> RunLog {
         RunLog::begin(self.claim.folder().join(LOG), from.map_or(&[], Checkpoint::log))

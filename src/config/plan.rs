@@ -23,7 +23,9 @@
 
 use super::auto::fill;
 use super::paper::{BLOCK, GRADIENT, SIDE, TOTAL_VARIATION};
-use super::{Auto, Config, DensityControl, Finish, Rules, Sampling, Start, TvConfig};
+use super::{Auto, Config, DensityControl, Finish, Method, Rules, Sampling, Start, TvConfig};
+use crate::classical::RayModel;
+use crate::classical::algebraic::Division;
 use crate::error::Result;
 use crate::geometry::Scanner;
 use crate::numeric::elementary::{cbrt, pow};
@@ -49,22 +51,43 @@ const WAVELET_EVERY: usize = 10;
 
 /// A configuration of which every value is in its range, and every key that follows from the scan is filled in.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan(Config);
+pub struct Plan {
+    config: Config,
+    /// Of the volumes of total variation. No result depends on it.
+    division: Division,
+}
 
 impl Deref for Plan {
     type Target = Config;
 
     fn deref(&self) -> &Config {
-        &self.0
+        &self.config
     }
 }
 
 impl Plan {
+    /// Whether the volumes of total variation are whole or in slabs.
+    pub fn division(&self) -> &Division {
+        &self.division
+    }
+
+    /// The plan with so many slabs.
+    #[must_use]
+    pub(crate) fn in_slabs(&self, slabs: usize) -> Self {
+        Self { division: Division { slabs, ..self.division.clone() }, ..self.clone() }
+    }
+
+    /// The plan with the files of slabs in a folder.
+    #[must_use]
+    pub fn with_files_in(&self, folder: &Path) -> Self {
+        Self { division: Division { folder: folder.to_path_buf(), ..self.division.clone() }, ..self.clone() }
+    }
+
     /// The plan with some other values, which must be in their ranges.
     #[must_use]
     pub(crate) fn changed(&self, change: impl FnOnce(&mut Config)) -> Self {
         let mut plan = self.clone();
-        change(&mut plan.0);
+        change(&mut plan.config);
         plan
     }
 }
@@ -81,7 +104,8 @@ impl Config {
         if config.method.fits_primitives() && config.initialisation.from == Start::Model && config.model.points == 0 {
             config.model.points = model::read(Path::new(&config.initialisation.model))?.len();
         }
-        Ok(Plan(config.resolved(scanner, views)))
+        let division = Division { folder: std::env::temp_dir(), ..Division::whole() };
+        Ok(Plan { config: config.resolved(scanner, views), division })
     }
 
     /// The configuration with every key that is 0 filled in for a scan with so many training views.
@@ -141,6 +165,12 @@ impl Config {
     /// The scanner with the layer around the volume that is reconstructed as well.
     pub fn with_margin(&self, scanner: &Scanner) -> Scanner {
         Scanner { grid: scanner.grid.with_margin(self.model.margin), ..*scanner }
+    }
+
+    /// Whether the run has volumes of total variation, and they can be in slabs: with Joseph's rays.
+    pub fn has_slabs(&self) -> bool {
+        let varies = self.method == Method::Tv || self.method.fits_primitives() && self.finish == Finish::Tv;
+        varies && self.algebraic.rays == RayModel::Joseph
     }
 
     /// Whether a pilot run chooses the sampling or settings of the finish.

@@ -47,12 +47,23 @@ pub struct Sizes {
     pub real: usize,
     /// Workers.
     pub threads: usize,
+    /// Slabs of the volumes of SART and of total variation, one in memory at a time.
+    pub slabs: usize,
 }
 
 impl Sizes {
     /// Bytes of a voxel as it is written: a volume in single precision is no copy.
     pub(crate) fn written(&self) -> usize {
         if self.real == F32 { 0 } else { F32 }
+    }
+
+    /// Voxels of a slab with so many slices beside it; all voxels of whole volumes.
+    pub(crate) fn slab(&self, beside: usize) -> usize {
+        if self.slabs == 1 {
+            self.voxels
+        } else {
+            self.slice * (self.slices.div_ceil(self.slabs) + beside).min(self.slices)
+        }
     }
 
     /// The partial sums of all workers, `numbers` for each voxel of their slices.

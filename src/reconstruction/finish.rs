@@ -16,7 +16,7 @@
 use super::{Observe, Progress, project};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, Trial, TvRun, TvSettings, choose_weight};
-use crate::config::{Config, Sampling};
+use crate::config::{Config, Plan, Sampling};
 use crate::error::{Error, Result};
 use crate::geometry::{Projections, Scanner, Volume};
 use crate::numeric::Real;
@@ -59,7 +59,7 @@ pub(super) struct Start<'a> {
 pub(super) fn finish<R: Real>(
     dataset: &Dataset,
     start: Start<'_>,
-    config: &Config,
+    config: &Plan,
     observe: &mut Observe<'_>,
 ) -> Result<(Volume, Option<Choice>)> {
     let Start { primitives, volume, sampling, chosen } = start;
@@ -72,7 +72,7 @@ pub(super) fn finish<R: Real>(
         _ => by_rule::<R>(dataset, &projector, sampling, config, observe)?,
     };
     let target = target(&dataset.train, &dataset.scanner, primitives, volume, sampling, &projector, config)?;
-    let mut run = TvRun::<R>::new(&projector, &target, &settings, Some(volume))?;
+    let mut run = TvRun::<R>::new(&projector, &target, &settings, Some(volume), config.division())?;
     let mut residuals = Vec::new();
     while !run.is_finished() {
         let pass = run.step()?;
@@ -100,7 +100,7 @@ fn by_rule<R: Real>(
     dataset: &Dataset,
     projector: &VoxelProjector,
     sampling: Sampling,
-    config: &Config,
+    config: &Plan,
     observe: &mut Observe<'_>,
 ) -> Result<(TvSettings, Option<Choice>, bool)> {
     let interpolated = sampling == Sampling::Interpolant;
@@ -112,7 +112,7 @@ fn by_rule<R: Real>(
     }
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
     let judged = TvSettings { iterations: JUDGED_AFTER, tolerance: 0.0, ..config.tv() };
-    let chosen = choose_weight::<R>(projector, &dataset.train, &judged, &mut watch)?;
+    let chosen = choose_weight::<R>(projector, &dataset.train, &judged, config.division(), &mut watch)?;
     settings.weight = if interpolated { PART * chosen.value } else { chosen.value.max(LEAST) };
     Ok((settings, Some(chosen), may_end))
 }

@@ -22,7 +22,7 @@ use super::finish::{LEAST, SHORTEST, target};
 use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, Trial};
-use crate::config::{Config, Plan, Precision, Sampling, Start};
+use crate::config::{Plan, Precision, Sampling, Start};
 use crate::error::Result;
 use crate::geometry::{Projections, Volume};
 use crate::numeric::Real;
@@ -140,7 +140,7 @@ fn finish_of<R: Real>(
     scale: &Scale,
     sampling: Sampling,
     weight: Option<f64>,
-    config: &Config,
+    config: &Plan,
     observe: &mut Observe<'_>,
 ) -> Result<Choice> {
     let Scale { projector, views, volume, factor } = scale;
@@ -166,7 +166,8 @@ fn finish_of<R: Real>(
         let trial = trial.map(|trial| Trial { value: trial.value * factor, ..*trial });
         observe(Progress::Choosing(key, trial.as_ref()))
     };
-    let mut found = choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, &mut watch)?;
+    let mut found =
+        choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, config.division(), &mut watch)?;
     found.value *= factor;
     found.curve.iter_mut().for_each(|trial| trial.value *= factor);
     // An iteration projects so many times fewer rays through so many times fewer voxels.
@@ -196,7 +197,7 @@ fn shorter(plan: &Plan) -> Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Auto, Finish, Method};
+    use crate::config::{Auto, Config, Finish, Method};
     use crate::geometry::{Beam, Detector, Grid, Scanner};
     use crate::reconstruction::reconstruct;
     use crate::scan::simulate::{Object, Plan, simulate};

@@ -52,7 +52,7 @@ impl<'a> Run<'a> {
         Self::of(dataset, Settings::Config(config))
     }
 
-    /// A run by a plan for this scan, whose memory was checked: see [`Estimate`].
+    /// A run by a plan for this scan, whose memory was checked: see [`Estimate::fitted`].
     pub fn planned(dataset: &'a Dataset, plan: &'a Plan) -> Self {
         Self::of(dataset, Settings::Plan(plan))
     }
@@ -84,9 +84,10 @@ impl<'a> Run<'a> {
         let plan = match self.settings {
             Settings::Plan(plan) => plan,
             Settings::Config(config) => {
-                made = config.plan(scanner, views)?;
+                let plan = config.plan(scanner, views)?;
                 plausibility::check(self.dataset, AnglesFrom::File)?;
-                Estimate::new(&DatasetInfo::of(self.dataset), views, &made, threads::count()).check(limit::bytes())?;
+                let info = DatasetInfo::of(self.dataset);
+                (made, _) = Estimate::fitted(&info, views, &plan, threads::count(), limit::bytes())?;
                 &made
             }
         };

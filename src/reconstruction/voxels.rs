@@ -7,7 +7,7 @@ use crate::classical::algebraic::{
     choose_passes, choose_weight,
 };
 use crate::classical::{VoxelProjector, density_unit};
-use crate::config::{Auto, Config, Method};
+use crate::config::{Auto, Config, Method, Plan};
 use crate::error::{Error, Result, start_again};
 use crate::geometry::Volume;
 use crate::neural::NeuralRun;
@@ -26,7 +26,7 @@ pub(super) struct Found {
 /// The volume that an iterative method finds, and what was chosen for it.
 pub(super) fn iterate<R: Real>(
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<Found> {
@@ -35,10 +35,12 @@ pub(super) fn iterate<R: Real>(
         (method, unit) if method == Method::AsdPocs || method.is_network() => Some(chosen_unit(dataset, unit)?),
         _ => None,
     };
+    // The state of volumes in slabs is in no checkpoint.
+    let in_memory = config.division().slabs == 1;
+    let (file, from) = checkpoints.map_or((None, None), |c| (in_memory.then_some(c.file), c.from));
     let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
         begin::<R>(&projector, dataset, config, unit, choice, state)
     };
-    let (file, from) = checkpoints.map_or((None, None), |c| (Some(c.file), c.from));
     let (mut run, choice, mut saved) = match from {
         Some(Checkpoint::Voxels(mut saved)) => {
             saved.check(dataset, config)?;
@@ -83,13 +85,16 @@ pub(super) fn iterate<R: Real>(
 fn choose<R: Real>(
     projector: &VoxelProjector,
     dataset: &Dataset,
-    config: &Config,
+    config: &Plan,
     observe: &mut Observe<'_>,
 ) -> Result<Option<Choice>> {
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
     let passes = match config.method {
         _ if chooses(config).is_none() => return Ok(None),
-        Method::Tv => return choose_weight::<R>(projector, &dataset.train, &config.tv(), &mut watch).map(Some),
+        Method::Tv => {
+            let (views, division) = (&dataset.train, config.division());
+            return choose_weight::<R>(projector, views, &config.tv(), division, &mut watch).map(Some);
+        }
         Method::Cgls => Passes::Cgls(config.iterations),
         _ => Passes::Sart(config.sart()),
     };
@@ -108,7 +113,7 @@ pub(super) fn chosen_unit(dataset: &Dataset, unit: Auto<f64>) -> Result<f64> {
 fn begin<'a, R: Real>(
     projector: &'a VoxelProjector,
     dataset: &'a Dataset,
-    config: &Config,
+    config: &Plan,
     unit: Option<f64>,
     choice: Option<&Choice>,
     state: Option<&VoxelState>,
@@ -122,12 +127,12 @@ fn begin<'a, R: Real>(
         let weight = choice.map_or(config.tv().weight, |choice| choice.value);
         let settings = TvSettings { weight, ..config.tv() };
         return Ok(match state {
-            Some(state) => Box::new(TvRun::<R>::resume(projector, views, &settings, state)?),
-            None => Box::new(TvRun::<R>::new(projector, views, &settings, None)?),
+            Some(state) => Box::new(TvRun::<R>::resume(projector, views, &settings, state, config.division())?),
+            None => Box::new(TvRun::<R>::new(projector, views, &settings, None, config.division())?),
         });
     }
     let iterations = choice.map_or(config.iterations, |choice| choice.value as usize);
-    let config = Config { iterations, ..config.clone() };
+    let config = Config { iterations, ..Config::clone(config) };
     Ok(match config.method {
         Method::AsdPocs => {
             let settings = AsdPocsSettings { unit: unit.unwrap_or(1.0), ..config.asd_pocs() };

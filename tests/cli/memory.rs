@@ -165,6 +165,41 @@ fn a_run_that_may_need_more_than_allowed_is_refused_with_the_figure() {
 }
 
 #[test]
+fn a_limit_chooses_slabs_and_no_bit_depends_on_it() {
+    let sandbox = with(&ball(80, 20, 24, 6, 1));
+    let finish =
+        "--points 200 --iterations 12 --set density_control.cap=300 --set tv.finish_iterations=2 --set tv.weight=0.01";
+    for (name, arguments, tenths) in [("tv", "--method tv --iterations 2", 8), ("tr-gs", finish, 9)] {
+        let run = |out: &str, more: &str| {
+            let output = sandbox.run(&format!("reconstruct scan --out {out} --threads 2 {arguments} {more}"));
+            assert!(output.status.success(), "{}", stderr(&output));
+            let provenance: Value = serde_json::from_str(&sandbox.text(&format!("{out}/provenance.json"))).unwrap();
+            (provenance["memory"].as_u64().unwrap(), stderr(&output))
+        };
+        let (whole, said) = run(&format!("{name}-whole"), "");
+        assert!(!said.contains("slabs"), "{said}");
+        let limit = whole * tenths / 10;
+        let (slabs, said) = run(&format!("{name}-slabs"), &format!("--max-memory {limit}B"));
+        assert!(slabs <= limit && said.contains("slabs of files"), "{name}: {slabs} of {limit}: {said}");
+        assert_eq!(said.contains("no checkpoints"), name == "tv", "{said}");
+        let volume = |out: &str| sandbox.read(&format!("{name}-{out}/volume.npy"));
+        assert!(volume("whole") == volume("slabs"), "{name}");
+        let files = sandbox.names_in(&format!("{name}-slabs"));
+        assert_eq!(files.iter().any(|file| file == "checkpoints"), name == "tr-gs", "{files:?}");
+        if is_linux() {
+            assert_honest(&sandbox, &format!("{name}-said"), &format!("{arguments} --max-memory {limit}B"), None);
+        }
+    }
+    // A state of whole volumes is not continued in slabs.
+    let output = sandbox.run("reconstruct scan --out tv-whole --method tv --iterations 4 --resume --max-memory 35MB");
+    let message = stderr(&output);
+    assert!(
+        output.status.code() == Some(2) && message.contains("volumes are in slabs; allow more memory"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_run_that_fits_runs_and_says_what_it_needs() {
     let sandbox = Sandbox::with_scan();
     let output = sandbox.run("reconstruct scan --out run --method fdk --max-memory 500MB");

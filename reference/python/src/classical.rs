@@ -178,7 +178,7 @@ pub(crate) fn measured(
 }
 
 /// [`measured`], refused where no method makes anything of it: views that are empty or have the wrong sign.
-fn to_reconstruct(
+pub(crate) fn to_reconstruct(
     projections: &Bound<'_, PyAny>,
     scanner: &Scanner,
     angles: &Bound<'_, PyAny>,
@@ -222,10 +222,14 @@ pub(crate) fn fdk<'py>(
     window: &str,
     turn: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (window, turn) = (word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?);
+    let (window, turn) = window_and_turn(window, turn)?;
     let measured = to_reconstruct(projections, scanner, angles)?;
     fits("volume", &scanner.0.grid.shape, 2 * size_of::<f32>())?;
     Ok(give(py, try_run(py, || classical::fdk(&scanner.0, &measured, window, turn))?.values))
+}
+
+pub(crate) fn window_and_turn(window: &str, turn: &str) -> PyResult<(Window, Turn)> {
+    Ok((word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?))
 }
 
 /// What is reported after a pass.

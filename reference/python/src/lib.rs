@@ -14,6 +14,7 @@ mod optim;
 mod pages;
 mod projector;
 mod scan;
+mod slabs;
 mod views;
 mod work;
 
@@ -48,12 +49,14 @@ mod _core {
     use crate::pages::{Page, save_page, show};
     #[pymodule_export]
     use crate::projector::{
-        footprint_gradient, project, project_vjp, support, truncation_bound, voxelize, voxelize_vjp,
+        footprint_gradient, project, project_vjp, support, truncation_bound, voxelize, voxelize_part, voxelize_vjp,
     };
     #[pymodule_export]
     use crate::scan::{
         Reconstruction, Scan, load_scan, load_volume, phantoms, reconstruct, restored_scan, save_volume, simulate_scan,
     };
+    #[pymodule_export]
+    use crate::slabs::{Part, fdk_part, iterate_in};
     #[pymodule_export]
     use crate::views::{geometry_of, motion_vjp};
     #[pymodule_export]

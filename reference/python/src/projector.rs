@@ -326,6 +326,26 @@ pub(crate) fn voxelize<'py>(
     })
 }
 
+/// Some slices of `voxelize`.
+#[pyfunction]
+#[pyo3(signature = (model, grid, cutoff, dtype, slices))]
+pub(crate) fn voxelize_part<'py>(
+    py: Python<'py>,
+    model: &Model,
+    grid: &Bound<'py, PyAny>,
+    cutoff: f64,
+    dtype: Option<&Bound<'py, PyAny>>,
+    slices: (usize, usize),
+) -> PyResult<Bound<'py, PyAny>> {
+    check_cutoff(cutoff)?;
+    let (grid, slices) = (grid_of(grid)?, slices.0..slices.1);
+    let part = |py, single| match single {
+        true => Ok(give(py, run(py, || Field::<f32>::new(&model.0, cutoff).on(&grid).slices(slices))?)),
+        false => Ok(give(py, run(py, || Field::<f64>::new(&model.0, cutoff).on(&grid).slices(slices))?)),
+    };
+    part(py, precision(dtype)? == Precision::F32)
+}
+
 /// The gradient of Σ cotangent·volume to the parameters of a model.
 ///
 /// Parameters

@@ -20,6 +20,7 @@ import pytest
 
 import trgs
 import trgs._core
+import trgs.distributed
 from conftest import model_of
 from trgs import conformance, density, losses, metrics, networks, optim  # noqa: F401
 
@@ -262,7 +263,7 @@ def test_a_module_that_cannot_run_is_an_error(wish):
 
 
 def public():
-    for module in (trgs, losses, metrics, networks, optim, density, conformance):
+    for module in (trgs, losses, metrics, networks, optim, density, conformance, trgs.distributed):
         for name in module.__all__:
             yield f"{module.__name__}.{name}", getattr(module, name)
 

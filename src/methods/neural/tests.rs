@@ -372,7 +372,8 @@ fn points_of_a_ray_lie_in_the_box_in_order_and_stand_for_its_length() {
 /// A column of 601 voxels is more than a task of the volume has otherwise, if each of its points is a pair.
 #[test]
 fn the_samples_of_a_long_column_are_counted() {
-    let sizes = Sizes { detector: 1, pixels: 1, voxels: 1, slice: 1, slices: 1, column: 1, real: 4, threads: 1 };
+    let sizes =
+        Sizes { detector: 1, pixels: 1, voxels: 1, slice: 1, slices: 1, column: 1, real: 4, threads: 1, slabs: 1 };
     let together = |kind: Kind, pairs_neighbours: bool, column: usize| {
         let arrays = NeuralSettings { pairs_neighbours, ..settings(kind) }.arrays(&Sizes { column, ..sizes });
         arrays.iter().find(|row| row.what == "samples in the network").unwrap().count

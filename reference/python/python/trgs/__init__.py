@@ -11,7 +11,7 @@ that a call reads must not be changed by another thread until the call returns.
 >>> metrics = scan.evaluate(result.volume)
 
 The submodules: `losses`, `metrics`, `optim` (single steps of optimisers), `density` (density control), `networks` (training steps of NAF, SAX-NeRF and IntraTomo), `conformance` (test
-vectors for other implementations), and for gradients in other frameworks `torch` and `jax`, which are imported when asked for.
+vectors for other implementations), `distributed` (volumes in slabs on workers of Dask), and for gradients in other frameworks `torch` and `jax`; the last three are imported when asked for.
 """
 
 from . import _select

@@ -15,6 +15,7 @@ __all__ = [
     "Grid",
     "Model",
     "Page",
+    "Part",
     "Reconstruction",
     "Scan",
     "Scanner",
@@ -40,6 +41,7 @@ __all__ = [
     "fdk",
     "fdk_backproject",
     "fdk_filter",
+    "fdk_part",
     "footprint_gradient",
     "forward_project",
     "geometry_of",
@@ -49,6 +51,7 @@ __all__ = [
     "image_loss",
     "integral_factor",
     "is_fast",
+    "iterate_in",
     "kernel",
     "l1",
     "learning_rate",
@@ -82,6 +85,7 @@ __all__ = [
     "truncation_bound",
     "tv",
     "voxelize",
+    "voxelize_part",
     "voxelize_vjp",
     "wavelet_loss",
     "wavelet_routing",
@@ -381,6 +385,9 @@ def truncation_bound(
 def voxelize(
     model: Model, grid: Grid | Scanner, *, cutoff: float = 0.0, dtype: DTypeLike | None = None
 ) -> _Array: ...
+def voxelize_part(
+    model: Model, grid: Grid | Scanner, cutoff: float, dtype: DTypeLike | None, slices: tuple[int, int]
+) -> _Array: ...
 def voxelize_vjp(model: Model, grid: Grid | Scanner, cotangent: _Array, *, cutoff: float = 0.0) -> Parameters: ...
 def l1(prediction: _Array, target: _Array) -> tuple[float, _Array]: ...
 def ssim(prediction: _Array, target: _Array) -> tuple[float, _Array]: ...
@@ -597,3 +604,50 @@ def conformance_hunt(
     ask: str,
 ) -> str: ...
 def conformance_export(folder: _Path, stages: Sequence[str], level: str, blind: bool) -> int: ...
+
+@final
+class Part:
+    def __new__(cls, scanner: Scanner, angles: _Views, first: int, last: int) -> Part: ...
+    def reads(self, steps: int) -> tuple[int, int]: ...
+    def project(
+        self, views: Sequence[int], slab: NDArray[np.float32] | None, rising: bool, sums: NDArray[np.float32]
+    ) -> NDArray[np.float32]: ...
+    def complete(self, views: Sequence[int], sums: NDArray[np.float32]) -> NDArray[np.float32]: ...
+    def adjoin(
+        self, views: Sequence[int], images: NDArray[np.float32], slab: NDArray[np.float32], step: float | None
+    ) -> NDArray[np.float32]: ...
+    def correct(
+        self,
+        views: Sequence[int],
+        corrections: NDArray[np.float32],
+        weights: NDArray[np.float32],
+        slab: NDArray[np.float32],
+        relaxation: float,
+        non_negative: bool,
+    ) -> NDArray[np.float32]: ...
+    def measure(self, what: str, beta: float, volumes: Sequence[NDArray[np.float32]]) -> list[list[float]]: ...
+    def solve(
+        self,
+        y: NDArray[np.float32],
+        dual: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        tau: float,
+        steps: int,
+    ) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]: ...
+
+def fdk_part(
+    projections: NDArray[np.float32],
+    scanner: Scanner,
+    angles: _Views,
+    window: str,
+    turn: str,
+    slices: tuple[int, int],
+) -> NDArray[np.float32]: ...
+def iterate_in(
+    projections: NDArray[np.float32],
+    scanner: Scanner,
+    angles: _Views,
+    space: Any,
+    method: str,
+    settings: Sequence[str],
+    callback: Callable[[Progress], object] | None = None,
+) -> None: ...

@@ -18,6 +18,7 @@ use crate::projector::whitened::{
 };
 use ndarray::{Array3, ArrayView3};
 use std::array::from_fn;
+use std::ops::Range;
 
 /// Primitives of one task.
 const CHUNK: usize = 64;
@@ -135,6 +136,21 @@ impl<'a, R: Kernels> GridField<'a, R> {
         Ok(())
     }
 
+    /// The slices `x` of [`Self::voxels`], with its bits.
+    ///
+    /// # Panics
+    /// When they are not slices of the grid.
+    pub fn slices(&self, x: Range<usize>) -> Array3<R> {
+        let [nx, ny, nz] = self.grid.shape;
+        assert!(x.start < x.end && x.end <= nx, "slices {x:?} of {nx}");
+        let first = x.start / SLAB;
+        let mut values = vec![R::ZERO; (x.end.next_multiple_of(SLAB).min(nx) - first * SLAB) * ny * nz];
+        self.slabs_into(first, &mut values);
+        let before = (x.start - first * SLAB) * ny * nz;
+        let values = values[before..][..x.len() * ny * nz].to_vec();
+        Array3::from_shape_vec((x.len(), ny, nz), values).expect("whole slices")
+    }
+
     /// [`Self::voxels`] into an existing array.
     pub fn voxels_into(&self, volume: &mut Array3<R>) {
         let [nx, ny, nz] = self.grid.shape;
@@ -222,6 +238,17 @@ mod tests {
             nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
         };
         Primitives::new(parameters).unwrap()
+    }
+
+    #[test]
+    fn parts_have_the_bits_of_the_whole() {
+        let (primitives, grid) = (some(300, 5), Grid::new([37, 20, 24], DVec3::splat(-1.0), DVec3::ONE).unwrap());
+        let field = Field::<f32>::new(&primitives, 1e-3);
+        let on_grid = field.on(&grid);
+        let whole = on_grid.voxels();
+        let parts = [0..5, 5..9, 9..32, 32..37].map(|x| on_grid.slices(x));
+        let together = ndarray::concatenate(ndarray::Axis(0), &parts.each_ref().map(|part| part.view())).unwrap();
+        assert!(whole.iter().any(|value| *value > 0.0) && together == whole);
     }
 
     #[test]

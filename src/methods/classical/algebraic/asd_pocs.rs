@@ -4,8 +4,8 @@
 
 use super::sart::Sweeps;
 use super::{
-    Observe, Pass, SartSettings, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, total_variation,
-    voxel_run::Numbers,
+    Name, Observe, Pass, SartSettings, Space, System, VoxelRun, VoxelState, Whole, add_scaled, dot, norm,
+    run_to_the_end, total_variation, voxel_run::Numbers,
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
 use crate::memory::{Allocation, Sizes, allocation};
@@ -85,7 +85,7 @@ pub struct AsdPocsRun<'a, R> {
     settings: AsdPocsSettings,
     /// The residual that suffices.
     enough: f64,
-    x: Vec<R>,
+    space: Whole<'a, R>,
     relaxation: f64,
     beta: f64,
     /// Length of the first step of the next descent; NaN before the first iteration.
@@ -107,19 +107,20 @@ impl<'a, R: Real> AsdPocsRun<'a, R> {
         state: Option<&VoxelState>,
     ) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
-        let sweeps = Sweeps::new(&system, &settings.sart)?;
+        let mut space = Whole::new(projector, projector.views(system.trajectory)?, false);
+        let sweeps = Sweeps::new(&system, &settings.sart, &mut space)?;
         let first_guess: Vec<R> = {
             let volume = fdk(projector.scanner(), projections, Window::RamLak, Turn::Full)?;
             volume.values.iter().map(|&value| real(f64::from(value))).collect()
         };
         let enough = settings.epsilon * norm(&system.residual(&first_guess)?);
-        let (x, relaxation) = (system.empty(), settings.sart.relaxation);
+        let relaxation = settings.sart.relaxation;
         let mut run = Self {
             system,
             sweeps,
             settings: *settings,
             enough,
-            x,
+            space,
             relaxation,
             beta: 1.0,
             length: f64::NAN,
@@ -128,7 +129,9 @@ impl<'a, R: Real> AsdPocsRun<'a, R> {
         };
         if let Some(state) = state {
             let settled;
-            ([run.relaxation, run.beta, run.length, settled], [run.x]) = state.get([run.x.len()])?;
+            let x;
+            ([run.relaxation, run.beta, run.length, settled], [x]) = state.get([projector.scanner().grid.voxels()])?;
+            *run.space.get_mut(Name::Volume) = x;
             (run.is_settled, run.iteration) = (settled != 0.0, state.iteration);
         }
         Ok(run)
@@ -141,10 +144,11 @@ impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
     }
 
     fn step(&mut self) -> Result<Option<Pass>> {
-        let Self { system, settings, x, .. } = self;
+        let Self { system, settings, space, .. } = self;
         let (shape, square) = (system.projector.scanner().grid.shape, settings.unit * settings.unit);
-        let before = x.clone();
-        self.sweeps.pass(system, x, self.relaxation);
+        let before = space.get(Name::Volume).to_vec();
+        self.sweeps.pass(system, space, self.relaxation)?;
+        let x = space.get_mut(Name::Volume);
         let residual = norm(&system.residual(x)?);
         let by_sart = difference(x, &before);
         let sart_step = norm(&by_sart);
@@ -173,11 +177,15 @@ impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
 
     fn state(&self) -> VoxelState<'_> {
         let scalars = vec![self.relaxation, self.beta, self.length, f64::from(u8::from(self.is_settled))];
-        VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
+        VoxelState {
+            iteration: self.iteration,
+            scalars,
+            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
+        }
     }
 
-    fn into_volume(self: Box<Self>) -> Result<Volume> {
-        self.system.volume(self.x)
+    fn into_volume(mut self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.space.volume()?)
     }
 }
 

@@ -83,7 +83,7 @@ impl<'a, R: Real> CglsRun<'a, R> {
     /// `Aᵀ(p - A x)`.
     fn gradient(&self) -> Vec<R> {
         let mut out = self.system.empty();
-        self.system.projector.adjoin(&self.views, [&self.residual], &mut out, |out, [value]| *out = value);
+        self.system.projector.adjoin(&self.views, [&self.residual], 0, &mut out, |out, [value]| *out = value);
         out
     }
 

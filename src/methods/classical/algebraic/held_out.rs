@@ -11,7 +11,7 @@
 mod held;
 mod near;
 
-use super::{CglsRun, SartRun, SartSettings, TvRun, TvSettings, VoxelRun};
+use super::{CglsRun, Division, SartRun, SartSettings, TvRun, TvSettings, VoxelRun, Whole};
 use crate::classical::VoxelProjector;
 use held::Held;
 pub use held::{Mixture, mixture};
@@ -128,6 +128,7 @@ pub fn choose_weight<R: Real>(
     projector: &VoxelProjector,
     projections: &Projections,
     settings: &TvSettings,
+    division: &Division,
     observe: &mut ObserveChoice<'_>,
 ) -> Result<Choice> {
     const KEY: &str = "tv.weight";
@@ -142,13 +143,16 @@ pub fn choose_weight<R: Real>(
     let weight = |power: i32| FIRST * pow(FACTOR, f64::from(power));
     for (number, [train, held]) in used.iter().enumerate() {
         let (train, held) = (projections.select(train), projections.select(held));
+        // The views held out follow those of the fit.
+        let all = [projector.views(train.trajectory())?, projector.views(held.trajectory())?].concat();
+        let space = division.space::<R>(projector, all)?;
         let held = Held::<R>::new(projector, &held)?;
-        let mut run = TvRun::<R>::new(projector, &train, &settings, None)?;
+        let mut run = TvRun::in_space(projector, &train, &settings, None, space)?;
         let mut error_of = |power: i32| {
-            run.restart(weight(power));
+            run.restart(weight(power))?;
             let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
-            let error = |x: &[R]| held.error(x);
-            let judged = judged(&mut run, TvRun::values, &error, &|_| false, &|_| usize::MAX, &mut see)?;
+            let error = |run: &mut TvRun<'_, R>| Ok(held.error(&run.see_others()?));
+            let judged = judged(&mut run, &error, &|_| false, &|_| usize::MAX, &mut see)?;
             work += judged.iterations * train.len();
             let error = judged.errors[judged.errors.len() - 1].1.sums;
             if number == 0 {
@@ -204,21 +208,25 @@ pub fn choose_passes<R: Real>(
     let Some([train, held]) = folds.get(1).filter(|_| projections.len() > 2) else {
         return Ok(Choice::without_folds(KEY, most as f64));
     };
-    let (train, held) = (projections.select(train), projections.select(held));
+    let (train, views_held) = (projections.select(train), projections.select(held));
     let share = train.len() as f64 / projections.len() as f64;
-    let held = Held::<R>::new(projector, &held)?;
+    let held = Held::<R>::new(projector, &views_held)?;
     let mut see = |judged: Option<Trial>| judged.map_or(Ok(()), |trial| go_on(observe(KEY, Some(&trial))));
     let last = |best: usize| (best as f64 * PATIENCE).max(best as f64 + 1.0).ceil() as usize;
     let when = |iteration: usize| iteration > 0;
-    let error = |x: &[R]| held.error(x);
     let errors = match passes {
         Passes::Sart(settings) => {
-            let mut run = SartRun::<R>::new(projector, &train, &settings, None)?;
-            judged(&mut run, SartRun::values, &error, &when, &last, &mut see)?.errors
+            let all = [projector.views(train.trajectory())?, projector.views(views_held.trajectory())?].concat();
+            let others: Vec<usize> = (train.len()..all.len()).collect();
+            let space = Box::new(Whole::<R>::new(projector, all, false));
+            let mut run = SartRun::in_space(projector, &train, &settings, space)?;
+            let error = |run: &mut SartRun<'_, R>| Ok(held.error(&run.see(&others)?));
+            judged(&mut run, &error, &when, &last, &mut see)?.errors
         }
         Passes::Cgls(most) => {
             let mut run = CglsRun::<R>::new(projector, &train, most, None)?;
-            judged(&mut run, CglsRun::values, &error, &when, &last, &mut see)?.errors
+            let error = |run: &mut CglsRun<'_, R>| Ok(held.error(&held.see(run.values())));
+            judged(&mut run, &error, &when, &last, &mut see)?.errors
         }
     };
     let curve: Vec<Trial> = (errors.iter())
@@ -262,27 +270,31 @@ pub fn choose_finish<R: Real>(
     start: &Volume,
     settings: &TvSettings,
     search: &FinishSearch,
+    division: &Division,
     observe: &mut ObserveChoice<'_>,
 ) -> Result<Choice> {
     const KEY: &str = "tv.weight";
     let [train, held] = views;
+    // The views held out follow those of the fit.
+    let all = [projector.views(train.trajectory())?, projector.views(held.trajectory())?].concat();
     let held = Held::<R>::new(projector, held)?;
     let before = {
         let x: Vec<R> = start.values.iter().map(|&value| real(f64::from(value.max(0.0)))).collect();
-        held.residual(&x)
+        held.residual(&held.see(&x))
     };
-    let error = |x: &[R]| held.mixed(&before, x, search.share);
+    let error = |run: &mut TvRun<'_, R>| Ok(held.mixed(&before, &run.see_others()?, search.share));
     let mut steps = 0;
     // The least error with a weight, and the fewest iterations within one standard error of it.
     let mut least = |weight: f64| {
         let [fewest, most] = search.iterations.map_or(search.range, |iterations| [iterations; 2]);
         let settings = TvSettings { weight, iterations: most, ..*settings };
-        let mut run = TvRun::<R>::new(projector, train, &settings, Some(start))?;
+        let mut run =
+            TvRun::in_space(projector, train, &settings, Some(start), division.space::<R>(projector, all.clone())?)?;
         let when =
             |iteration: usize| iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
         let last = |best: usize| best.max(fewest) + IN_VAIN;
         let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
-        let judged = judged(&mut run, TvRun::values, &error, &when, &last, &mut see)?;
+        let judged = judged(&mut run, &error, &when, &last, &mut see)?;
         steps += judged.iterations;
         let best = least_of(&judged.errors).expect("the last iteration is judged").clone();
         go_on(observe(KEY, Some(&Trial { value: weight, error: relative(best.sums) })))?;
@@ -313,10 +325,9 @@ struct Judged {
 /// Judges a run after the iterations `when` and at its end, which is at the latest `last` of the best iteration so far.
 ///
 /// `see` gets nothing for an iteration, and then its error if it is judged.
-fn judged<R: Real, T: VoxelRun>(
+fn judged<T: VoxelRun>(
     run: &mut T,
-    values: fn(&T) -> &[R],
-    error_of: &dyn Fn(&[R]) -> Squares,
+    error_of: &dyn Fn(&mut T) -> Result<Squares>,
     when: &dyn Fn(usize) -> bool,
     last: &dyn Fn(usize) -> usize,
     see: &mut dyn FnMut(Option<Trial>) -> Result<()>,
@@ -325,7 +336,7 @@ fn judged<R: Real, T: VoxelRun>(
     loop {
         let ends = run.is_finished();
         if when(iterations) || ends {
-            errors.push((iterations, error_of(values(run))));
+            errors.push((iterations, error_of(run)?));
             let error = relative(errors[errors.len() - 1].1.sums);
             if error < best.1 {
                 best = (iterations, error);
@@ -446,7 +457,9 @@ mod tests {
         let scan = scan(12, CONE);
         let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
         let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
-        let choice = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        let choice =
+            choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &Division::whole(), &mut quiet)
+                .unwrap();
         let truth = scan.truth.as_ref().unwrap().values.view();
         let psnr = |weight: f64| {
             let settings = TvSettings { weight, ..TvSettings::default() };
@@ -462,7 +475,7 @@ mod tests {
         assert!(choice.curve.is_sorted_by(|a, b| a.value < b.value) && choice.folds == 2);
         // Fewer iterations leave small weights far from their minimum, and cost as much less.
         let short = TvSettings { iterations: 20, ..TvSettings::default() };
-        let short = choose_weight::<f32>(&projector, &scan.train, &short, &mut quiet).unwrap();
+        let short = choose_weight::<f32>(&projector, &scan.train, &short, &Division::whole(), &mut quiet).unwrap();
         assert!(short.value > choice.value, "{short:?}");
         assert!(short.cost / (short.curve.len() as f64) < choice.cost / choice.curve.len() as f64, "{short:?}");
     }
@@ -508,7 +521,16 @@ mod tests {
         let choose = |search: &FinishSearch| {
             let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
             let views = [&fitted, &held];
-            choose_finish::<f32>(&projector, views, &start, &TvSettings::default(), search, &mut quiet).unwrap()
+            choose_finish::<f32>(
+                &projector,
+                views,
+                &start,
+                &TvSettings::default(),
+                search,
+                &Division::whole(),
+                &mut quiet,
+            )
+            .unwrap()
         };
         let choice = choose(&free);
         let found = finished(choice.value, choice.iterations.unwrap());
@@ -539,7 +561,9 @@ mod tests {
         let scan = scan(2, CONE);
         let projector = VoxelProjector::new(&scan.scanner, RayModel::Joseph).unwrap();
         let mut quiet = |_: &str, _: Option<&Trial>| ControlFlow::Continue(());
-        let weight = choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &mut quiet).unwrap();
+        let weight =
+            choose_weight::<f32>(&projector, &scan.train, &TvSettings::default(), &Division::whole(), &mut quiet)
+                .unwrap();
         assert!(weight.curve.is_empty() && weight.value == TvSettings::default().weight);
         let passes = choose_passes::<f32>(&projector, &scan.train, Passes::Cgls(7), &mut quiet).unwrap();
         assert!(passes.curve.is_empty() && passes.value == 7.0);

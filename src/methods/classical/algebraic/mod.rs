@@ -17,9 +17,13 @@
 
 mod asd_pocs;
 mod cgls;
+mod division;
 pub(crate) mod held_out;
 mod order;
+mod proximal;
 mod sart;
+mod slabs;
+mod space;
 #[cfg(test)]
 mod tests;
 mod total_variation;
@@ -28,11 +32,14 @@ mod voxel_run;
 
 pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
 pub use cgls::{CglsRun, arrays as cgls_arrays, cgls};
+pub use division::Division;
 pub use held_out::{
     Choice, FEWEST_TRIALS, Mixture, ObserveChoice, Passes, Trial, choose_passes, choose_weight, mixture,
 };
 pub use order::Order;
 pub use sart::{SartRun, SartSettings, sart};
+use space::Whole;
+pub use space::{Change, Measure, Name, Part, Space};
 pub use tv::{TvRun, TvSettings, tv};
 pub use voxel_run::{VoxelRun, VoxelState};
 

@@ -1,10 +1,11 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::{CHUNK, Observe, Order, Pass, System, VoxelRun, VoxelState, run_to_the_end, voxel_run::Numbers};
+use super::voxel_run::Numbers;
+use super::{CHUNK, Name, Observe, Order, Pass, Space, System, VoxelRun, VoxelState, Whole, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::memory::{Allocation, Sizes, allocation};
 use trgs_core::error::Result;
-use trgs_core::geometry::{Projections, View, Volume};
+use trgs_core::geometry::{Projections, Volume};
 use trgs_core::numeric::{Real, real, reduce, threads};
 
 /// Parameters of SART and OS-SART.
@@ -87,7 +88,7 @@ pub struct SartRun<'a, R> {
     system: System<'a, R>,
     sweeps: Sweeps<R>,
     settings: SartSettings,
-    x: Vec<R>,
+    space: Box<dyn Space<R> + 'a>,
     /// λ of the next pass.
     relaxation: f64,
     /// Residuals of the last pass but one and of the last pass.
@@ -106,29 +107,47 @@ impl<'a, R: Real> SartRun<'a, R> {
         settings: &SartSettings,
         state: Option<&VoxelState>,
     ) -> Result<Self> {
-        let system = System::<R>::new(projector, projections)?;
-        let (sweeps, x) = (Sweeps::new(&system, settings)?, system.empty());
-        let (relaxation, residuals) = (settings.relaxation, [f64::INFINITY; 2]);
-        let mut run = Self { system, sweeps, settings: *settings, x, relaxation, residuals, iteration: 0 };
+        let space = Whole::new(projector, projector.views(projections.trajectory())?, false);
+        let mut run = Self::in_space(projector, projections, settings, Box::new(space))?;
         if let Some(state) = state {
-            let ([relaxation, before, last], [x]) = state.get([run.x.len()])?;
-            (run.x, run.relaxation, run.residuals, run.iteration) = (x, relaxation, [before, last], state.iteration);
+            let ([relaxation, before, last], arrays) = state.get([projector.scanner().grid.voxels()])?;
+            run.space.resume(arrays.into())?;
+            (run.relaxation, run.residuals, run.iteration) = (relaxation, [before, last], state.iteration);
         }
         Ok(run)
     }
 
-    /// The current volume, in array order.
-    pub(super) fn values(&self) -> &[R] {
-        &self.x
+    /// Begins at the zeros of a space.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn in_space(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &SartSettings,
+        mut space: Box<dyn Space<R> + 'a>,
+    ) -> Result<Self> {
+        let system = System::<R>::new(projector, projections)?;
+        let sweeps = Sweeps::new(&system, settings, &mut *space)?;
+        let (relaxation, residuals) = (settings.relaxation, [f64::INFINITY; 2]);
+        Ok(Self { system, sweeps, settings: *settings, space, relaxation, residuals, iteration: 0 })
+    }
+
+    /// The line integrals of the current volume in some views of the space.
+    ///
+    /// # Errors
+    /// When slabs cannot be read.
+    pub(super) fn see(&mut self, views: &[usize]) -> Result<Vec<R>> {
+        self.space.project(views, Some(Name::Volume))
     }
 
     /// Runs one pass; returns its residual.
-    fn pass(&mut self) -> f64 {
-        let residual = self.sweeps.pass(&self.system, &mut self.x, self.relaxation);
+    fn pass(&mut self) -> Result<f64> {
+        let residual = self.sweeps.pass(&self.system, &mut *self.space, self.relaxation)?;
         self.iteration += 1;
         self.residuals = [self.residuals[1], residual];
         self.relaxation *= self.settings.factor();
-        residual
+        Ok(residual)
     }
 }
 
@@ -140,55 +159,71 @@ impl<R: Real> VoxelRun for SartRun<'_, R> {
     }
 
     fn step(&mut self) -> Result<Option<Pass>> {
-        let residual = self.pass();
+        let residual = self.pass()?;
         Pass::new(self.iteration, self.settings.iterations, residual).map(Some)
     }
 
     fn state(&self) -> VoxelState<'_> {
         let [before, last] = self.residuals;
         let scalars = vec![self.relaxation, before, last];
-        VoxelState { iteration: self.iteration, scalars, arrays: vec![Numbers::new(&self.x)] }
+        VoxelState {
+            iteration: self.iteration,
+            scalars,
+            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
+        }
     }
 
-    fn into_volume(self: Box<Self>) -> Result<Volume> {
-        self.system.volume(self.x)
+    fn into_volume(mut self: Box<Self>) -> Result<Volume> {
+        self.system.volume(self.space.volume()?)
     }
 }
 
 /// Passes over all views, one subset after another.
 pub(super) struct Sweeps<R> {
     subsets: Vec<Vec<usize>>,
-    views: Vec<View>,
     /// 1/A1 of every ray, 0 for ignored rays.
     per_length: Vec<R>,
     non_negative: bool,
 }
 
 impl<R: Real> Sweeps<R> {
-    pub(super) fn new(system: &System<'_, R>, settings: &SartSettings) -> Result<Self> {
-        let views = system.projector.views(system.trajectory)?;
-        let grid = &system.projector.scanner().grid;
-        let lengths = system.projector.project(&views, &vec![R::ONE; grid.voxels()]).values;
-        let least = real(0.5 * grid.spacing.min_element());
-        let per_length = lengths.into_iter().map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
+    pub(super) fn new(
+        system: &System<'_, R>,
+        settings: &SartSettings,
+        space: &mut (impl Space<R> + ?Sized),
+    ) -> Result<Self> {
+        let all: Vec<usize> = (0..system.trajectory.len()).collect();
+        let least = real(0.5 * system.projector.scanner().grid.spacing.min_element());
+        let per_length = space.project(&all, None)?.into_iter();
+        let per_length = per_length.map(|l| if l > least { R::ONE / l } else { R::ZERO }).collect();
         let order = settings.order.of(system.trajectory.angles, settings.seed);
         let subsets = order.chunks(settings.subset).map(<[usize]>::to_vec).collect();
-        Ok(Self { subsets, views, per_length, non_negative: settings.non_negative })
+        Ok(Self { subsets, per_length, non_negative: settings.non_negative })
     }
 
     /// Runs one pass; returns the residual, in which each view counts before its own correction.
-    pub(super) fn pass(&self, system: &System<'_, R>, x: &mut [R], relaxation: f64) -> f64 {
+    pub(super) fn pass(
+        &self,
+        system: &System<'_, R>,
+        space: &mut (impl Space<R> + ?Sized),
+        relaxation: f64,
+    ) -> Result<f64> {
         let relaxation: R = real(relaxation);
-        let correct = |subset: &Vec<usize>| self.correct(system, x, relaxation, subset);
-        let squares: Vec<f64> = self.subsets.iter().map(correct).collect();
-        reduce::sum(&squares).sqrt()
+        let correct = |subset: &Vec<usize>| self.correct(system, space, relaxation, subset);
+        let squares: Vec<f64> = self.subsets.iter().map(correct).collect::<Result<_>>()?;
+        Ok(reduce::sum(&squares).sqrt())
     }
 
     /// Corrects x by a subset of the views; returns the sum of its squared residuals before the correction.
-    fn correct(&self, system: &System<'_, R>, x: &mut [R], relaxation: R, subset: &[usize]) -> f64 {
-        let (projector, pixels) = (system.projector, system.pixels);
-        let views: Vec<View> = subset.iter().map(|&view| self.views[view]).collect();
-        let seen = projector.project(&views, x).values;
+    fn correct(
+        &self,
+        system: &System<'_, R>,
+        space: &mut (impl Space<R> + ?Sized),
+        relaxation: R,
+        subset: &[usize],
+    ) -> Result<f64> {
+        let pixels = system.pixels;
+        let seen = space.project(subset, Some(Name::Volume))?;
         let mut corrections = vec![R::ZERO; seen.len()];
         threads::for_each_chunk(&mut corrections, pixels, |slot, corrections| {
             let view = subset[slot] * pixels;
@@ -204,15 +239,7 @@ impl<R: Real> Sweeps<R> {
             let from = chunk * CHUNK;
             reduce::sum_by(CHUNK.min(seen.len() - from), &|i| residual(from + i) * residual(from + i))
         });
-        let non_negative = self.non_negative;
-        projector.adjoin(&views, [&corrections, &counts], x, |x, [correction, weight]| {
-            if weight > R::ZERO {
-                *x += relaxation * (correction / weight);
-            }
-            if non_negative && *x < R::ZERO {
-                *x = R::ZERO;
-            }
-        });
-        reduce::sum(&squares)
+        space.correct(subset, [&corrections, &counts], relaxation, self.non_negative)?;
+        Ok(reduce::sum(&squares))
     }
 }

@@ -5,21 +5,29 @@ use crate::classical::columns::Columns;
 use crate::classical::resample::{Places, interpolate, margin};
 use glam::DVec3;
 use ndarray::Array3;
+use std::ops::Range;
 use trgs_core::geometry::{Beam, Scanner, View};
 use trgs_core::numeric::{real, threads};
 
-/// The volume `[x, y, z]` on the scanner's grid, from filtered images; `shift` of source and detector along u.
-pub(super) fn voxels<R: Sample>(filtered: &Columns<R>, scanner: &Scanner, angles: &[f64], shift: f64) -> Array3<R> {
+/// The slices `x` of the volume `[x, y, z]` on the scanner's grid, from filtered images; `shift` of source and detector
+/// along u.
+pub(super) fn voxels<R: Sample>(
+    filtered: &Columns<R>,
+    scanner: &Scanner,
+    angles: &[f64],
+    shift: f64,
+    x: Range<usize>,
+) -> Array3<R> {
     let shifted = |view: View| View { source: view.source + view.u * shift, ..view };
     let views: Vec<View> = angles.iter().map(|&angle| shifted(scanner.view(angle))).collect();
-    let mut values = Array3::from_elem(scanner.grid.shape, R::ZERO);
     let [_, ny, nz] = scanner.grid.shape;
+    let mut values = Array3::from_elem([x.len(), ny, nz], R::ZERO);
     let slices = values.as_slice_mut().expect("a new array is in C order");
-    threads::for_each_chunk(slices, ny * nz, |x, slice| {
+    threads::for_each_chunk(slices, ny * nz, |i, slice| {
         let mut profile = vec![R::ZERO; filtered.rows + 2 + margin::<R>()];
         for (number, view) in views.iter().enumerate() {
             for (y, line) in slice.chunks_exact_mut(nz).enumerate() {
-                add_view(filtered, scanner, number, view, [x, y], line, &mut profile);
+                add_view(filtered, scanner, number, view, [x.start + i, y], line, &mut profile);
             }
         }
     });

@@ -64,6 +64,7 @@ use ndarray::{Array3, ArrayView3};
 use redundancy::RayWeights;
 use rustfft::FftNum;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Projections, Scanner, Volume};
 use trgs_core::numeric::Real;
@@ -140,16 +141,35 @@ pub fn arrays(sizes: &Sizes, widened: bool) -> Vec<Allocation> {
 ///
 /// Tests: `every_cell_is_right_in_the_middle_or_refused`; known densities in cone and parallel beams, off-centre, anisotropic, uneven; threads.
 pub fn fdk(scanner: &Scanner, projections: &Projections, window: Window, turn: Turn) -> Result<Volume> {
+    Volume::new(scanner.grid, part(scanner, projections, window, turn, 0..scanner.grid.shape[0])?)
+}
+
+/// The slices `x` of [`fdk`], with its bits, for a volume that is larger than memory: `[x, y, z]`.
+///
+/// # Errors
+/// Those of [`fdk`], and when `x` are not slices of the grid.
+///
+/// Tests: `parts_have_the_bits_of_the_whole`.
+pub fn part(
+    scanner: &Scanner,
+    projections: &Projections,
+    window: Window,
+    turn: Turn,
+    x: Range<usize>,
+) -> Result<Array3<f32>> {
+    if x.start >= x.end || x.end > scanner.grid.shape[0] {
+        let expected = format!("at least one of the {} slices along x", scanner.grid.shape[0]);
+        return Err(Error::invalid("slices", format!("{x:?}"), expected, "give a range of slices of the grid"));
+    }
     let images = projections.images.view();
     check(scanner, &projections.angles, images.shape())?;
     let Circle { scanner: circle, angles, shift } = Circle::of(scanner, projections)?;
     let seen = (turn == Turn::Measured).then(|| Borders::of(images));
     let weights = RayWeights::new(&circle, &angles, shift, seen.as_ref())?;
-    let volume = match weights.widen(&circle, images) {
-        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, &angles, shift),
-        None => voxels(&filtered(&circle, &weights, images, window), &circle, &angles, shift),
-    };
-    Volume::new(scanner.grid, volume)
+    Ok(match weights.widen(&circle, images) {
+        Some((wide, images)) => voxels(&filtered(&wide, &weights, images.view(), window), &wide, &angles, shift, x),
+        None => voxels(&filtered(&circle, &weights, images, window), &circle, &angles, shift, x),
+    })
 }
 
 /// A scalar type for filtering and backprojection: f32 or f64.
@@ -197,7 +217,7 @@ pub fn filter<R: Sample>(
 /// Tests: `a_pixel_spreads_over_the_voxels_it_sees`, `filtering_and_backprojecting_are_the_whole_to_the_bit`.
 pub fn backproject<R: Sample>(scanner: &Scanner, angles: &[f64], filtered: ArrayView3<'_, R>) -> Result<Array3<R>> {
     check(scanner, angles, filtered.shape())?;
-    Ok(voxels(&Columns::from_images(filtered), scanner, angles, 0.0))
+    Ok(voxels(&Columns::from_images(filtered), scanner, angles, 0.0, 0..scanner.grid.shape[0]))
 }
 
 /// Rejects an invalid scanner, and projections that do not fit it.
@@ -356,6 +376,21 @@ mod tests {
             let filtered = filter(&scanner, angles, images, Window::Hann).unwrap();
             let both = backproject(&scanner, angles, filtered.view()).unwrap();
             assert_eq!(both, fdk(&scanner, &projections, Window::Hann, Turn::Measured).unwrap().values);
+        }
+    }
+
+    #[test]
+    fn parts_have_the_bits_of_the_whole() {
+        for displaced in [0.0, 0.59] {
+            let mut scanner = scanner(Beam::Cone { dso: 5.0, dsd: 7.0 });
+            (scanner.detector.columns, scanner.detector.offset_u) = (66, displaced);
+            let projections = ball().project(&scanner, &turn(40)).unwrap();
+            let whole = fdk(&scanner, &projections, Window::Hann, Turn::Full).unwrap().values;
+            let part = |x: Range<usize>| super::part(&scanner, &projections, Window::Hann, Turn::Full, x);
+            let parts = [0..13, 13..14, 14..40].map(|x| part(x).unwrap());
+            let together = ndarray::concatenate(ndarray::Axis(0), &parts.each_ref().map(|part| part.view())).unwrap();
+            assert_eq!(together, whole);
+            assert!(part(39..41).unwrap_err().to_string().contains("40 slices"));
         }
     }
 

@@ -49,6 +49,16 @@ impl Fan {
         usize::from(self.direction[0].abs() < self.direction[1].abs())
     }
 
+    /// Whether x does not fall from a plane of the main axis to the next.
+    pub(super) fn rises(&self) -> bool {
+        self.main_axis() == 0 || self.direction[0] * self.direction[1] >= 0.0
+    }
+
+    /// Whether x does not fall along the steep ray k from a slice in z to the next.
+    pub(super) fn rises_along_z(&self, k: usize) -> bool {
+        self.direction[0] * self.slope(k) >= 0.0
+    }
+
     /// Voxels that ray k rises per unit of s.
     pub(super) fn slope(&self, k: usize) -> f64 {
         if self.is_cone { self.low + k as f64 * self.pitch } else { 0.0 }

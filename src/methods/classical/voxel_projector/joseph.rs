@@ -24,9 +24,29 @@ pub(super) struct Slab {
     pub(super) shape: [usize; 3],
     /// The slices in x.
     pub(super) x: Range<usize>,
+    /// The positions in x, rounded down, of the points whose values are interpolated here.
+    own: Range<f64>,
 }
 
 impl Slab {
+    /// The slices `x`, with all points that have a voxel there.
+    pub(super) fn new(shape: [usize; 3], x: Range<usize>) -> Self {
+        Self { shape, x, own: f64::NEG_INFINITY..f64::INFINITY }
+    }
+
+    /// The slices `x` and one more, the last excepted, with the points from each slice to the next: every point of the
+    /// grid is in one part.
+    pub(super) fn part(shape: [usize; 3], x: Range<usize>) -> Self {
+        let from = if x.start == 0 { f64::NEG_INFINITY } else { x.start as f64 };
+        let to = if x.end == shape[0] { f64::INFINITY } else { x.end as f64 };
+        Self { shape, x: x.start..(x.end + 1).min(shape[0]), own: from..to }
+    }
+
+    /// Whether points with the position `x`, rounded down, are interpolated here.
+    pub(super) fn owns(&self, x: f64) -> bool {
+        self.own.contains(&x)
+    }
+
     /// Index of the line of voxels at (x, y), counted from the slab's first line; `None` outside.
     fn line(&self, x: f64, y: f64) -> Option<usize> {
         let inside = x >= self.x.start as f64 && x < self.x.end as f64 && y >= 0.0 && y < self.shape[1] as f64;
@@ -52,11 +72,8 @@ impl Fan {
             let line = |j: f64| if main == 0 { slab.line(i, j) } else { slab.line(j, i) };
             let lines = [line(below), line(below + 1.0)];
             let share = across - below;
-            lines.iter().any(Option::is_some).then(|| Plane {
-                lines,
-                shares: [1.0 - share, share],
-                heights: self.level(s),
-            })
+            let is_here = slab.owns(if main == 0 { i } else { below }) && lines.iter().any(Option::is_some);
+            is_here.then(|| Plane { lines, shares: [1.0 - share, share], heights: self.level(s) })
         })
     }
 
@@ -74,6 +91,9 @@ impl Fan {
         for z in 0..slab.shape[2] {
             let Some(s) = self.crossing(k, z as f64).filter(|&s| s > 0.0) else { continue };
             let [x, y] = [0, 1].map(|axis| self.origin[axis] + s * self.direction[axis]);
+            if !slab.owns(x.floor()) {
+                continue;
+            }
             for (i, share_x) in [(x.floor(), 1.0 - (x - x.floor())), (x.floor() + 1.0, x - x.floor())] {
                 for (j, share_y) in [(y.floor(), 1.0 - (y - y.floor())), (y.floor() + 1.0, y - y.floor())] {
                     if let Some(line) = slab.line(i, j) {
@@ -84,7 +104,7 @@ impl Fan {
         }
     }
 
-    /// Line integrals of the shallow rays `rows` of `out`, which has one value per ray.
+    /// Adds the shallow rays `rows` through the slab to `out`, which has one value per ray, before [`Self::scale`].
     pub(super) fn joseph_forward<R: Real>(
         &self,
         volume: &[R],
@@ -95,13 +115,12 @@ impl Fan {
     ) {
         let nz = slab.shape[2];
         if nz == 1 && rows.len() == 1 {
-            out[rows.start] = self.flat_forward(volume, slab, rows.start) * self.steps::<R>(rows.clone())[0];
+            self.flat_forward(volume, slab, rows.start, &mut out[rows.start]);
             return;
         }
         profile.clear();
         // The profile starts at height -1; positions reach up to nz, where rounding may end them.
         profile.resize(nz + 2 + margin::<R>(), R::ZERO);
-        out[rows.clone()].fill(R::ZERO);
         for plane in self.planes(slab) {
             let heights = plane.heights;
             let rows = heights.within(rows, -1.0, nz as f64);
@@ -110,6 +129,10 @@ impl Fan {
                 interpolate(profile, Places { first: heights.first + 1.0, ..heights }, rows, out);
             }
         }
+    }
+
+    /// Multiplies the sums of the shallow rays `rows` by their steps.
+    pub(super) fn scale<R: Real>(&self, rows: &Range<usize>, out: &mut [R]) {
         for (value, step) in out[rows.clone()].iter_mut().zip(self.steps::<R>(rows.clone())) {
             *value *= step;
         }
@@ -125,18 +148,16 @@ impl Fan {
         }
     }
 
-    /// [`Self::joseph_forward`] for one ray through a volume of one slice, before the factor of its step.
-    fn flat_forward<R: Real>(&self, volume: &[R], slab: &Slab, row: usize) -> R {
-        let mut sum = R::ZERO;
+    /// [`Self::joseph_forward`] for one ray through a volume of one slice.
+    fn flat_forward<R: Real>(&self, volume: &[R], slab: &Slab, row: usize, sum: &mut R) {
         for plane in self.planes(slab) {
             let weight = 1.0 - plane.heights.at(row).abs();
             if weight > 0.0 {
                 for (line, share) in plane.lines.into_iter().zip(plane.shares) {
-                    sum += line.map_or(R::ZERO, |line| real::<R>(weight * share) * volume[line]);
+                    *sum += line.map_or(R::ZERO, |line| real::<R>(weight * share) * volume[line]);
                 }
             }
         }
-        sum
     }
 
     /// The transpose of [`Self::flat_forward`].

@@ -33,6 +33,7 @@ use joseph::Slab;
 use ndarray::{Array3, ArrayView3};
 use serde::{Deserialize, Serialize};
 use slanted::SlantedRay;
+use std::ops::Range;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Projections, Scanner, Trajectory, View, Volume};
 use trgs_core::numeric::{Real, real, threads};
@@ -137,8 +138,34 @@ impl VoxelProjector {
         let columns = Columns::from_images(projections);
         let mut volume = Array3::from_elem(self.scanner.grid.shape, R::ZERO);
         let values = volume.as_slice_mut().expect("a new array is in C order");
-        self.adjoin(&views, [&columns.values], values, |out, [value]| *out = value);
+        self.adjoin(&views, [&columns.values], 0, values, |out, [value]| *out = value);
         Ok(volume)
+    }
+
+    /// Zeros, to which [`Self::add_part`] adds.
+    pub(super) fn no_sums<R: Real>(&self, views: &[View]) -> Vec<R> {
+        vec![R::ZERO; views.len() * self.scanner.detector.pixels()]
+    }
+
+    /// Adds to `sums` the part of `A x` of the rays between the slices `x` and their next ones, before [`Self::scale`].
+    ///
+    /// `A x` of a volume that is never in memory as a whole, with the bits of [`Self::project`]: the sums go through all
+    /// parts, the first slices first, with `rising`, for the rays on which Joseph's method meets growing x; then the last
+    /// slices first without, for all others. `slab` has the slices `x` and the one after them, if there is one.
+    pub(super) fn add_part<R: Real>(&self, views: &[View], slab: &[R], x: Range<usize>, rising: bool, sums: &mut [R]) {
+        self.accumulate(views, &Slab::part(self.scanner.grid.shape, x), slab, Some(rising), false, sums);
+    }
+
+    /// `A x` from the sums of all parts of x.
+    pub(super) fn scale<R: Real>(&self, views: &[View], sums: &mut [R]) {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        threads::for_each_chunk(sums, rows, |number, out| {
+            let view = &views[number / columns];
+            if view.is_upright() {
+                let fan = Fan::new(&self.scanner.grid, view, number % columns);
+                fan.scale(&fan.shallow(rows), out);
+            }
+        });
     }
 
     /// The scanner.
@@ -147,7 +174,10 @@ impl VoxelProjector {
     }
 
     /// The views of a trajectory.
-    pub(super) fn views<'a>(&self, trajectory: impl Into<Trajectory<'a>>) -> Result<Vec<View>> {
+    ///
+    /// # Errors
+    /// When there is none, an angle is not finite or a pose is impossible.
+    pub fn views<'a>(&self, trajectory: impl Into<Trajectory<'a>>) -> Result<Vec<View>> {
         let trajectory = trajectory.into();
         let angles = trajectory.angles;
         if angles.is_empty() || angles.iter().any(|angle| !angle.is_finite()) {
@@ -165,10 +195,27 @@ impl VoxelProjector {
     /// `A x` of a volume in array order.
     pub(super) fn project<R: Real>(&self, views: &[View], volume: &[R]) -> Columns<R> {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
-        let grid = &self.scanner.grid;
-        let slab = Slab { shape: grid.shape, x: 0..grid.shape[0] };
-        let mut values = vec![R::ZERO; views.len() * columns * rows];
-        threads::for_each_chunk(&mut values, COLUMNS * rows, |chunk, values| {
+        let shape = self.scanner.grid.shape;
+        let mut values = self.no_sums(views);
+        self.accumulate(views, &Slab::new(shape, 0..shape[0]), volume, None, true, &mut values);
+        Columns { values, rows, columns }
+    }
+
+    /// Adds the slab's part of `A x` to `sums`: of all rays, or of those on which x grows or does not; `complete` if no
+    /// other part follows.
+    fn accumulate<R: Real>(
+        &self,
+        views: &[View],
+        slab: &Slab,
+        volume: &[R],
+        rising: Option<bool>,
+        complete: bool,
+        sums: &mut [R],
+    ) {
+        let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
+        let (grid, nz) = (&self.scanner.grid, slab.shape[2]);
+        let counts = |grows: bool| rising.is_none_or(|rising| rising == grows);
+        threads::for_each_chunk(sums, COLUMNS * rows, |chunk, values| {
             let mut profile = Vec::new();
             for (i, out) in values.chunks_exact_mut(rows).enumerate() {
                 let number = chunk * COLUMNS + i;
@@ -176,7 +223,9 @@ impl VoxelProjector {
                 if !view.is_upright() {
                     for (k, out) in out.iter_mut().enumerate() {
                         let ray = SlantedRay::new(grid, view, column, k);
-                        self.visit(&ray, &slab, |voxel, weight| *out += volume[voxel] * real(weight));
+                        if counts(ray.rises()) {
+                            self.visit(&ray, slab, |voxel, weight| *out += volume[voxel] * real(weight));
+                        }
                     }
                     continue;
                 }
@@ -184,29 +233,34 @@ impl VoxelProjector {
                 match self.model {
                     RayModel::Joseph => {
                         let shallow = fan.shallow(rows);
-                        fan.joseph_forward(volume, &slab, &shallow, out, &mut profile);
-                        for k in (0..shallow.start).chain(shallow.end..rows) {
-                            fan.visit_steep(k, &slab, |line, z, weight| {
-                                out[k] += volume[line * grid.shape[2] + z] * real(weight);
+                        if counts(fan.rises()) {
+                            fan.joseph_forward(volume, slab, &shallow, out, &mut profile);
+                        }
+                        if complete {
+                            fan.scale(&shallow, out);
+                        }
+                        for k in (0..shallow.start).chain(shallow.end..rows).filter(|&k| counts(fan.rises_along_z(k))) {
+                            fan.visit_steep(k, slab, |line, z, weight| {
+                                out[k] += volume[line * nz + z] * real(weight);
                             });
                         }
                     }
-                    RayModel::Siddon => fan.visit_siddon(0..rows, &slab, |line, z, k, length| {
-                        out[k] += volume[line * grid.shape[2] + z] * real(length);
+                    RayModel::Siddon => fan.visit_siddon(0..rows, slab, |line, z, k, length| {
+                        out[k] += volume[line * nz + z] * real(length);
                     }),
                 }
             }
         });
-        Columns { values, rows, columns }
     }
 
-    /// Passes `Aᵀ y` of N images to every voxel of `volume`, in array order.
+    /// Passes `Aᵀ y` of N images to every voxel of `volume`, the slices from `first` on, in array order.
     ///
     /// The images are `[view][column][row from below]`.
     pub(super) fn adjoin<R: Real, const N: usize>(
         &self,
         views: &[View],
         images: [&[R]; N],
+        first: usize,
         volume: &mut [R],
         take: impl Fn(&mut R, [R; N]) + Sync + Send,
     ) {
@@ -233,7 +287,8 @@ impl VoxelProjector {
         });
         let slices = SLICES.max(VOXELS / (ny * nz));
         threads::for_each_chunk(volume, slices * ny * nz, |chunk, volume| {
-            let slab = Slab { shape: [nx, ny, nz], x: chunk * slices..(chunk * slices + volume.len() / (ny * nz)) };
+            let from = first + chunk * slices;
+            let slab = Slab::new([nx, ny, nz], from..from + volume.len() / (ny * nz));
             let mut sums = images.map(|_| vec![R::ZERO; volume.len()]);
             let add = |sums: &mut [Vec<R>; N], at: usize, pixel: usize, weight: f64| {
                 let weight: R = real(weight);

@@ -22,11 +22,23 @@ impl SlantedRay {
         Self { origin: origin.to_array(), direction: (ray.direction / grid.spacing).to_array() }
     }
 
+    /// The axis that the ray is closest to, in voxels.
+    fn main_axis(&self) -> usize {
+        let per_voxel = self.direction.map(f64::abs);
+        let horizontal = if per_voxel[0] >= per_voxel[1] { 0 } else { 1 };
+        if per_voxel[2] > per_voxel[horizontal] { 2 } else { horizontal }
+    }
+
+    /// Whether x does not fall from a plane of the main axis to the next.
+    pub(super) fn rises(&self) -> bool {
+        let main = self.main_axis();
+        main == 0 || self.direction[0] * self.direction[main] >= 0.0
+    }
+
     /// Calls `visit(voxel, weight)` for the voxels of the slab by Joseph's method, counted from the slab's first.
     pub(super) fn visit_joseph(&self, slab: &Slab, mut visit: impl FnMut(usize, f64)) {
         let per_voxel = self.direction.map(f64::abs);
-        let horizontal = if per_voxel[0] >= per_voxel[1] { 0 } else { 1 };
-        let main = if per_voxel[2] > per_voxel[horizontal] { 2 } else { horizontal };
+        let main = self.main_axis();
         let [a, b] = [[1, 2], [0, 2], [0, 1]][main];
         let ends = ends(slab);
         let low = ends.each_ref().map(|end| end.start as f64 - 1.0);
@@ -43,6 +55,9 @@ impl SlantedRay {
             let t = (plane as f64 - self.origin[main]) / self.direction[main];
             let [at_a, at_b] = [a, b].map(|axis| self.origin[axis] + t * self.direction[axis]);
             let (low_a, low_b) = (at_a.floor(), at_b.floor());
+            if !slab.owns(if main == 0 { plane as f64 } else { low_a }) {
+                continue;
+            }
             let (share_a, share_b) = (at_a - low_a, at_b - low_b);
             let (low_a, low_b) = (low_a as isize, low_b as isize);
             for (i, weight_a) in [(low_a, step * (1.0 - share_a)), (low_a + 1, step * share_a)] {

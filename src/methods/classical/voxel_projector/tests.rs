@@ -1,6 +1,7 @@
 use super::*;
 use glam::DVec3;
-use trgs_core::geometry::{Beam, Detector, Grid};
+use ndarray::Axis;
+use trgs_core::geometry::{Beam, Detector, Deviation, Grid};
 use trgs_core::numeric::reduce;
 use trgs_scan::phantom::solid::{Shape, Solid};
 use trgs_scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
@@ -136,7 +137,7 @@ fn views_of_a_set_do_not_depend_on_each_other() {
         let x = volume(&scanner);
         let all = projector.forward(&ANGLES, x.view()).unwrap();
         let some = projector.forward(&[ANGLES[4], ANGLES[2]], x.view()).unwrap();
-        assert_eq!(all.select(ndarray::Axis(0), &[4, 2]), some);
+        assert_eq!(all.select(Axis(0), &[4, 2]), some);
     }
 }
 
@@ -211,5 +212,41 @@ fn the_rays_of_a_scan_agree_on_a_smooth_volume() {
         let scan = measured("");
         assert!(scan == measured("") && scan.train != measured("axis=0").train && scan.notes.len() == 2);
         assert_eq!((scan.test, scan.train.poses), (voxels.test, voxels.train.poses));
+    }
+}
+
+#[test]
+fn parts_have_the_bits_of_the_whole() {
+    let bits = |values: &Array3<f32>| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+    for scanner in scanners() {
+        let projector = VoxelProjector::new(&scanner, RayModel::Joseph).unwrap();
+        let (x, y) = (volume(&scanner).mapv(|v| v as f32), images(&scanner).mapv(|v| v as f32));
+        let rolled = ANGLES.map(|angle| Deviation::none(&scanner).rolled(0.3).pose(angle));
+        for views in [Trajectory::from(&ANGLES), Trajectory { angles: &ANGLES, poses: Some(&rolled) }] {
+            let whole = projector.forward(views, x.view()).unwrap();
+            let back = projector.adjoint(views, y.view()).unwrap();
+            let nx = scanner.grid.shape[0];
+            let listed = projector.views(views).unwrap();
+            let (values, columns) = (x.as_slice().unwrap(), Columns::from_images(y.view()).values);
+            let slice = scanner.grid.shape[1] * scanner.grid.shape[2];
+            for count in [1, 2, 3, 7] {
+                let parts: Vec<_> = (0..count).map(|k| k * nx / count..(k + 1) * nx / count).collect();
+                let mut sums = projector.no_sums(&listed);
+                for (part, rising) in parts.iter().map(|p| (p, true)).chain(parts.iter().rev().map(|p| (p, false))) {
+                    let slab = &values[part.start * slice..(part.end + 1).min(nx) * slice];
+                    projector.add_part(&listed, slab, part.clone(), rising, &mut sums);
+                }
+                projector.scale(&listed, &mut sums);
+                let Scanner { detector: Detector { rows, columns: across, .. }, .. } = scanner;
+                let sums = Columns { values: sums, rows, columns: across }.images();
+                assert!(bits(&sums) == bits(&whole), "{count} parts");
+                let mut adjoint = vec![0.0; nx * slice];
+                for part in parts {
+                    let slab = &mut adjoint[part.start * slice..part.end * slice];
+                    projector.adjoin(&listed, [&columns], part.start, slab, |out, [value]| *out = value);
+                }
+                assert!(adjoint.iter().zip(&back).all(|(a, b)| a.to_bits() == b.to_bits()), "{count} parts");
+            }
+        }
     }
 }

@@ -35,7 +35,8 @@ pub fn mixture(projector: &VoxelProjector, views: &Projections, volumes: [&Volum
         return Err(Error::invalid("volume", got, expected, "give volumes on the scan's grid"));
     }
     let held = Held::<f64>::new(projector, views)?;
-    let [a, b] = volumes.map(|volume| volume.values.iter().map(|&value| f64::from(value)).collect::<Vec<_>>());
+    let [a, b] =
+        volumes.map(|volume| held.see(&volume.values.iter().map(|&value| f64::from(value)).collect::<Vec<_>>()));
     let before = held.residual(&b);
     let share = held.mixed(&before, &a, None).share;
     let errors = [1.0, 0.0, share].map(|share| relative(held.mixed(&before, &a, Some(share)).sums));
@@ -57,14 +58,20 @@ impl<'a, R: Real> Held<'a, R> {
         Ok(Self { system, views, idle })
     }
 
-    pub(super) fn error(&self, x: &[R]) -> Squares {
-        self.squares(&self.residual(x), 1.0)
+    /// The error of a volume that is `seen` so in these views.
+    pub(super) fn error(&self, seen: &[R]) -> Squares {
+        self.squares(&self.residual(seen), 1.0)
     }
 
-    /// The error of the mixture `x₀ + s·(x - x₀)`, from the residual of x₀. Without a share s, the error of x, with the share of
-    /// least error from 0 to 1.
-    pub(super) fn mixed(&self, before: &[R], x: &[R], share: Option<f64>) -> Squares {
-        let mut residual = self.residual(x);
+    /// The line integrals of a volume in these views.
+    pub(super) fn see(&self, x: &[R]) -> Vec<R> {
+        self.system.projector.project(&self.views, x).values
+    }
+
+    /// The error of the mixture `x₀ + s·(x - x₀)`, from the residual of x₀ and x as it is `seen`. Without a share s, the error
+    /// of x, with the share of least error from 0 to 1.
+    pub(super) fn mixed(&self, before: &[R], seen: &[R], share: Option<f64>) -> Squares {
+        let mut residual = self.residual(seen);
         let gain: Vec<R> = before.iter().zip(&residual).map(|(&before, &after)| before - after).collect();
         let size = dot(&gain, &gain);
         let best = if size > 0.0 { (dot(before, &gain) / size).clamp(0.0, 1.0) } else { 1.0 };
@@ -76,8 +83,7 @@ impl<'a, R: Real> Held<'a, R> {
     }
 
     /// `A x - p`, and 0 where a ray is not used.
-    pub(super) fn residual(&self, x: &[R]) -> Vec<R> {
-        let seen = self.system.projector.project(&self.views, x).values;
+    pub(super) fn residual(&self, seen: &[R]) -> Vec<R> {
         let rays = seen.iter().zip(&self.system.measured).zip(&self.idle);
         rays.map(|((&seen, &p), &idle)| if idle { R::ZERO } else { seen - p }).collect()
     }

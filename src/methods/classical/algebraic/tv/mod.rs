@@ -14,20 +14,18 @@
 //! deblurring problems*, IEEE Trans. Image Process. 18 (2009) 2419.
 //! `[OC15]`: B. O'Donoghue, E. Candès, *Adaptive restart for accelerated gradient schemes*, Found. Comput. Math. 15 (2015) 715.
 
-mod proximal;
 mod state;
 mod sweep;
 #[cfg(test)]
 mod tests;
 
-use super::{CHUNK, Observe, Pass, System, dot, norm, run_to_the_end};
+use super::space::total;
+use super::{Change, Division, Measure, Name, Observe, Pass, Space, System, dot, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::memory::{Allocation, F32, Sizes, allocation};
-use proximal::Proximal;
-use std::mem::swap;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Projections, View, Volume};
-use trgs_core::numeric::{Real, real, reduce, threads};
+use trgs_core::geometry::{Projections, Volume};
+use trgs_core::numeric::{Real, real};
 
 /// Parameters of the reconstruction with total variation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,16 +48,27 @@ impl Default for TvSettings {
 
 impl TvSettings {
     /// What a run asks of memory; one that `chooses` its weight holds out views.
-    pub fn arrays(sizes: &Sizes, chooses: bool) -> Vec<Allocation> {
+    pub fn arrays(&self, sizes: &Sizes, chooses: bool) -> Vec<Allocation> {
         let held_out = if chooses { sizes.pixels } else { 0 };
-        let volumes = "four volumes, dual of the total variation, and as it is written";
-        vec![
+        let mut arrays = vec![
             allocation("projections, images of three volumes, residual", sizes.pixels, 5 * sizes.real + 1),
             allocation("views held out and the others", held_out, F32 + sizes.real),
-            allocation("volume that predicts them best", if chooses { sizes.voxels } else { 0 }, sizes.real),
-            allocation(volumes, sizes.voxels, 7 * sizes.real + sizes.written()),
             sizes.at_work(1),
-        ]
+        ];
+        if sizes.slabs == 1 {
+            let volumes = "four volumes, dual of the total variation, and as it is written";
+            arrays.push(allocation(
+                "volume that predicts them best",
+                if chooses { sizes.voxels } else { 0 },
+                sizes.real,
+            ));
+            arrays.push(allocation(volumes, sizes.voxels, 7 * sizes.real + sizes.written()));
+        } else {
+            let slabs = "slabs of two volumes and of the dual of the total variation, with those beside them";
+            arrays.push(allocation(slabs, sizes.slab(2 * (self.steps + 1)), 5 * sizes.real));
+            arrays.push(allocation("volume, and as it is written", sizes.voxels, sizes.real + sizes.written()));
+        }
+        arrays
     }
 }
 
@@ -87,28 +96,24 @@ pub fn tv<R: Real>(
     start: Option<&Volume>,
     observe: &mut Observe<'_>,
 ) -> Result<Volume> {
-    run_to_the_end(TvRun::<R>::new(projector, projections, settings, start)?, observe)
+    run_to_the_end(TvRun::<R>::new(projector, projections, settings, start, &Division::whole())?, observe)
 }
 
 /// A reconstruction with total variation, run one iteration at a time.
 pub struct TvRun<'a, R> {
     system: System<'a, R>,
-    views: Vec<View>,
+    /// The numbers of all views.
+    views: Vec<usize>,
     /// Marks rays that intersect less than half a voxel in length.
     idle: Vec<bool>,
     settings: TvSettings,
     lambda: f64,
     /// L, the bound of `‖AᵀA‖`.
     lipschitz: f64,
-    proximal: Proximal<R>,
-    x: Vec<R>,
-    before: Vec<R>,
-    /// `A x` of both volumes; measured values for ignored rays.
+    space: Box<dyn Space<R> + 'a>,
+    /// `A x` of the volume and of the one before; measured values for ignored rays.
     seen: Vec<R>,
     seen_before: Vec<R>,
-    /// Buffers for y and the next x.
-    y: Vec<R>,
-    next: Vec<R>,
     /// t of the momentum, and β.
     momentum: [f64; 2],
     objective: f64,
@@ -122,48 +127,86 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// Begins at zeros or at `start`.
     ///
     /// # Errors
-    /// When the projections or `start` do not fit the projector.
+    /// When the projections or `start` do not fit the projector; when files of slabs cannot be made.
     pub fn new(
         projector: &'a VoxelProjector,
         projections: &'a Projections,
         settings: &TvSettings,
         start: Option<&Volume>,
+        division: &Division,
     ) -> Result<Self> {
-        let mut run = Self::prepared(projector, projections, settings)?;
+        let space = division.space(projector, projector.views(projections.trajectory())?)?;
+        Self::in_space(projector, projections, settings, start, space)
+    }
+
+    /// Begins at the zeros of a space, whose first views are those of the projections, or at `start`.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and those of the space.
+    pub fn in_space(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &TvSettings,
+        start: Option<&Volume>,
+        space: Box<dyn Space<R> + 'a>,
+    ) -> Result<Self> {
+        let mut run = Self::prepared(projector, projections, settings, space)?;
+        run.lipschitz = run.power_iteration()?;
+        run.sets = if start.is_none() { sweep::first_sets(run.views.len()) } else { 1 };
         if let Some(start) = start {
             let (got, expected) = (start.values.shape(), projector.scanner().grid.shape);
             if got != expected {
                 let remedy = "give a starting volume on the scan's grid";
                 return Err(Error::invalid("start", format!("shape {got:?}"), format!("{expected:?}"), remedy));
             }
-            run.x = start.values.iter().map(|&v| if v > 0.0 { real(f64::from(v)) } else { R::ZERO }).collect();
+            let values = start.values.as_standard_layout();
+            run.space.start(values.as_slice().expect("standard layout"))?;
         }
-        run.lipschitz = run.power_iteration();
-        run.sets = if start.is_none() { sweep::first_sets(run.views.len()) } else { 1 };
-        run.begin();
+        run.begin()?;
         Ok(run)
     }
 
+    /// Begins again at zeros with another weight.
+    ///
+    /// # Errors
+    /// When slabs cannot be read or written.
+    pub fn restart(&mut self, weight: f64) -> Result<()> {
+        self.settings.weight = weight;
+        self.set_lambda()?;
+        self.space.change(Change::Forget)?;
+        self.space.change(Change::Fill(Name::Volume, R::ZERO))?;
+        (self.iteration, self.sets) = (0, sweep::first_sets(self.views.len()));
+        self.begin()
+    }
+
+    /// The line integrals of the current volume in the views of the space that are not those of the run.
+    ///
+    /// # Errors
+    /// When slabs cannot be read.
+    pub(super) fn see_others(&mut self) -> Result<Vec<R>> {
+        let others: Vec<usize> = (self.views.len()..self.space.views()).collect();
+        self.space.project(&others, Some(Name::Volume))
+    }
+
     /// The state without L and the values derived from x.
-    fn prepared(projector: &'a VoxelProjector, projections: &'a Projections, settings: &TvSettings) -> Result<Self> {
+    fn prepared(
+        projector: &'a VoxelProjector,
+        projections: &'a Projections,
+        settings: &TvSettings,
+        mut space: Box<dyn Space<R> + 'a>,
+    ) -> Result<Self> {
         let system = System::<R>::new(projector, projections)?;
-        let views = projector.views(system.trajectory)?;
-        let grid = &projector.scanner().grid;
-        let idle = system.idle(&views);
-        let (x, empty) = (system.empty(), || system.empty());
-        let (before, y, next) = (empty(), empty(), empty());
+        let views: Vec<usize> = (0..projections.len()).collect();
+        let least = real(0.5 * projector.scanner().grid.spacing.min_element());
+        let idle = space.project(&views, None)?.into_iter().map(|length| length <= least).collect();
         let mut run = Self {
             idle,
             settings: *settings,
             lambda: 0.0,
             lipschitz: 0.0,
-            proximal: Proximal::new(grid),
-            x,
-            before,
+            space,
             seen: Vec::new(),
             seen_before: Vec::new(),
-            y,
-            next,
             momentum: [1.0, 0.0],
             objective: 0.0,
             change: f64::INFINITY,
@@ -172,53 +215,45 @@ impl<'a, R: Real> TvRun<'a, R> {
             views,
             system,
         };
-        run.set_lambda();
+        run.set_lambda()?;
         Ok(run)
     }
 
     /// Computes λ from the weight.
-    fn set_lambda(&mut self) {
+    fn set_lambda(&mut self) -> Result<()> {
         let counted = self.system.measured.iter().zip(&self.idle);
         let counted: Vec<R> = counted.map(|(&p, &idle)| if idle { R::ZERO } else { p }).collect();
-        self.system.projector.adjoin(&self.views, [&counted], &mut self.next, |out, [value]| *out = value);
-        let largest =
-            self.next.iter().fold(R::ZERO, |largest, value| if value.abs() > largest { value.abs() } else { largest });
-        self.lambda = self.settings.weight * largest.to_f64();
-    }
-
-    /// Begins again at zeros with another weight.
-    pub fn restart(&mut self, weight: f64) {
-        self.settings.weight = weight;
-        self.set_lambda();
-        self.proximal = Proximal::new(&self.system.projector.scanner().grid);
-        self.x.fill(R::ZERO);
-        (self.iteration, self.sets) = (0, sweep::first_sets(self.views.len()));
-        self.begin();
+        self.space.adjoin(&self.views, &counted, Name::Next, None)?;
+        self.lambda = self.settings.weight * total(&mut *self.space, Measure::Largest(Name::Next))?[0];
+        Ok(())
     }
 
     /// Computes the values derived from x.
-    fn begin(&mut self) {
+    fn begin(&mut self) -> Result<()> {
         self.momentum = [1.0, 0.0];
-        self.before.copy_from_slice(&self.x);
-        self.seen = self.project(&self.x);
-        self.seen_before = self.seen.clone();
-        self.objective = self.objective_of(&self.seen, &self.x);
+        self.space.change(Change::Keep)?;
+        let seen = self.project(Name::Volume)?;
+        self.objective = self.objective_of(&seen, Name::Volume)?;
+        (self.seen_before, self.seen) = (seen.clone(), seen);
         self.change = f64::INFINITY;
+        Ok(())
     }
 
     /// Goes on with iterations over all views after sweeps.
-    fn begin_whole(&mut self) {
+    fn begin_whole(&mut self) -> Result<()> {
         self.sets = 1;
-        (self.seen, self.seen_before) = (self.project(&self.x), self.project(&self.before));
-        self.objective = self.objective_of(&self.seen, &self.x);
+        let seen = self.project(Name::Volume)?;
+        self.objective = self.objective_of(&seen, Name::Volume)?;
+        (self.seen, self.seen_before) = (seen, self.project(Name::Before)?);
+        Ok(())
     }
 
     /// `A x`; measured values for ignored rays.
-    fn project(&self, x: &[R]) -> Vec<R> {
-        let mut seen = self.system.projector.project(&self.views, x).values;
+    fn project(&mut self, name: Name) -> Result<Vec<R>> {
+        let mut seen = self.space.project(&self.views, Some(name))?;
         let known = self.idle.iter().zip(&self.system.measured);
         seen.iter_mut().zip(known).filter(|(_, (idle, _))| **idle).for_each(|(seen, (_, &p))| *seen = p);
-        seen
+        Ok(seen)
     }
 
     /// `‖A x - p‖²`.
@@ -227,29 +262,32 @@ impl<'a, R: Real> TvRun<'a, R> {
         dot(&residual, &residual)
     }
 
-    fn objective_of(&self, seen: &[R], x: &[R]) -> f64 {
-        0.5 * self.misfit(seen) + self.lambda * self.proximal.variation(x)
+    fn objective_of(&mut self, seen: &[R], name: Name) -> Result<f64> {
+        Ok(0.5 * self.misfit(seen) + self.lambda * total(&mut *self.space, Measure::Variation(name))?[0])
     }
 
     /// An upper bound of `‖AᵀA‖`.
-    fn power_iteration(&mut self) -> f64 {
-        let (projector, mut norm_before) = (self.system.projector, 0.0);
-        let x = &mut self.next;
-        x.fill(R::ONE);
+    fn power_iteration(&mut self) -> Result<f64> {
+        let Self { space, views, idle, .. } = self;
+        let norm = |space: &mut Box<dyn Space<R> + 'a>| {
+            Ok::<_, Error>(total(&mut **space, Measure::Squares(Name::Next))?[0].sqrt())
+        };
+        let mut norm_before = 0.0;
+        space.change(Change::Fill(Name::Next, R::ONE))?;
         for _ in 0..POWER {
-            let mut image = projector.project(&self.views, x).values;
-            image.iter_mut().zip(&self.idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
-            let size = norm(x);
-            projector.adjoin(&self.views, [&image], x, |out, [value]| *out = value);
-            let value = norm(x) / size;
+            let mut image = space.project(views, Some(Name::Next))?;
+            image.iter_mut().zip(&*idle).filter(|(_, idle)| **idle).for_each(|(value, _)| *value = R::ZERO);
+            let size = norm(space)?;
+            space.adjoin(views, &image, Name::Next, None)?;
+            let length = norm(space)?;
+            let value = length / size;
             if value == 0.0 || value - norm_before < POWER_TOLERANCE * value {
-                return SAFETY * value;
+                return Ok(SAFETY * value);
             }
             norm_before = value;
-            let scale: R = real(1.0 / norm(x));
-            x.iter_mut().for_each(|x| *x *= scale);
+            space.change(Change::Scale(Name::Next, real(1.0 / length)))?;
         }
-        SAFETY * norm_before
+        Ok(SAFETY * norm_before)
     }
 
     /// Whether the run has converged or reached its last iteration.
@@ -271,19 +309,18 @@ impl<'a, R: Real> TvRun<'a, R> {
         if self.sets > 1 {
             return self.sweep();
         }
-        self.extrapolate();
         let beta: R = real(self.momentum[1]);
+        self.space.change(Change::Extrapolate(beta))?;
         let seen = self.seen.iter().zip(&self.seen_before).zip(&self.system.measured);
         let residual: Vec<R> = seen.map(|((&seen, &before), &p)| seen + beta * (seen - before) - p).collect();
         let [step, tau] = self.step_lengths();
-        let step: R = real(step);
-        self.system.projector.adjoin(&self.views, [&residual], &mut self.y, |y, [gradient]| *y += -(step * gradient));
+        self.space.adjoin(&self.views, &residual, Name::Middle, Some(real(step)))?;
         drop(residual);
-        self.proximal.solve(&self.y, tau, self.settings.steps, &mut self.next);
+        self.space.solve(tau, self.settings.steps)?;
 
-        let seen = self.project(&self.next);
-        let objective = self.objective_of(&seen, &self.next);
-        let [moved, size, upwards] = self.compare(beta);
+        let seen = self.project(Name::Next)?;
+        let objective = self.objective_of(&seen, Name::Next)?;
+        let [moved, size, upwards] = total(&mut *self.space, Measure::Step(beta))?;
         self.change = if moved == 0.0 { 0.0 } else { (moved / size.max(f64::MIN_POSITIVE)).sqrt() };
         if !objective.is_finite() {
             return Err(Error::NonFinite {
@@ -294,8 +331,7 @@ impl<'a, R: Real> TvRun<'a, R> {
             });
         }
         if objective <= self.objective {
-            swap(&mut self.before, &mut self.x);
-            swap(&mut self.x, &mut self.next);
+            self.advance();
             self.seen_before = std::mem::replace(&mut self.seen, seen);
             self.objective = objective;
             self.momentum = if upwards > 0.0 { [1.0, 0.0] } else { next_momentum(self.momentum[0]) };
@@ -311,24 +347,10 @@ impl<'a, R: Real> TvRun<'a, R> {
         })
     }
 
-    /// `‖next - y‖²`, `‖next‖²` and `⟨y - next, next - x⟩`, where y is before the gradient step.
-    fn compare(&self, beta: R) -> [f64; 3] {
-        let (x, before, next) = (&self.x, &self.before, &self.next);
-        let of = |i: usize| {
-            let y = x[i] + beta * (x[i] - before[i]);
-            let moved = (next[i] - y).to_f64();
-            [moved * moved, next[i].to_f64() * next[i].to_f64(), -moved * (next[i] - x[i]).to_f64()]
-        };
-        let parts = threads::map(x.len().div_ceil(CHUNK), |chunk| {
-            let from = chunk * CHUNK;
-            [0, 1, 2].map(|k| reduce::sum_by(CHUNK.min(x.len() - from), &|i| of(from + i)[k]))
-        });
-        [0, 1, 2].map(|k| reduce::sum_by(parts.len(), &|i| parts[i][k]))
-    }
-
-    /// The current volume, in array order.
-    pub(super) fn values(&self) -> &[R] {
-        &self.x
+    /// The next volume becomes the present one, and that the one before.
+    fn advance(&mut self) {
+        self.space.swap(Name::Before, Name::Volume);
+        self.space.swap(Name::Volume, Name::Next);
     }
 
     /// F of the current volume.
@@ -339,9 +361,9 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// The current volume, `[x, y, z]`.
     ///
     /// # Errors
-    /// None, since the shape is the grid's.
-    pub fn volume(self) -> Result<Volume> {
-        self.system.volume(self.x)
+    /// When slabs cannot be read.
+    pub fn volume(mut self) -> Result<Volume> {
+        self.system.volume(self.space.volume()?)
     }
 }
 

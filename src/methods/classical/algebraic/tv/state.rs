@@ -3,7 +3,7 @@
 use super::{TvRun, TvSettings};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::voxel_run::Numbers;
-use crate::classical::algebraic::{Pass, VoxelRun, VoxelState};
+use crate::classical::algebraic::{Division, Name, Pass, VoxelRun, VoxelState};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, Volume};
 use trgs_core::numeric::Real;
@@ -12,18 +12,21 @@ impl<'a, R: Real> TvRun<'a, R> {
     /// Continues a run with the same projections and settings, bit-identical to an uninterrupted run.
     ///
     /// # Errors
-    /// When the state belongs to a volume of another size, or the projections do not fit the projector.
+    /// When the state belongs to a volume of another size, the projections do not fit the projector, or volumes are in slabs.
     pub fn resume(
         projector: &'a VoxelProjector,
         projections: &'a Projections,
         settings: &TvSettings,
         state: &VoxelState,
+        division: &Division,
     ) -> Result<Self> {
-        let mut run = Self::prepared(projector, projections, settings)?;
-        let ([t, beta, objective, change, lipschitz, sets], [x, before, q0, q1, q2]) = state.get([run.x.len(); 5])?;
-        (run.seen, run.seen_before) = (run.project(&x), run.project(&before));
-        (run.x, run.before, run.sets) = (x, before, (sets as usize).clamp(1, run.views.len()));
-        run.proximal.set_dual([q0, q1, q2]);
+        let space = division.space(projector, projector.views(projections.trajectory())?)?;
+        let mut run = Self::prepared(projector, projections, settings, space)?;
+        let voxels = projector.scanner().grid.voxels();
+        let ([t, beta, objective, change, lipschitz, sets], arrays) = state.get([voxels; 5])?;
+        run.space.resume(arrays.into())?;
+        (run.seen, run.seen_before) = (run.project(Name::Volume)?, run.project(Name::Before)?);
+        run.sets = (sets as usize).clamp(1, run.views.len());
         (run.iteration, run.momentum) = (state.iteration, [t, beta]);
         (run.objective, run.change, run.lipschitz) = (objective, change, lipschitz);
         Ok(run)
@@ -40,11 +43,11 @@ impl<R: Real> VoxelRun for TvRun<'_, R> {
     }
 
     fn state(&self) -> VoxelState<'_> {
-        let ([q0, q1, q2], [t, beta]) = (self.proximal.dual(), self.momentum);
+        let [t, beta] = self.momentum;
         VoxelState {
             iteration: self.iteration,
             scalars: vec![t, beta, self.objective, self.change, self.lipschitz, self.sets as f64],
-            arrays: [&self.x, &self.before, q0, q1, q2].map(|values| Numbers::new(values)).into(),
+            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
         }
     }
 

@@ -10,12 +10,11 @@
 //! `[KF15]`: D. Kim, S. Ramani, J. A. Fessler, *Combining ordered subsets and momentum for accelerated X-ray CT image
 //! reconstruction*, IEEE Trans. Med. Imaging 34 (2015) 167.
 
-use super::{CHUNK, TvRun, next_momentum};
-use crate::classical::algebraic::{Order, Pass, dot};
+use super::{TvRun, next_momentum};
+use crate::classical::algebraic::space::total;
+use crate::classical::algebraic::{Change, Measure, Name, Order, Pass, dot};
 use std::f64::consts::TAU;
-use std::mem::swap;
 use trgs_core::error::Result;
-use trgs_core::geometry::View;
 use trgs_core::numeric::{Real, real, threads};
 
 /// Fewest views of a set: L bounds what three views contribute, not what one does.
@@ -44,27 +43,27 @@ impl<R: Real> TvRun<'_, R> {
     /// Corrects the volume by one set after another.
     pub(super) fn sweep(&mut self) -> Result<Pass> {
         let sets = self.sets();
-        let squares: Vec<f64> = sets.iter().map(|set| self.correct(set)).collect();
+        let squares: Vec<f64> = sets.iter().map(|set| self.correct(set)).collect::<Result<_>>()?;
         // Each set counts before its own correction.
         let misfit: f64 = squares.iter().sum();
-        let objective = 0.5 * misfit + self.lambda * self.proximal.variation(&self.x);
+        let variation = total(&mut *self.space, Measure::Variation(Name::Volume))?[0];
+        let objective = 0.5 * misfit + self.lambda * variation;
         let pass = Pass::new(self.iteration, self.settings.iterations, misfit.sqrt())?;
         if objective > (1.0 - SLOW) * self.objective {
             self.sets /= 2;
         }
         self.objective = objective;
         if self.sets <= 1 {
-            self.begin_whole();
+            self.begin_whole()?;
         }
         Ok(pass)
     }
 
     /// Corrects the volume by a set of views; returns the squared residual before.
-    fn correct(&mut self, set: &[usize]) -> f64 {
-        self.extrapolate();
-        let (pixels, projector) = (self.system.pixels, self.system.projector);
-        let views: Vec<View> = set.iter().map(|&view| self.views[view]).collect();
-        let mut residual = projector.project(&views, &self.y).values;
+    fn correct(&mut self, set: &[usize]) -> Result<f64> {
+        self.space.change(Change::Extrapolate(real(self.momentum[1])))?;
+        let pixels = self.system.pixels;
+        let mut residual = self.space.project(set, Some(Name::Middle))?;
         threads::for_each_chunk(&mut residual, pixels, |slot, residual| {
             let part = set[slot] * pixels..(set[slot] + 1) * pixels;
             let known = self.system.measured[part.clone()].iter().zip(&self.idle[part]);
@@ -74,22 +73,10 @@ impl<R: Real> TvRun<'_, R> {
         });
         let share = self.views.len() as f64 / set.len() as f64;
         let [step, tau] = self.step_lengths();
-        let step: R = real(share * step);
-        projector.adjoin(&views, [&residual], &mut self.y, |y, [gradient]| *y += -(step * gradient));
-        self.proximal.solve(&self.y, tau, STEPS, &mut self.next);
-        swap(&mut self.before, &mut self.x);
-        swap(&mut self.x, &mut self.next);
+        self.space.adjoin(set, &residual, Name::Middle, Some(real(share * step)))?;
+        self.space.solve(tau, STEPS)?;
+        self.advance();
         self.momentum = next_momentum(self.momentum[0]);
-        dot(&residual, &residual)
-    }
-
-    /// `y = x + β·(x - x before)`.
-    pub(super) fn extrapolate(&mut self) {
-        let beta: R = real(self.momentum[1]);
-        let (x, before) = (&self.x, &self.before);
-        threads::for_each_chunk(&mut self.y, CHUNK, |chunk, y| {
-            let (x, before) = (&x[chunk * CHUNK..], &before[chunk * CHUNK..]);
-            y.iter_mut().enumerate().for_each(|(i, y)| *y = x[i] + beta * (x[i] - before[i]));
-        });
+        Ok(dot(&residual, &residual))
     }
 }

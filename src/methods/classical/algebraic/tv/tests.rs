@@ -1,12 +1,16 @@
 use super::*;
 use crate::classical::RayModel;
-use crate::classical::algebraic::VoxelRun;
+use crate::classical::algebraic::proximal::Proximal;
+use crate::classical::algebraic::slabs::Slabs;
+use crate::classical::algebraic::space::Part;
+use crate::classical::algebraic::{Division, Name, VoxelRun};
 use crate::tolerances::largest;
 use glam::DVec3;
 use ndarray::Array3;
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
 use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
+use trgs_core::numeric::threads;
 
 fn scanner(shape: [usize; 3]) -> Scanner {
     let rows = if shape[2] == 1 { 1 } else { 9 };
@@ -100,7 +104,11 @@ fn the_step_of_total_variation_is_the_plain_one() {
         let lengths = [0, 1, 2].map(|axis| differences(&grid, &plain, axis));
         let square = |i: usize| lengths.iter().map(|d| d.as_slice().unwrap()[i]).map(|d| d * d).sum::<f64>();
         let variation: f64 = (0..plain.len()).map(|i| square(i).sqrt()).sum();
-        let fast = proximal.variation(plain.as_slice().unwrap());
+        let none: &[f64] = &[];
+        let volumes = [plain.as_slice().unwrap(), none, none, none];
+        let projector = VoxelProjector::new(&scanner(shape), RayModel::Joseph).unwrap();
+        let terms = Part::new(&projector, 0..shape[0]).unwrap().measure(Measure::Variation(Name::Volume), volumes);
+        let fast: f64 = terms.iter().map(|term| term[0]).sum();
         within!("norm", (fast - variation).abs() / variation, "{shape:?}: {fast}, {variation}");
         // A second call continues from the first one's dual.
         proximal.solve(z.as_slice().unwrap(), tau, 1, &mut found);
@@ -133,7 +141,9 @@ fn the_least_objective_is_found() {
     };
     let (mut x, mut u) = (Array3::<f64>::zeros(SHAPE), Array3::<f64>::zeros(measured.dim()));
     let (mut ahead, mut q) = (x.clone(), [0, 1, 2].map(|_| Array3::<f64>::zeros(SHAPE)));
-    let step = 1.0 / (TvRun::<f64>::new(projector, projections, &settings(1), None).unwrap().lipschitz + 12.0).sqrt();
+    let step = 1.0
+        / (TvRun::<f64>::new(projector, projections, &settings(1), None, &Division::whole()).unwrap().lipschitz + 12.0)
+            .sqrt();
     for _ in 0..12_000 {
         u = (u + step * (forward(&ahead) - &measured)) / (1.0 + step);
         (0..3).for_each(|axis| q[axis] = &q[axis] + &(step * differences(&grid, &ahead, axis)));
@@ -194,13 +204,13 @@ fn a_resumed_run_ends_with_the_same_bits() {
         let scan = scan(shape, 1.0);
         let settings = settings(25);
         let (whole, passes) = run::<f32>(&scan, &settings);
-        let mut first = TvRun::<f32>::new(&scan.0, &scan.1, &settings, None).unwrap();
+        let mut first = TvRun::<f32>::new(&scan.0, &scan.1, &settings, None, &Division::whole()).unwrap();
         for _ in 0..11 {
             first.step().unwrap();
         }
         let state = first.state();
         assert_eq!(state.iteration(), 11);
-        let mut second = TvRun::<f32>::resume(&scan.0, &scan.1, &settings, &state).unwrap();
+        let mut second = TvRun::<f32>::resume(&scan.0, &scan.1, &settings, &state, &Division::whole()).unwrap();
         while !second.is_finished() {
             let pass = second.step().unwrap();
             assert_eq!(pass, passes[pass.iteration - 1]);
@@ -223,8 +233,9 @@ fn one_row_and_no_data_are_reconstructed() {
 fn sweeps_get_further_than_as_many_iterations_over_all_views() {
     let (projector, projections) = scan(SHAPE, 1.0);
     let zeros = Volume::new(projector.scanner().grid, Array3::zeros(SHAPE)).unwrap();
-    let mut sweeping = TvRun::<f64>::new(&projector, &projections, &settings(6), None).unwrap();
-    let mut whole = TvRun::<f64>::new(&projector, &projections, &settings(6), Some(&zeros)).unwrap();
+    let mut sweeping = TvRun::<f64>::new(&projector, &projections, &settings(6), None, &Division::whole()).unwrap();
+    let mut whole =
+        TvRun::<f64>::new(&projector, &projections, &settings(6), Some(&zeros), &Division::whole()).unwrap();
     // Of seven views three and four.
     assert_eq!((sweeping.sets, whole.sets), (2, 1));
     let before = whole.objective();
@@ -233,7 +244,30 @@ fn sweeps_get_further_than_as_many_iterations_over_all_views() {
             run.step().unwrap();
         }
     }
-    sweeping.begin_whole();
+    sweeping.begin_whole().unwrap();
     let [fast, slow] = [&sweeping, &whole].map(TvRun::objective);
     assert!(fast < slow && slow < before, "{fast}, {slow}, {before}");
+}
+
+#[test]
+fn slabs_have_the_bits_of_whole_volumes() {
+    let folder = std::env::temp_dir();
+    for shape in [SHAPE, [20, 5, 1], [30, 4, 5]] {
+        let scan = scan(shape, 1.0);
+        let (projector, projections) = &scan;
+        // Sweeps first, then iterations over all views with many steps of the dual.
+        for settings in [settings(12), TvSettings { steps: 2, weight: 0.02, ..settings(12) }] {
+            let (whole, passes) = run::<f32>(&scan, &settings);
+            for count in [1, 2, 3, 7] {
+                let views = projector.views(projections.trajectory()).unwrap();
+                let slabs = Box::new(Slabs::new::<f32>(projector, views, count, &folder).unwrap());
+                let mut run = TvRun::<f32>::in_space(projector, projections, &settings, None, slabs).unwrap();
+                let found: Vec<Pass> = (0..12).map(|_| run.step().unwrap()).collect();
+                assert_eq!(found, passes, "{count} slabs");
+                let volume = run.volume().unwrap();
+                let bits = |volume: &Volume| volume.values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+                assert!(bits(&volume) == bits(&whole), "{count} slabs");
+            }
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul};
 use trgs_core::geometry::Grid;
-use trgs_core::numeric::threads::{chunks, for_each_chunk, for_each_zip, map};
+use trgs_core::numeric::threads::{chunks, for_each_chunk, for_each_zip};
 use trgs_core::numeric::{Lanes, Real, real, reduce};
 
 /// Voxels per parallel task.
@@ -26,21 +26,26 @@ pub(super) struct Proximal<R> {
     /// Numbers of lines of voxels along the first two axes, and their length.
     shape: [usize; 3],
     weights: [f64; 3],
+    /// An upper bound of `‖D‖²`.
+    bound: f64,
     q: [Vec<R>; 3],
     zeros: Vec<R>,
 }
 
 impl<R: Real> Proximal<R> {
     pub(super) fn new(grid: &Grid) -> Self {
-        let least = grid.spacing.min_element();
-        let [x, y, z] = [0, 1, 2].map(|axis| least / grid.spacing[axis]);
-        // A volume with a single slice has the same memory order with its long lines last.
-        let (shape, weights) = match grid.shape {
-            [nx, ny, 1] => ([1, nx, ny], [z, x, y]),
-            shape => (shape, [x, y, z]),
-        };
-        let q = [0, 1, 2].map(|_| vec![R::ZERO; grid.voxels()]);
-        Self { shape, weights, q, zeros: vec![R::ZERO; shape[2]] }
+        Self::of(grid, grid.shape[0], [0, 1, 2].map(|_| vec![R::ZERO; grid.voxels()]))
+    }
+
+    /// Of some slices of the grid, with their dual variable.
+    pub(super) fn of(grid: &Grid, slices: usize, q: [Vec<R>; 3]) -> Self {
+        let [nx, ny, nz] = grid.shape;
+        let [x, y, z] = weights(grid);
+        // A volume with a single slice in z has the same memory order with its long lines last.
+        let (shape, weights) = if nz == 1 { ([1, slices, ny], [z, x, y]) } else { ([slices, ny, nz], [x, y, z]) };
+        let sides = [(nx, x), (ny, y), (nz, z)].into_iter().filter(|(n, _)| *n > 1);
+        let bound = sides.map(|(_, weight)| 4.0 * weight * weight).sum();
+        Self { shape, weights, bound, q, zeros: vec![R::ZERO; shape[2]] }
     }
 
     /// The dual variable q.
@@ -53,18 +58,13 @@ impl<R: Real> Proximal<R> {
         self.q = dual;
     }
 
-    /// An upper bound of `‖D‖²`.
-    fn bound(&self) -> f64 {
-        (0..3).filter(|&axis| self.shape[axis] > 1).map(|axis| 4.0 * self.weights[axis] * self.weights[axis]).sum()
-    }
-
     fn lines(&self) -> usize {
         (SHARE / self.shape[2]).max(1)
     }
 
     /// Solves for x given z by `steps` steps; τ is in units of z.
     pub(super) fn solve(&mut self, z: &[R], tau: f64, steps: usize, x: &mut [R]) {
-        let bound = self.bound();
+        let bound = self.bound;
         if tau == 0.0 || bound == 0.0 {
             x.iter_mut().zip(z).for_each(|(x, &z)| *x = if z > R::ZERO { z } else { R::ZERO });
             return;
@@ -114,27 +114,29 @@ impl<R: Real> Proximal<R> {
         });
     }
 
-    /// `TV(x)`.
-    pub(super) fn variation(&self, x: &[R]) -> f64 {
-        let ([nx, ny, nz], lines) = (self.shape, self.lines());
-        let weights: [R; 3] = self.weights.map(real);
-        let parts = map((nx * ny).div_ceil(lines), |chunk| {
-            let range = chunk * lines..(chunk * lines + lines).min(nx * ny);
-            let mut lengths = Vec::with_capacity(range.len() * nz);
-            for line in range {
-                let at = line * nz;
-                let here = &x[at..at + nz];
-                let next = |last: bool, stride: usize| if last { here } else { &x[at + stride..][..nz] };
-                let next = [next(line / ny + 1 == nx, ny * nz), next(line % ny + 1 == ny, nz)];
-                lengths.extend((0..nz).map(|k| {
-                    let next = [next[0][k], next[1][k], here[(k + 1).min(nz - 1)]];
-                    square([0, 1, 2].map(|axis| weights[axis] * (next[axis] - here[k]))).sqrt()
-                }));
-            }
-            reduce::sum(&lengths)
-        });
-        reduce::sum(&parts)
+    /// The part of `TV(x)` of a slice; `next` is the slice after it.
+    pub(super) fn variation(grid: &Grid, here: &[R], next: Option<&[R]>) -> f64 {
+        let (weights, nz): ([R; 3], _) = (weights(grid).map(real), grid.shape[2]);
+        let mut lengths = Vec::with_capacity(here.len());
+        let last = here.len() - nz;
+        for at in (0..here.len()).step_by(nz) {
+            let line = &here[at..at + nz];
+            // The last line has no difference to a next line.
+            let beyond =
+                [next.map_or(line, |next| &next[at..at + nz]), if at < last { &here[at + nz..][..nz] } else { line }];
+            lengths.extend((0..nz).map(|k| {
+                let beyond = [beyond[0][k], beyond[1][k], line[(k + 1).min(nz - 1)]];
+                square([0, 1, 2].map(|axis| weights[axis] * (beyond[axis] - line[k]))).sqrt()
+            }));
+        }
+        reduce::sum(&lengths)
     }
+}
+
+/// w of the three axes.
+fn weights(grid: &Grid) -> [f64; 3] {
+    let least = grid.spacing.min_element();
+    [0, 1, 2].map(|axis| least / grid.spacing[axis])
 }
 
 /// The squared length of a vector.
