@@ -52,7 +52,7 @@ def _connected(client: Any) -> Iterator[Any]:
 def _parts(slices: int, slabs: int | None, client: Any) -> list[_Slices]:
     if slabs is not None and slabs < 1:
         raise ValueError(f"slabs: got {slabs}, expected at least 1; give slabs=2, or leave it out for one per worker")
-    count = min(slices, slabs or max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
+    count = min(slices, slabs or max(1, len(client.nthreads())))
     return [(k * slices // count, (k + 1) * slices // count) for k in range(count)]
 
 
