@@ -107,14 +107,11 @@ impl Estimate {
         let numbers = std::iter::successors(Some(1), |slabs| Some(2 * slabs)).take_while(|&slabs| slabs <= slices);
         let plans = numbers.map(|slabs| plan.in_slabs(slabs));
         let mut estimates = plans.map(|plan| (Self::new(scan, views, &plan, threads), plan));
-        match estimates.find(|(estimate, _)| estimate.peak() <= limit) {
-            Some((estimate, plan)) => Ok((plan, estimate)),
-            None => {
-                let estimate = Self::new(scan, views, plan, threads);
-                estimate.check(limit)?;
-                Ok((plan.clone(), estimate))
-            }
+        if let Some((estimate, plan)) = estimates.find(|(estimate, _)| estimate.peak() <= limit) {
+            return Ok((plan, estimate));
         }
+        let whole = Self::new(scan, views, plan, threads);
+        whole.check(limit).map(|()| (plan.clone(), whole))
     }
 
     /// Estimates a file of `bytes` bytes of unknown content: the content, its arrays and the scan.

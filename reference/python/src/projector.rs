@@ -315,15 +315,10 @@ pub(crate) fn voxelize<'py>(
     cutoff: f64,
     dtype: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    check_cutoff(cutoff)?;
-    let grid = grid_of(grid)?;
-    let precision = precision(dtype)?;
+    let ([nx, ny, nz], bytes) = (grid_of(grid)?.shape, if precision(dtype)? == Precision::F32 { 4 } else { 8 });
     // The volume, and its slices as they are computed.
-    fits("volume", &grid.shape, if precision == Precision::F32 { 2 * 4 } else { 2 * 8 })?;
-    Ok(match precision {
-        Precision::F32 => give(py, run(py, || projector::voxelize::<f32>(&model.0, &grid, cutoff))?),
-        Precision::F64 => give(py, run(py, || projector::voxelize::<f64>(&model.0, &grid, cutoff))?),
-    })
+    fits("volume", &[nx, ny, nz], 2 * bytes)?;
+    voxelize_part(py, model, grid, cutoff, dtype, (0, nx))
 }
 
 /// Some slices of `voxelize`.
@@ -338,12 +333,11 @@ pub(crate) fn voxelize_part<'py>(
     slices: (usize, usize),
 ) -> PyResult<Bound<'py, PyAny>> {
     check_cutoff(cutoff)?;
-    let (grid, slices) = (grid_of(grid)?, slices.0..slices.1);
-    let part = |py, single| match single {
-        true => Ok(give(py, run(py, || Field::<f32>::new(&model.0, cutoff).on(&grid).slices(slices))?)),
-        false => Ok(give(py, run(py, || Field::<f64>::new(&model.0, cutoff).on(&grid).slices(slices))?)),
-    };
-    part(py, precision(dtype)? == Precision::F32)
+    let (grid, x) = (grid_of(grid)?, slices.0..slices.1);
+    Ok(match precision(dtype)? {
+        Precision::F32 => give(py, run(py, || Field::<f32>::new(&model.0, cutoff).on(&grid).slices(x))?),
+        Precision::F64 => give(py, run(py, || Field::<f64>::new(&model.0, cutoff).on(&grid).slices(x))?),
+    })
 }
 
 /// The gradient of Σ cotangent·volume to the parameters of a model.

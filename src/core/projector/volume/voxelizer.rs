@@ -146,8 +146,8 @@ impl<'a, R: Kernels> GridField<'a, R> {
         let first = x.start / SLAB;
         let mut values = vec![R::ZERO; (x.end.next_multiple_of(SLAB).min(nx) - first * SLAB) * ny * nz];
         self.slabs_into(first, &mut values);
-        let before = (x.start - first * SLAB) * ny * nz;
-        let values = values[before..][..x.len() * ny * nz].to_vec();
+        values.drain(..(x.start - first * SLAB) * ny * nz);
+        values.truncate(x.len() * ny * nz);
         Array3::from_shape_vec((x.len(), ny, nz), values).expect("whole slices")
     }
 

@@ -5,7 +5,7 @@
 use super::sart::Sweeps;
 use super::{
     Name, Observe, Pass, SartSettings, Space, System, VoxelRun, VoxelState, Whole, add_scaled, dot, norm,
-    run_to_the_end, total_variation, voxel_run::Numbers,
+    run_to_the_end, total_variation,
 };
 use crate::classical::{Turn, VoxelProjector, Window, fdk};
 use crate::memory::{Allocation, Sizes, allocation};
@@ -129,9 +129,10 @@ impl<'a, R: Real> AsdPocsRun<'a, R> {
         };
         if let Some(state) = state {
             let settled;
-            let x;
-            ([run.relaxation, run.beta, run.length, settled], [x]) = state.get([projector.scanner().grid.voxels()])?;
-            *run.space.get_mut(Name::Volume) = x;
+            let arrays;
+            ([run.relaxation, run.beta, run.length, settled], arrays) =
+                state.get([projector.scanner().grid.voxels()])?;
+            run.space.resume(arrays.into())?;
             (run.is_settled, run.iteration) = (settled != 0.0, state.iteration);
         }
         Ok(run)
@@ -177,11 +178,7 @@ impl<R: Real> VoxelRun for AsdPocsRun<'_, R> {
 
     fn state(&self) -> VoxelState<'_> {
         let scalars = vec![self.relaxation, self.beta, self.length, f64::from(u8::from(self.is_settled))];
-        VoxelState {
-            iteration: self.iteration,
-            scalars,
-            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
-        }
+        VoxelState::of(self.iteration, scalars, self.space.arrays())
     }
 
     fn into_volume(mut self: Box<Self>) -> Result<Volume> {

@@ -1,6 +1,6 @@
 //! Conjugate gradients on the normal equations (CGLS). Not in the paper.
 
-use super::{Observe, Pass, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end, voxel_run::Numbers};
+use super::{Observe, Pass, System, VoxelRun, VoxelState, add_scaled, dot, norm, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::memory::{Allocation, Sizes, allocation};
 use trgs_core::error::Result;
@@ -125,8 +125,7 @@ impl<R: Real> VoxelRun for CglsRun<'_, R> {
     }
 
     fn state(&self) -> VoxelState<'_> {
-        let arrays = [&self.x, &self.residual, &self.direction].map(|values| Numbers::new(values)).into();
-        VoxelState { iteration: self.iteration, scalars: vec![self.gamma], arrays }
+        VoxelState::of(self.iteration, vec![self.gamma], vec![&self.x, &self.residual, &self.direction])
     }
 
     fn into_volume(self: Box<Self>) -> Result<Volume> {

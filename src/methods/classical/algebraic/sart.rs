@@ -1,6 +1,5 @@
 //! SART and OS-SART. Not in the paper, which compares with it.
 
-use super::voxel_run::Numbers;
 use super::{CHUNK, Name, Observe, Order, Pass, Space, System, VoxelRun, VoxelState, Whole, run_to_the_end};
 use crate::classical::VoxelProjector;
 use crate::memory::{Allocation, Sizes, allocation};
@@ -166,11 +165,7 @@ impl<R: Real> VoxelRun for SartRun<'_, R> {
     fn state(&self) -> VoxelState<'_> {
         let [before, last] = self.residuals;
         let scalars = vec![self.relaxation, before, last];
-        VoxelState {
-            iteration: self.iteration,
-            scalars,
-            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
-        }
+        VoxelState::of(self.iteration, scalars, self.space.arrays())
     }
 
     fn into_volume(mut self: Box<Self>) -> Result<Volume> {

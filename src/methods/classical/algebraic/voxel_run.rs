@@ -72,6 +72,13 @@ impl<'a> Numbers<'a> {
     }
 }
 
+impl<'a> VoxelState<'a> {
+    /// The state of a method with these arrays.
+    pub(super) fn of<R: Real>(iteration: usize, scalars: Vec<f64>, arrays: Vec<&'a Vec<R>>) -> Self {
+        Self { iteration, scalars, arrays: arrays.into_iter().map(Numbers::new).collect() }
+    }
+}
+
 impl VoxelState<'_> {
     /// Iterations done.
     pub fn iteration(&self) -> usize {

@@ -153,7 +153,7 @@ impl VoxelProjector {
     /// parts, the first slices first, with `rising`, for the rays on which Joseph's method meets growing x; then the last
     /// slices first without, for all others. `slab` has the slices `x` and the one after them, if there is one.
     pub(super) fn add_part<R: Real>(&self, views: &[View], slab: &[R], x: Range<usize>, rising: bool, sums: &mut [R]) {
-        self.accumulate(views, &Slab::part(self.scanner.grid.shape, x), slab, Some(rising), false, sums);
+        self.accumulate(views, &Slab::part(self.scanner.grid.shape, x), slab, Some(rising), sums);
     }
 
     /// `A x` from the sums of all parts of x.
@@ -197,21 +197,12 @@ impl VoxelProjector {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let shape = self.scanner.grid.shape;
         let mut values = self.no_sums(views);
-        self.accumulate(views, &Slab::new(shape, 0..shape[0]), volume, None, true, &mut values);
+        self.accumulate(views, &Slab::new(shape, 0..shape[0]), volume, None, &mut values);
         Columns { values, rows, columns }
     }
 
-    /// Adds the slab's part of `A x` to `sums`: of all rays, or of those on which x grows or does not; `complete` if no
-    /// other part follows.
-    fn accumulate<R: Real>(
-        &self,
-        views: &[View],
-        slab: &Slab,
-        volume: &[R],
-        rising: Option<bool>,
-        complete: bool,
-        sums: &mut [R],
-    ) {
+    /// `A x` from zeros, or the slab's part of it for the rays on which x grows or does not, added to `sums`.
+    fn accumulate<R: Real>(&self, views: &[View], slab: &Slab, volume: &[R], rising: Option<bool>, sums: &mut [R]) {
         let (rows, columns) = (self.scanner.detector.rows, self.scanner.detector.columns);
         let (grid, nz) = (&self.scanner.grid, slab.shape[2]);
         let counts = |grows: bool| rising.is_none_or(|rising| rising == grows);
@@ -236,7 +227,7 @@ impl VoxelProjector {
                         if counts(fan.rises()) {
                             fan.joseph_forward(volume, slab, &shallow, out, &mut profile);
                         }
-                        if complete {
+                        if rising.is_none() {
                             fan.scale(&shallow, out);
                         }
                         for k in (0..shallow.start).chain(shallow.end..rows).filter(|&k| counts(fan.rises_along_z(k))) {

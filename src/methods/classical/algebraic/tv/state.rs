@@ -2,7 +2,6 @@
 
 use super::{TvRun, TvSettings};
 use crate::classical::VoxelProjector;
-use crate::classical::algebraic::voxel_run::Numbers;
 use crate::classical::algebraic::{Division, Name, Pass, VoxelRun, VoxelState};
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, Volume};
@@ -44,11 +43,8 @@ impl<R: Real> VoxelRun for TvRun<'_, R> {
 
     fn state(&self) -> VoxelState<'_> {
         let [t, beta] = self.momentum;
-        VoxelState {
-            iteration: self.iteration,
-            scalars: vec![t, beta, self.objective, self.change, self.lipschitz, self.sets as f64],
-            arrays: self.space.arrays().into_iter().map(Numbers::new).collect(),
-        }
+        let scalars = vec![t, beta, self.objective, self.change, self.lipschitz, self.sets as f64];
+        VoxelState::of(self.iteration, scalars, self.space.arrays())
     }
 
     fn into_volume(self: Box<Self>) -> Result<Volume> {
