@@ -3,6 +3,7 @@
 use super::Output;
 use super::messages::warnings;
 use clap::Args;
+use ndarray::Axis;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use trgs::Result;
@@ -11,7 +12,7 @@ use trgs::evaluation::Metrics;
 use trgs::geometry::{Grid, Volume};
 use trgs::reconstruction::{Evaluation, evaluate};
 use trgs::scan::model;
-use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::volume_file::{self, Stored, VolumeFile};
 use trgs::scan::{Dataset, Frame};
 use trgs::words;
 
@@ -58,13 +59,27 @@ impl Evaluate {
     /// The quality against a volume alone, on the grid of whichever file states its spacing.
     fn against_volume(&self) -> Result<Evaluation> {
         let result = if self.result.is_dir() { &self.result.join("volume.npy") } else { &self.result };
-        let files = [volume_file::read(&self.against)?, volume_file::read(result)?];
-        let stating = usize::from(files[0].spacing.is_none() && files[1].spacing.is_some());
-        let paths = [&self.against, result];
-        let (frame, grid) = Frame::around(&files[stating]).map_err(|error| error.in_file(paths[stating]))?;
+        let files = [volume_file::open(&self.against)?, volume_file::open(result)?];
+        let is_second = files[0].metadata().spacing.is_none() && files[1].metadata().spacing.is_some();
+        let (stating, path) = if is_second { (&files[1], result) } else { (&files[0], &self.against) };
+        let around = Frame::around_shape(stating.metadata(), stating.shape());
+        let (frame, grid) = around.map_err(|error| error.in_file(path))?;
+        let arranged = |file: Stored, path: &PathBuf| -> Result<Stored> {
+            let arranged = frame.arrange_stored(file, &grid).map_err(|error| error.in_file(path))?;
+            warnings(path, &arranged.metadata().oddities);
+            arranged.kept()
+        };
         let [truth, volume] = files;
-        let (truth, volume) = (arrange(&frame, truth, &grid, paths[0])?, arrange(&frame, volume, &grid, paths[1])?);
-        let metrics = Metrics::compute(Some((&truth, &volume)), None)?;
+        let (mut truth, mut volume) = (arranged(truth, &self.against)?, arranged(volume, result)?);
+        let metrics = Metrics::of_slabs(&mut |Axis(axis), compare| {
+            let thickness = truth.thickness(axis)?.max(volume.thickness(axis)?);
+            let count = grid.shape[axis];
+            (0..count).step_by(thickness).try_for_each(|first| {
+                let slices = first..count.min(first.saturating_add(thickness));
+                compare(truth.slab(axis, slices.clone())?.view(), volume.slab(axis, slices)?.view());
+                Ok(())
+            })
+        })?;
         let absent = ["psnr_2d", "ssim_2d"].map(|name| (name, "a volume has no test views")).into();
         Ok(Evaluation { metrics, absent })
     }

@@ -179,9 +179,10 @@ impl Error {
         }
     }
 
-    /// Builds an [`Error::Write`] for `path`.
+    /// Builds an [`Error::Write`] for `path`. An error about what is written is returned as it is.
     pub fn write(path: &Path, source: io::Error) -> Self {
-        Self::Write { path: path.into(), remedy: to_write(path, &source).into(), source }
+        let failed = |source| Self::Write { path: path.into(), remedy: to_write(path, &source).into(), source };
+        source.downcast().unwrap_or_else(failed)
     }
 
     /// The message, on one line.

@@ -27,6 +27,11 @@ use trgs_core::loss::{Ssim, SsimTarget};
 use trgs_core::numeric::elementary::log10;
 use trgs_core::numeric::{reduce, threads};
 
+/// Definitions of PSNR and SSIM of a volume with peak 1.
+const OF_PEAK_1: [&str; 2] = ["psnr3d/peak1", "ssim3d/r2-slices"];
+/// The same with the truth's range as their peak.
+const OF_RANGE: [&str; 2] = ["psnr3d/truth-range", "ssim3d/truth-range-slices"];
+
 /// A mean, the id of its definition, and the values that it is the mean of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
@@ -65,6 +70,9 @@ pub struct Metrics {
     pub ssim_2d: Option<Metric>,
 }
 
+/// Gives pairs of slabs across an axis to its argument, truth and result, in their order.
+pub type Pairs<'a> = dyn FnMut(Axis, &mut dyn FnMut(ArrayView3<f32>, ArrayView3<f32>)) -> Result<()> + 'a;
+
 impl Metrics {
     /// Column names in a table of metrics.
     pub const NAMES: [&'static str; 4] = ["psnr_3d", "ssim_3d", "psnr_2d", "ssim_2d"];
@@ -84,12 +92,10 @@ impl Metrics {
         let mut metrics = Self::default();
         if let Some((truth, result)) = volumes {
             check_shapes("volume", truth.values.shape(), result.values.shape())?;
-            metrics.psnr_3d = Some(psnr_3d(truth.values.view(), result.values.view()));
-            metrics.ssim_3d = Some(ssim_3d(truth.values.view(), result.values.view()));
-            if let Some(range) = range_that_matters(truth.values.view()) {
-                metrics.psnr_3d_range = Some(psnr_3d_range(truth.values.view(), result.values.view(), range));
-                metrics.ssim_3d_range = Some(ssim_3d_range(truth.values.view(), result.values.view(), range));
-            }
+            metrics = Self::of_slabs(&mut |_, compare| {
+                compare(truth.values.view(), result.values.view());
+                Ok(())
+            })?;
         }
         if let Some((truth, result)) = projections {
             check_shapes("projections", truth.images.shape(), result.images.shape())?;
@@ -97,6 +103,41 @@ impl Metrics {
             metrics.ssim_2d = Some(ssim_2d(truth.images.view(), result.images.view()));
         }
         Ok(metrics)
+    }
+
+    /// The metrics of a volume that is given by slabs of any thickness. They are the same bits for all.
+    ///
+    /// `pairs` is called for the range, and then for each axis.
+    ///
+    /// # Errors
+    /// Those of `pairs`.
+    ///
+    /// # Panics
+    /// When the shapes in a pair differ.
+    pub fn of_slabs(pairs: &mut Pairs<'_>) -> Result<Self> {
+        let mut ends = NO_ENDS;
+        pairs(Axis(0), &mut |truth, _| ends = extended(ends, truth))?;
+        let range = range_that_matters(ends);
+        let peaks: Vec<f64> = [1.0].into_iter().chain(range).collect();
+        let mut sums = vec![(Vec::new(), [const { Vec::new() }; 3]); peaks.len()];
+        let mut voxels = 0;
+        for axis in 0..3 {
+            pairs(Axis(axis), &mut |truth, result| {
+                for (peak, (errors, similarities)) in peaks.iter().zip(&mut sums) {
+                    similarities[axis].extend(similarities_across(Axis(axis), truth, result, *peak));
+                    if axis == 0 {
+                        errors.extend(squared_errors(truth, result, *peak));
+                    }
+                }
+                voxels += if axis == 0 { truth.len() } else { 0 };
+            })?;
+        }
+        let mut metrics = sums.into_iter().zip([OF_PEAK_1, OF_RANGE]).map(|((errors, similarities), [psnr, ssim])| {
+            [psnr_of(psnr, &errors, voxels), ssim_of(ssim, &similarities)]
+        });
+        let [psnr_3d, ssim_3d] = metrics.next().map_or([None, None], |both| both.map(Some));
+        let [psnr_3d_range, ssim_3d_range] = metrics.next().map_or([None, None], |both| both.map(Some));
+        Ok(Self { psnr_3d, ssim_3d, psnr_3d_range, ssim_3d_range, ..Self::default() })
     }
 
     /// The metrics in the order of [`Self::NAMES`].
@@ -129,7 +170,7 @@ impl Metrics {
 /// # Panics
 /// When the shapes differ.
 pub fn psnr_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
-    psnr_of_peak("psnr3d/peak1", truth, result, 1.0)
+    psnr_of_peak(OF_PEAK_1[0], truth, result, 1.0)
 }
 
 /// PSNR of a volume with peak `range`, in dB; `psnr3d/truth-range`.
@@ -139,28 +180,45 @@ pub fn psnr_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
 /// # Panics
 /// When the shapes differ.
 pub fn psnr_3d_range(truth: ArrayView3<f32>, result: ArrayView3<f32>, range: f64) -> Metric {
-    psnr_of_peak("psnr3d/truth-range", truth, result, range)
+    psnr_of_peak(OF_RANGE[0], truth, result, range)
 }
 
 fn psnr_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Metric {
+    psnr_of(definition, &squared_errors(truth, result, peak), truth.len())
+}
+
+fn psnr_of(definition: &str, errors: &[f64], voxels: usize) -> Metric {
+    Metric::new(definition, psnr(reduce::sum(errors) / voxels as f64), Vec::new())
+}
+
+/// The squared errors of the slices across x.
+fn squared_errors(truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Vec<f64> {
     assert_eq!(truth.shape(), result.shape(), "PSNR of volumes of different shapes");
-    let slabs = threads::map(truth.len_of(Axis(0)), |x| {
+    threads::map(truth.len_of(Axis(0)), |x| {
         squared_error(truth.index_axis(Axis(0), x), result.index_axis(Axis(0), x), peak, peak)
-    });
-    Metric::new(definition, psnr(reduce::sum(&slabs) / truth.len() as f64), Vec::new())
+    })
 }
 
 /// Maximum less minimum of a volume; 0 for a constant volume. Not in the paper.
 pub fn range(truth: ArrayView3<f32>) -> f64 {
-    let (low, high) =
-        truth.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)));
+    range_of(extended(NO_ENDS, truth))
+}
+
+/// Minimum and maximum of no values.
+const NO_ENDS: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+/// Minimum and maximum of more values.
+fn extended(ends: [f32; 2], values: ArrayView3<f32>) -> [f32; 2] {
+    values.iter().fold(ends, |[low, high], &value| [low.min(value), high.max(value)])
+}
+
+fn range_of([low, high]: [f32; 2]) -> f64 {
     f64::from(high) - f64::from(low)
 }
 
 /// The range of a truth whose maximum is outside [½, 2], otherwise `None`.
-fn range_that_matters(truth: ArrayView3<f32>) -> Option<f64> {
-    let top = truth.iter().fold(f32::NEG_INFINITY, |top, &value| top.max(value));
-    let range = range(truth);
+fn range_that_matters([low, top]: [f32; 2]) -> Option<f64> {
+    let range = range_of([low, top]);
     (!(0.5..=2.0).contains(&top) && range > 0.0 && range.is_finite()).then_some(range)
 }
 
@@ -171,7 +229,7 @@ fn range_that_matters(truth: ArrayView3<f32>) -> Option<f64> {
 /// # Panics
 /// When the shapes differ.
 pub fn ssim_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
-    ssim_of_peak("ssim3d/r2-slices", truth, result, 1.0)
+    ssim_of_peak(OF_PEAK_1[1], truth, result, 1.0)
 }
 
 /// SSIM of a volume divided by `range`, slice by slice; `ssim3d/truth-range-slices`.
@@ -181,20 +239,25 @@ pub fn ssim_3d(truth: ArrayView3<f32>, result: ArrayView3<f32>) -> Metric {
 /// # Panics
 /// When the shapes differ.
 pub fn ssim_3d_range(truth: ArrayView3<f32>, result: ArrayView3<f32>, range: f64) -> Metric {
-    ssim_of_peak("ssim3d/truth-range-slices", truth, result, range)
+    ssim_of_peak(OF_RANGE[1], truth, result, range)
 }
 
 fn ssim_of_peak(definition: &str, truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Metric {
-    assert_eq!(truth.shape(), result.shape(), "SSIM of volumes of different shapes");
-    let of_axis = |axis: Axis| {
-        let slices = threads::map(truth.len_of(axis), |i| {
-            let (truth, result) = (truth.index_axis(axis, i), result.index_axis(axis, i));
-            if largest(truth) > 0.0 { ssim(truth, result, peak, peak) } else { f64::NAN }
-        });
-        mean(&slices)
-    };
-    let axes = [0, 1, 2].map(|axis| of_axis(Axis(axis)));
+    ssim_of(definition, &[0, 1, 2].map(|axis| similarities_across(Axis(axis), truth, result, peak)))
+}
+
+fn ssim_of(definition: &str, similarities: &[Vec<f64>; 3]) -> Metric {
+    let axes = [0, 1, 2].map(|axis| mean(&similarities[axis]));
     Metric::new(definition, mean(&axes), axes.to_vec())
+}
+
+/// SSIM of the slices across an axis; NaN for those that are left out.
+fn similarities_across(axis: Axis, truth: ArrayView3<f32>, result: ArrayView3<f32>, peak: f64) -> Vec<f64> {
+    assert_eq!(truth.shape(), result.shape(), "SSIM of volumes of different shapes");
+    threads::map(truth.len_of(axis), |i| {
+        let (truth, result) = (truth.index_axis(axis, i), result.index_axis(axis, i));
+        if largest(truth) > 0.0 { ssim(truth, result, peak, peak) } else { f64::NAN }
+    })
 }
 
 /// PSNR of projections, each divided by its own maximum, in dB; `psnr2d/selfmax`.
@@ -386,6 +449,27 @@ mod tests {
             assert_ne!(far.psnr_3d, near.psnr_3d);
         }
         assert_eq!(of(0.0).of_range(), [None, None]);
+    }
+
+    #[test]
+    fn slabs_of_any_thickness_give_the_same_bits() {
+        let shape = [5, 8, 9];
+        let (truth, result) = (phantom(shape.into()), phantom(shape.into()).mapv(|v| v * v));
+        for k in [1.0, 1.0 / 1024.0] {
+            let [truth, result] = [&truth * k, &result * k];
+            let of = |thickness: usize| {
+                Metrics::of_slabs(&mut |axis, compare| {
+                    let slabs = truth.axis_chunks_iter(axis, thickness).zip(result.axis_chunks_iter(axis, thickness));
+                    slabs.for_each(|(truth, result)| compare(truth, result));
+                    Ok(())
+                })
+            };
+            let whole = of(usize::MAX).unwrap();
+            assert_eq!(whole.of_range().map(|metric| metric.is_some()), [k < 1.0; 2]);
+            assert_eq!(whole.psnr_3d, Some(psnr_3d(truth.view(), result.view())));
+            assert_eq!(whole.ssim_3d, Some(ssim_3d(truth.view(), result.view())));
+            [1, 2, 4].iter().for_each(|thickness| assert_eq!(of(*thickness).unwrap(), whole));
+        }
     }
 
     #[test]

@@ -67,7 +67,14 @@ impl Frame {
     /// # Errors
     /// For a volume without voxels.
     pub fn around(file: &VolumeFile) -> Result<(Self, Grid)> {
-        let shape: [usize; 3] = file.values.dim().into();
+        Self::around_shape(file, file.values.dim().into())
+    }
+
+    /// [`Self::around`] of a volume with these metadata and this shape, `[x, y, z]`.
+    ///
+    /// # Errors
+    /// For a volume without voxels.
+    pub fn around_shape(file: &VolumeFile, shape: [usize; 3]) -> Result<(Self, Grid)> {
         let counts = DVec3::from_array(shape.map(|n| n as f64));
         let sides = counts * file.spacing.unwrap_or(DVec3::ONE);
         let corner = sides / sides.max_element();
@@ -105,14 +112,18 @@ impl Frame {
 
     /// A volume of the scene as a file holds it: lengths and densities in the unit of length.
     pub fn file(&self, volume: &Volume) -> VolumeFile {
-        let (spacing, origin) = self.place(&volume.grid);
+        VolumeFile { values: volume.values.clone(), ..self.metadata(&volume.grid) }
+    }
+
+    /// [`Self::file`] of a grid, without values.
+    fn metadata(&self, grid: &Grid) -> VolumeFile {
+        let (spacing, origin) = self.place(grid);
         VolumeFile {
-            values: volume.values.clone(),
             spacing: Some(spacing),
             origin: Some(origin),
             directions: self.directions,
             unit: self.unit,
-            oddities: Vec::new(),
+            ..VolumeFile::default()
         }
     }
 

@@ -7,7 +7,7 @@
 use crate::input;
 use crate::limit;
 use crate::output::write_atomically;
-use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, ShapeBuilder};
+use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, Shape, ShapeBuilder, ShapeError};
 use npyz::{DType, Deserialize, NpyHeader, NpyWriter, Order, TypeRead, WriteOptions, WriterBuilder};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
@@ -17,6 +17,8 @@ use trgs_core::error::{Error, Result};
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header accepted. Headers of plain arrays have about 100 bytes; NumPy rejects longer ones.
 const LONGEST_HEADER: usize = 10_000;
+/// The types that are read.
+const KINDS: [&str; 12] = ["f2", "f4", "f8", "b1", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8"];
 /// Numbers read at once, of at most 8 bytes each.
 const BLOCK: usize = 4096;
 
@@ -176,59 +178,118 @@ fn begun<T: Element, W: Write>(file: W, shape: &[usize]) -> io::Result<NpyWriter
 /// Reads `length` bytes of header and values; `what` and `path` name the source in errors.
 pub(crate) fn decode(source: impl Read, length: u64, path: &Path, what: &str) -> Result<Npy> {
     let mut source = BufReader::new(source);
-    let header = header_bytes(&mut source).map_err(|source| unreadable(source, path, what))?;
-    let text = String::from_utf8_lossy(&header[10..]);
-    let text = text.trim_matches(['\0', ' ', '\n']);
-    let wrong = |reason: &str| {
-        let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
-        let remedy = "give a file of this kind, or convert the array with numpy's astype";
-        Error::format(path, what, format!("the header {text:?} ({reason})"), expected, remedy)
+    let stream = Stream::begin(&mut source, length, path, what)?;
+    // As f32 or f64, and once more where another order is stored.
+    let (copies, bytes) = (if stream.is_fortran() { 2 } else { 1 }, stream.item);
+    let size = stream.header.len().saturating_mul(copies * if bytes > 2 && bytes != 4 { 8 } else { 4 });
+    let shape = stream.shape();
+    limit::allow(format!("{what} of shape {shape:?}"), size).map_err(|error| error.in_file(path))?;
+    let read = stream.values(source, stream.header.len() as usize);
+    let (numbers, full_scale) = read.map_err(|source| unreadable(source, path, what))?;
+    let layout = IxDyn(&shape).set_f(stream.is_fortran());
+    let numbers = match numbers {
+        Numbers::F32(values) => in_c_order(values, layout).map(Numbers::F32),
+        Numbers::F64(values) => in_c_order(values, layout).map(Numbers::F64),
     };
-    let incomplete = |expected: String| {
-        let remedy = "the file is truncated or damaged: copy or write it again";
-        Error::format(path, what, format!("{length} bytes"), expected, remedy)
-    };
-    // npyz recurses as deeply as the header nests brackets, evaluates sums, and multiplies the shape unchecked.
-    if text.matches(['(', '[', '{']).count() > 2 || text.contains(['+', '-']) {
-        return Err(wrong("not that of a plain array"));
-    }
-    let numbers =
-        text.split(['(', '[', ',', ']', ')']).map(str::trim).filter(|n| n.starts_with(|c: char| c.is_ascii_digit()));
-    if numbers.map(|n| n.parse().unwrap_or(u64::MAX).max(1)).try_fold(1, u64::checked_mul).is_none() {
-        return Err(incomplete(format!("more bytes than any file has for the header {text:?}")));
+    let numbers = numbers.map_err(|error| unreadable(invalid(format!("shape {shape:?}: {error}")), path, what))?;
+    Ok(Npy { numbers, full_scale })
+}
+
+/// Values in a row as an array in C order.
+fn in_c_order<T: Clone>(values: ArrayD<T>, layout: Shape<IxDyn>) -> std::result::Result<ArrayD<T>, ShapeError> {
+    let array = ArrayD::from_shape_vec(layout, values.into_raw_vec_and_offset().0)?;
+    Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
+}
+
+fn invalid(error: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, error)
+}
+
+/// An array whose values are still to be read.
+pub(crate) struct Stream {
+    header: NpyHeader,
+    /// Position of the first number.
+    pub(crate) start: u64,
+    /// Bytes of a number.
+    pub(crate) item: usize,
+    kind: String,
+}
+
+impl Stream {
+    /// Reads the header of a source of `length` bytes, and checks that these are its header and values.
+    pub(crate) fn begin(source: &mut impl Read, length: u64, path: &Path, what: &str) -> Result<Self> {
+        let header = header_bytes(source).map_err(|source| unreadable(source, path, what))?;
+        let text = String::from_utf8_lossy(&header[10..]);
+        let text = text.trim_matches(['\0', ' ', '\n']);
+        let wrong = |reason: &str| {
+            let expected = "a NumPy array (.npy) of floats of 2, 4 or 8 bytes, integers or booleans";
+            let remedy = "give a file of this kind, or convert the array with numpy's astype";
+            Error::format(path, what, format!("the header {text:?} ({reason})"), expected, remedy)
+        };
+        let incomplete = |expected: String| {
+            let remedy = "the file is truncated or damaged: copy or write it again";
+            Error::format(path, what, format!("{length} bytes"), expected, remedy)
+        };
+        // npyz recurses as deeply as the header nests brackets, evaluates sums, and multiplies the shape unchecked.
+        if text.matches(['(', '[', '{']).count() > 2 || text.contains(['+', '-']) {
+            return Err(wrong("not that of a plain array"));
+        }
+        let numbers = text
+            .split(['(', '[', ',', ']', ')'])
+            .map(str::trim)
+            .filter(|n| n.starts_with(|c: char| c.is_ascii_digit()));
+        if numbers.map(|n| n.parse().unwrap_or(u64::MAX).max(1)).try_fold(1, u64::checked_mul).is_none() {
+            return Err(incomplete(format!("more bytes than any file has for the header {text:?}")));
+        }
+
+        let npy = NpyHeader::from_reader(&header[..]);
+        let npy = npy.map_err(|error| wrong(error.to_string().lines().next().unwrap_or_default()))?;
+        let other = |dtype: DType| wrong(&format!("values of type {}", dtype.descr()));
+        let (DType::Plain(kind), Some(item)) = (npy.dtype(), npy.dtype().num_bytes()) else {
+            return Err(other(npy.dtype()));
+        };
+        let bytes = npy.len().checked_mul(item as u64).and_then(|bytes| bytes.checked_add(header.len() as u64));
+        if bytes != Some(length) {
+            let size = bytes.map_or_else(|| "more bytes than any file has".into(), |bytes| format!("{bytes} bytes"));
+            return Err(incomplete(format!("{size} for shape {:?} of '{kind}'", npy.shape())));
+        }
+        let kind = kind.to_string()[1..].to_owned();
+        if !KINDS.contains(&kind.as_str()) {
+            return Err(other(npy.dtype()));
+        }
+        Ok(Self { header: npy, start: header.len() as u64, item, kind })
     }
 
-    let npy = NpyHeader::from_reader(&header[..]);
-    let npy = npy.map_err(|error| wrong(error.to_string().lines().next().unwrap_or_default()))?;
-    let other = |dtype: DType| wrong(&format!("values of type {}", dtype.descr()));
-    let (DType::Plain(kind), Some(item)) = (npy.dtype(), npy.dtype().num_bytes()) else {
-        return Err(other(npy.dtype()));
-    };
-    let bytes = npy.len().checked_mul(item as u64).and_then(|bytes| bytes.checked_add(header.len() as u64));
-    if bytes != Some(length) {
-        let size = bytes.map_or_else(|| "more bytes than any file has".into(), |bytes| format!("{bytes} bytes"));
-        return Err(incomplete(format!("{size} for shape {:?} of '{kind}'", npy.shape())));
+    /// Lengths of the axes.
+    pub(crate) fn shape(&self) -> Vec<usize> {
+        self.header.shape().iter().map(|&n| n as usize).collect()
     }
-    // As f32 or f64, and once more where another order is stored.
-    let copies = if npy.order() == Order::Fortran { 2 } else { 1 };
-    let size = npy.len().saturating_mul(copies * if item > 2 && item != 4 { 8 } else { 4 });
-    limit::allow(format!("{what} of shape {:?}", npy.shape()), size).map_err(|error| error.in_file(path))?;
-    let (numbers, full_scale) = match &kind.to_string()[1..] {
-        "f2" => (values(&npy, source, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
-        "f4" => (values(&npy, source, |v: f32| v).map(Numbers::F32), None),
-        "f8" => (values(&npy, source, |v: f64| v).map(Numbers::F64), None),
-        "b1" => (values(&npy, source, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),
-        "u1" => (values(&npy, source, |v: u8| f32::from(v)).map(Numbers::F32), Some(f64::from(u8::MAX))),
-        "i1" => (values(&npy, source, |v: i8| f32::from(v)).map(Numbers::F32), Some(f64::from(i8::MAX))),
-        "u2" => (values(&npy, source, |v: u16| f32::from(v)).map(Numbers::F32), Some(f64::from(u16::MAX))),
-        "i2" => (values(&npy, source, |v: i16| f32::from(v)).map(Numbers::F32), Some(f64::from(i16::MAX))),
-        "u4" => (values(&npy, source, |v: u32| f64::from(v)).map(Numbers::F64), Some(f64::from(u32::MAX))),
-        "i4" => (values(&npy, source, |v: i32| f64::from(v)).map(Numbers::F64), Some(f64::from(i32::MAX))),
-        "u8" => (values(&npy, source, |v: u64| v as f64).map(Numbers::F64), Some(u64::MAX as f64)),
-        "i8" => (values(&npy, source, |v: i64| v as f64).map(Numbers::F64), Some(i64::MAX as f64)),
-        _ => return Err(other(npy.dtype())),
-    };
-    Ok(Npy { numbers: numbers.map_err(|source| unreadable(source, path, what))?, full_scale })
+
+    /// Whether the first axis is fastest.
+    pub(crate) fn is_fortran(&self) -> bool {
+        self.header.order() == Order::Fortran
+    }
+
+    /// The next `count` values, and the largest one of their type if that is an integer type.
+    pub(crate) fn values(&self, source: impl Read, count: usize) -> io::Result<(Numbers, Option<f64>)> {
+        let npy = &self.header;
+        let (numbers, full_scale) = match self.kind.as_str() {
+            "f2" => (values(npy, source, count, |v: half::f16| f32::from(v)).map(Numbers::F32), None),
+            "f4" => (values(npy, source, count, |v: f32| v).map(Numbers::F32), None),
+            "f8" => (values(npy, source, count, |v: f64| v).map(Numbers::F64), None),
+            "b1" => (values(npy, source, count, |v: bool| f32::from(v)).map(Numbers::F32), Some(1.0)),
+            "u1" => (values(npy, source, count, |v: u8| f32::from(v)).map(Numbers::F32), Some(f64::from(u8::MAX))),
+            "i1" => (values(npy, source, count, |v: i8| f32::from(v)).map(Numbers::F32), Some(f64::from(i8::MAX))),
+            "u2" => (values(npy, source, count, |v: u16| f32::from(v)).map(Numbers::F32), Some(f64::from(u16::MAX))),
+            "i2" => (values(npy, source, count, |v: i16| f32::from(v)).map(Numbers::F32), Some(f64::from(i16::MAX))),
+            "u4" => (values(npy, source, count, |v: u32| f64::from(v)).map(Numbers::F64), Some(f64::from(u32::MAX))),
+            "i4" => (values(npy, source, count, |v: i32| f64::from(v)).map(Numbers::F64), Some(f64::from(i32::MAX))),
+            "u8" => (values(npy, source, count, |v: u64| v as f64).map(Numbers::F64), Some(u64::MAX as f64)),
+            "i8" => (values(npy, source, count, |v: i64| v as f64).map(Numbers::F64), Some(i64::MAX as f64)),
+            other => unreachable!("{other} was refused"),
+        };
+        Ok((numbers?, full_scale))
+    }
 }
 
 /// Magic, version, length and text, as stored in the file.
@@ -236,7 +297,7 @@ fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
     let mut header = vec![0; 10];
     source.read_exact(&mut header)?;
     if !header.starts_with(MAGIC) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "a file that does not begin like a NumPy array (.npy)"));
+        return Err(invalid("a file that does not begin like a NumPy array (.npy)".into()));
     }
     // From version 2 on, the length has 4 bytes.
     let start = if header[6] > 1 { 12 } else { 10 };
@@ -244,7 +305,7 @@ fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
     source.read_exact(&mut header[10..])?;
     let length = header[8..].iter().rfold(0, |length, &byte| length << 8 | usize::from(byte));
     if length > LONGEST_HEADER {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("a header of {length} bytes")));
+        return Err(invalid(format!("a header of {length} bytes")));
     }
     header.resize(start + length, 0);
     source.read_exact(&mut header[start..])?;
@@ -253,18 +314,15 @@ fn header_bytes(source: &mut impl Read) -> io::Result<Vec<u8>> {
     Ok(header)
 }
 
-/// All values in C order, each converted by `number`. Bytes are read in blocks: a call for each number costs more than
-/// the number.
+/// The next values, each converted by `number`. Bytes are read in blocks: a call for each number costs more than the
+/// number.
 fn values<S: Deserialize, T: Clone>(
     header: &NpyHeader,
     mut source: impl Read,
+    length: usize,
     number: impl Fn(S) -> T,
 ) -> io::Result<ArrayD<T>> {
-    let invalid = |error: String| io::Error::new(io::ErrorKind::InvalidData, error);
-    let shape: Vec<usize> = header.shape().iter().map(|&n| n as usize).collect();
-    let layout = IxDyn(&shape).set_f(header.order() == Order::Fortran);
     let reader = S::reader(&header.dtype()).map_err(|error| invalid(error.to_string()))?;
-    let length = header.len() as usize;
     let mut values = Vec::new();
     values.try_reserve_exact(length)?;
     let mut block = [0; 8 * BLOCK];
@@ -276,8 +334,7 @@ fn values<S: Deserialize, T: Clone>(
             values.push(number(reader.read_one(&mut bytes)?));
         }
     }
-    let array = ArrayD::from_shape_vec(layout, values).map_err(|error| invalid(format!("shape {shape:?}: {error}")))?;
-    Ok(if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() })
+    Ok(Array::from_vec(values).into_dyn())
 }
 
 /// Converts to a fixed number of axes, or returns an error that names the expected axes.

@@ -253,6 +253,19 @@ fn every_command_keeps_to_the_limit_and_names_it() {
     assert!(message.contains("fewer voxels"), "{message}");
     sandbox.done(&format!("voxelize model.npz --grid 100,100,100 --out b.npy {cotangent}"));
     assert!(sandbox.read("a.npy") == sandbox.read("b.npy"));
+    // Volumes of 2 MB are converted and compared by slabs.
+    sandbox.done("voxelize model.npz --grid 64,64,64 --out a.npy");
+    let limit = "--max-memory 300kB";
+    for (from, to, limit) in [("a.npy", "a.nii.gz", limit), ("a.npy", "b.nii.gz", ""), ("a.npy", "a.mha", limit)] {
+        sandbox.done(&format!("convert {from} {to} {limit}"));
+    }
+    sandbox.done(&format!("convert a.mha b.npy {limit}"));
+    sandbox.done("convert a.npy c.npy");
+    assert!(sandbox.read("a.nii.gz") == sandbox.read("b.nii.gz"));
+    assert!(sandbox.read("b.npy") == sandbox.read("c.npy"));
+    let metrics = ["", limit].map(|limit| sandbox.done(&format!("evaluate a.mha --against b.npy {limit}")));
+    assert_eq!(metrics[0], metrics[1]);
+    assert!(sandbox.refused(&format!("convert a.nii.gz b.npy {limit}")).contains("a.nii.gz"));
     std::fs::remove_file(sandbox.path("a.npy")).unwrap();
     assert!(!sandbox.path("a.npy").exists() && !sandbox.path("big").exists() && !sandbox.path("tables").exists());
 }

@@ -67,7 +67,8 @@ pub(super) fn slices(command: &Convert, format: Slices) -> Result<Output> {
     })?;
     moved(&destination);
     let scaling = format!("a stored number n is the value {offset:.6e} + {step:.6e} n");
-    Ok(Output::list(&converted(&command.out, "slices", &volume, [scaling].into_iter().chain(note).collect())))
+    let (shape, notes) = (volume.values.dim().into(), [scaling].into_iter().chain(note).collect());
+    Ok(Output::list(&converted(&command.out, "slices", &volume, shape, notes)))
 }
 
 /// A picture of the slices across z.
@@ -85,5 +86,6 @@ pub(super) fn sheet(command: &Convert) -> Result<Output> {
     let Window { low, high } = window;
     let shown =
         format!("{} across z from the top left, {low} to {high} as black to white", counted(indices.len(), "slice"));
-    Ok(Output::list(&converted(&command.out, "contact sheet", &volume, [shown].into_iter().chain(note).collect())))
+    let (shape, notes) = (volume.values.dim().into(), [shown].into_iter().chain(note).collect());
+    Ok(Output::list(&converted(&command.out, "contact sheet", &volume, shape, notes)))
 }

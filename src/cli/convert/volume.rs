@@ -7,41 +7,49 @@ use std::path::Path;
 use trgs::output::check_file;
 use trgs::scan::Unit;
 use trgs::scan::dataset::Description;
-use trgs::scan::volume_file::{self, VolumeFile};
+use trgs::scan::volume_file::{self, Stored, VolumeFile};
 use trgs::{Error, Result};
 
-/// The volume to convert, at its place and in attenuation where that is asked for; and its note.
+/// [`open`] in memory.
 pub(super) fn read(command: &Convert) -> Result<(VolumeFile, Option<String>)> {
+    let (stored, note) = open(command)?;
+    Ok((stored.whole()?, note))
+}
+
+/// The volume to convert, at its place and in attenuation where that is asked for; and its note.
+fn open(command: &Convert) -> Result<(Stored, Option<String>)> {
     // The folder of a run stands for its volume.
     let of_run = command.source.join("volume.npy");
     let source = if of_run.exists() { &of_run } else { &command.source };
-    let mut volume = volume_file::read(source)?;
+    let mut stored = volume_file::open(source)?;
     if let Some(path) = &command.scanner {
         let Description { scanner, frame, .. } = Description::read(path)?;
-        let (shape, grid): ([usize; 3], _) = (volume.values.dim().into(), scanner.grid);
+        let (shape, grid) = (stored.shape(), scanner.grid);
         if grid.shape != shape {
             let expected = format!("{:?}, the grid of {}", grid.shape, path.display());
             let remedy = "give the scan that the volume was reconstructed from";
             return Err(Error::format(source, "volume", format!("shape {shape:?}"), expected, remedy));
         }
-        let (arranged, oddities) = frame.arrange(volume, &grid).map_err(|error| error.in_file(source))?;
-        volume = VolumeFile { oddities, ..frame.file(&arranged) };
+        stored = frame.arrange_stored(stored, &grid).map_err(|error| error.in_file(source))?;
     }
-    warnings(source, &volume.oddities);
+    warnings(source, &stored.metadata().oddities);
     if let Some(mu_water) = command.mu_water {
+        let mut volume = stored.whole()?;
         hounsfield_to_attenuation(source, &mut volume.values, mu_water)?;
+        stored = volume.into();
     }
     let is_of_a_scan = command.scanner.is_some() || extension(source) == "npy";
-    let note = note(&volume, extension(&command.out), is_of_a_scan);
-    Ok((volume, note))
+    let note = note(stored.metadata(), extension(&command.out), is_of_a_scan);
+    Ok((stored, note))
 }
 
 pub(super) fn convert(command: &Convert) -> Result<Output> {
     let out = &command.out;
-    let (volume, note) = read(command)?;
+    let (stored, note) = open(command)?;
     check_file(out)?;
-    volume_file::write(out, &volume)?;
-    Ok(Output::list(&converted(out, "volume", &volume, note.into_iter().collect())))
+    let (volume, shape) = (stored.metadata().clone(), stored.shape());
+    volume_file::write_stored(out, stored)?;
+    Ok(Output::list(&converted(out, "volume", &volume, shape, note.into_iter().collect())))
 }
 
 /// A volume that was written, and its place as it was written.
@@ -49,9 +57,9 @@ pub(super) fn converted<'a>(
     out: &'a Path,
     kind: &'static str,
     volume: &VolumeFile,
+    shape: [usize; 3],
     notes: Vec<String>,
 ) -> Converted<'a> {
-    let shape: [usize; 3] = volume.values.dim().into();
     let factor = volume.unit.map_or(1.0, Unit::millimetres);
     let [spacing, origin] =
         [volume.spacing, volume.origin].map(|vector| vector.map(|vector| (vector * factor).to_array()));

@@ -32,14 +32,7 @@ impl Volume {
     /// # Errors
     /// When the shape differs from the grid's, or a value is not finite.
     pub fn new(grid: Grid, values: Array3<f32>) -> Result<Self> {
-        if values.shape() != grid.shape {
-            return Err(Error::invalid(
-                "volume",
-                format!("shape {:?}", values.shape()),
-                format!("{:?} = [x, y, z]", grid.shape),
-                "correct nVoxel, or transpose the volume to [x, y, z]",
-            ));
-        }
+        check_shape(&grid, values.shape())?;
         check_finite("volume", &values)?;
         Ok(Self { grid, values: in_standard_layout(values) })
     }
@@ -160,14 +153,34 @@ fn in_standard_layout(array: Array3<f32>) -> Array3<f32> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
+/// Returns an error for a shape that is not the grid's.
+#[doc(hidden)]
+pub fn check_shape(grid: &Grid, shape: &[usize]) -> Result<()> {
+    if shape == grid.shape {
+        return Ok(());
+    }
+    Err(Error::invalid(
+        "volume",
+        format!("shape {shape:?}"),
+        format!("{:?} = [x, y, z]", grid.shape),
+        "correct nVoxel, or transpose the volume to [x, y, z]",
+    ))
+}
+
 /// Returns an error that names the first value that is not finite.
 #[doc(hidden)]
 pub fn check_finite(what: &str, values: &Array3<f32>) -> Result<()> {
+    check_finite_from(what, 0, values)
+}
+
+/// [`check_finite`] for a part of an array, whose first index along the first axis is `first`.
+#[doc(hidden)]
+pub fn check_finite_from(what: &str, first: usize, values: &Array3<f32>) -> Result<()> {
     match values.indexed_iter().find(|(_, value)| !value.is_finite()) {
         None => Ok(()),
-        Some((index, value)) => Err(Error::invalid(
+        Some(((i, j, k), value)) => Err(Error::invalid(
             what,
-            format!("{value} at {index:?}"),
+            format!("{value} at {:?}", (first + i, j, k)),
             "finite numbers only",
             "remove the damaged views, or measure them again: values are never guessed",
         )),

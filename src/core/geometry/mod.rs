@@ -63,7 +63,7 @@ mod arrays;
 mod coarser;
 mod pose;
 
-pub use arrays::{Projections, Volume, check_finite};
+pub use arrays::{Projections, Volume, check_finite, check_finite_from, check_shape};
 pub use pose::{Deviation, Pose, Trajectory};
 
 use crate::error::{Error, Result};

@@ -1,12 +1,12 @@
 //! A volume in a file, brought to the axes of a scan.
 
 use super::{Frame, Unit};
-use crate::volume_file::{STRAIGHT, VolumeFile};
+use crate::volume_file::{STRAIGHT, Stored, VolumeFile, turned};
 use glam::DVec3;
-use ndarray::{Array3, Axis};
+use ndarray::Array3;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Grid;
-use trgs_core::geometry::Volume;
+use trgs_core::geometry::{Volume, check_finite_from, check_shape};
 
 /// The names of the axes of an array.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -39,8 +39,8 @@ enum Difference {
 
 impl Arrangement {
     /// The arrangement of a file on the grid of a scan.
-    fn of(file: &VolumeFile, grid: &Grid, frame: &Frame) -> Self {
-        let axes = axes(file, frame);
+    fn of(file: &VolumeFile, shape: [usize; 3], grid: &Grid, frame: &Frame) -> Self {
+        let axes = axes(file, shape, frame);
         let differs = |difference| Self { axes, factor: 1.0, difference: Some(difference) };
         let Some(axes) = axes else {
             let [of_file, of_scan] = [file, &VolumeFile { directions: frame.directions, ..VolumeFile::default() }]
@@ -49,7 +49,6 @@ impl Arrangement {
                 "its axes have the directions {of_file}, oblique to those of the scan, {of_scan}"
             )));
         };
-        let shape: [usize; 3] = file.values.dim().into();
         if axes.map(|(axis, _)| shape[axis]) != grid.shape {
             return differs(Difference::Shape);
         }
@@ -100,28 +99,19 @@ impl Arrangement {
 
     /// The array in the order of the scan.
     fn apply(&self, values: Array3<f32>) -> Array3<f32> {
-        let Some(axes) = self.axes.filter(|_| self.is_turned()) else { return scaled(values, self.factor) };
-        let mut values = values.permuted_axes(axes.map(|(axis, _)| axis));
-        for (axis, _) in axes.iter().enumerate().filter(|(_, (_, is_reversed))| *is_reversed) {
-            values.invert_axis(Axis(axis));
-        }
-        scaled(values.as_standard_layout().into_owned(), self.factor)
+        turned(values, self.axes.expect("oblique axes are refused"), self.factor)
     }
 }
 
-fn scaled(values: Array3<f32>, factor: f64) -> Array3<f32> {
-    if factor == 1.0 { values } else { values.mapv_into(|value| (f64::from(value) * factor) as f32) }
-}
-
 /// The axis of the array along each axis of the scan, if they are parallel within half a voxel at the ends.
-fn axes(file: &VolumeFile, frame: &Frame) -> Option<[(usize, bool); 3]> {
+fn axes(file: &VolumeFile, shape: [usize; 3], frame: &Frame) -> Option<[(usize, bool); 3]> {
     if file.origin.is_none() && file.directions == STRAIGHT {
         // Formats that state no place state no axes, either: the array is in the order of the scan.
         return Some([(0, false), (1, false), (2, false)]);
     }
     let relative = frame.directions.transpose() * file.directions;
     let mut axes = [None; 3];
-    for (axis, &n) in file.values.shape().iter().enumerate() {
+    for (axis, &n) in shape.iter().enumerate() {
         let along = relative.col(axis);
         let of_scan = (0..3).max_by(|&a, &b| along[a].abs().total_cmp(&along[b].abs()))?;
         let sideways = (1.0 - along[of_scan] * along[of_scan]).max(0.0).sqrt();
@@ -142,7 +132,26 @@ impl Frame {
     /// # Errors
     /// For another shape, and for axes that are not those of the scan's grid.
     pub fn arrange(&self, file: VolumeFile, grid: &Grid) -> Result<(Volume, Vec<String>)> {
-        let arrangement = Arrangement::of(&file, grid, self);
+        let (arrangement, remarks) = self.arrangement(&file, file.values.dim().into(), grid)?;
+        Ok((Volume::new(*grid, arrangement.apply(file.values))?, remarks))
+    }
+
+    /// [`Self::arrange`] of a volume that is read by slabs. The remarks are among its metadata.
+    ///
+    /// # Errors
+    /// Those of [`Self::arrange`] and [`Stored::each`].
+    pub fn arrange_stored(&self, stored: Stored, grid: &Grid) -> Result<Stored> {
+        let (Arrangement { axes, factor, .. }, oddities) = self.arrangement(stored.metadata(), stored.shape(), grid)?;
+        let axes = axes.expect("oblique axes are refused");
+        let mut stored = stored.turned(VolumeFile { oddities, ..self.metadata(grid) }, axes, factor);
+        check_shape(grid, &stored.shape())?;
+        stored.each(0, |first, slab| check_finite_from("volume", first, &slab))?;
+        Ok(stored)
+    }
+
+    /// How an array of a shape lies on the grid of a scan, and remarks.
+    fn arrangement(&self, file: &VolumeFile, shape: [usize; 3], grid: &Grid) -> Result<(Arrangement, Vec<String>)> {
+        let arrangement = Arrangement::of(file, shape, grid, self);
         let mut remarks = file.other_oddities();
         remarks.extend(arrangement.remarks(file.unit, self.unit));
         match &arrangement.difference {
@@ -156,14 +165,14 @@ impl Frame {
             // Another shape is an error of the volume.
             Some(Difference::Shape) | None => {}
         }
-        Ok((Volume::new(*grid, arrangement.apply(file.values))?, remarks))
+        Ok((arrangement, remarks))
     }
 
     /// The values of a file that a scan names as its volume, and remarks.
     ///
     /// As [`Self::arrange`], but the array of a file in another place is taken in its own order.
     pub(crate) fn arrange_own(&self, file: VolumeFile, grid: &Grid) -> (Array3<f32>, Vec<String>) {
-        let arrangement = Arrangement::of(&file, grid, self);
+        let arrangement = Arrangement::of(&file, file.values.dim().into(), grid, self);
         if arrangement.difference.is_none() {
             let mut remarks = file.other_oddities();
             remarks.extend(arrangement.remarks(file.unit, self.unit));

@@ -41,6 +41,13 @@ fn a_volume_of_any_axes_comes_back_to_those_of_the_scan() {
             let other = turned(&file, order, reversed);
             let (found, remarks) = frame.arrange(other.clone(), &volume.grid).unwrap();
             assert_eq!(found, volume, "{order:?} {reversed:?}");
+            let mut stored = frame.arrange_stored(other.clone().into(), &volume.grid).unwrap();
+            assert_eq!(*stored.metadata(), VolumeFile { oddities: remarks.clone(), ..frame.metadata(&volume.grid) });
+            for axis in 0..3 {
+                let slab = stored.slab(axis, 1..3).unwrap();
+                assert_eq!(slab, volume.values.slice_axis(Axis(axis), (1..3).into()), "{order:?} {reversed:?}");
+            }
+            assert_eq!(stored.whole().unwrap().values, volume.values);
             assert_eq!(remarks.is_empty(), order == [0, 1, 2] && signs == 0, "{order:?} {reversed:?}: {remarks:?}");
             // A file without a unit may have its lengths in another one.
             let unstated = VolumeFile {
@@ -61,8 +68,16 @@ fn values_per_unit_of_the_file_become_those_per_unit_of_the_scan() {
     file.unit = Some(Unit::Millimetre);
     (file.spacing, file.origin) = (file.spacing.map(|s| s / 1000.0), file.origin.map(|o| o / 1000.0));
     file.values *= 1000.0;
-    let (found, remarks) = frame.arrange(file, &volume.grid).unwrap();
+    let (found, remarks) = frame.arrange(file.clone(), &volume.grid).unwrap();
     assert_eq!(found, volume);
+    assert_eq!(frame.arrange_stored(file.clone().into(), &volume.grid).unwrap().whole().unwrap().values, volume.values);
+    for damaged in [
+        VolumeFile { values: Array3::from_elem(file.values.dim(), f32::NAN), ..file.clone() },
+        VolumeFile { values: Array3::zeros((4, 4, 4)), ..file },
+    ] {
+        let message = frame.arrange(damaged.clone(), &volume.grid).unwrap_err().to_string();
+        assert_eq!(frame.arrange_stored(damaged.into(), &volume.grid).err().unwrap().to_string(), message);
+    }
     assert!(remarks[1].contains("values per mm are multiplied by 0.001"), "{remarks:?}");
 }
 

@@ -1,14 +1,43 @@
 //! Numbers in files that a header names: one file, a list of files, or a numbered pattern.
 
-use super::elements::{Layout, Voxels};
-use super::header::shown;
+use super::elements::{Encoding, Layout, Voxels};
+use super::header::{shown, surplus};
+use super::plain::{Plain, Values};
+use super::{VolumeFile, damaged};
 use crate::limit;
 use ndarray::Array3;
 use std::collections::BTreeSet;
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{self, ErrorKind};
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use trgs_core::error::{Error, Result};
 use trgs_core::words::counted;
+
+/// The numbers that a header describes.
+pub(super) struct Numbers {
+    pub(super) source: Source,
+    /// The field of the header that states the source.
+    pub(super) key: &'static str,
+    pub(super) layout: Layout,
+    pub(super) skip: Skip,
+    /// Slope and offset of the values, if they are not the numbers.
+    pub(super) scale: Option<[f64; 2]>,
+}
+
+/// What surrounds the numbers in each file.
+#[derive(Default)]
+pub(super) struct Skip {
+    /// Bytes before them.
+    pub(super) bytes: usize,
+    /// Lines before them.
+    pub(super) lines: usize,
+    /// Bytes of the compressed numbers, if they are stated.
+    pub(super) packed: Option<usize>,
+}
+
+/// A volume without its values, and its numbers.
+pub(super) type Described = (VolumeFile, Numbers);
 
 /// Where a header says that its numbers are.
 pub(super) enum Source {
@@ -97,23 +126,86 @@ impl Source {
             _ => Ok(Self::Files(Names::Listed(vec![value.to_owned()]))),
         }
     }
+}
 
-    /// The volume, with all files in their order along z. `skip` maps the content of a file to that after its header.
-    pub(super) fn read(
-        &self,
-        header: &Path,
-        key: &str,
-        content: &[u8],
-        layout: Layout,
-        skip: impl for<'a> Fn(&'a [u8], &Path) -> Result<&'a [u8]>,
-        means: impl Fn(f64) -> f64,
-    ) -> Result<Voxels> {
-        let names = match self {
-            Self::Here(at) => {
-                let bytes = skip(content.get(*at..).unwrap_or_default(), header)?;
-                return layout.read(bytes, means).map_err(|found| found.of(header));
+impl Skip {
+    /// Where the numbers are in a file of `length` bytes. Its content is needed for lines only.
+    fn range(&self, content: &[u8], length: usize, path: &Path) -> Result<Range<usize>> {
+        let mut start = self.bytes;
+        if start > length {
+            return Err(damaged(path, &format!("{length} bytes, of which HeaderSize skips {start}")));
+        }
+        for _ in 0..self.lines {
+            let line = content[start..].iter().position(|&byte| byte == b'\n');
+            let fewer = || damaged(path, &format!("fewer than {} lines, which line skip states", self.lines));
+            start += line.ok_or_else(fewer)? + 1;
+        }
+        let size = self.packed.unwrap_or(length - start);
+        if size > length - start {
+            return Err(damaged(path, &format!("{} of {size} compressed bytes", length - start)));
+        }
+        Ok(start..start + size)
+    }
+}
+
+/// The volume that the content of the file `path` describes.
+pub(super) fn whole((volume, numbers): Described, content: &[u8], path: &Path) -> Result<VolumeFile> {
+    let Voxels { values, has_more } = numbers.read(path, content)?;
+    let oddities = volume.oddities.into_iter().chain(surplus(has_more)).collect();
+    Ok(VolumeFile { values, oddities, ..volume })
+}
+
+impl Numbers {
+    /// Numbers that fill one file from a position on.
+    pub(super) fn here(at: usize, layout: Layout) -> Self {
+        Self { source: Source::Here(at), key: "", layout, skip: Skip::default(), scale: None }
+    }
+
+    /// The value of a stored number.
+    fn means(&self) -> impl Fn(f64) -> f64 + Send + Sync + 'static {
+        let scale = self.scale;
+        move |stored| scale.map_or(stored, |[slope, offset]| stored * slope + offset)
+    }
+
+    /// Numbers of which boxes are read, if they are plain ones in one file, and whether bytes follow them. `file` is the
+    /// header's own.
+    pub(super) fn plain(&self, header: &Path, file: File) -> Result<Option<(Plain, bool)>> {
+        let Self { layout, skip, .. } = self;
+        if layout.encoding != Encoding::Raw || skip.lines > 0 {
+            return Ok(None);
+        }
+        let (file, path, at) = match &self.source {
+            Source::Here(at) => (file, header.to_owned(), *at),
+            Source::Files(names) if names.count() == 1 => {
+                let name = names.name(0);
+                let path = beside(header, self.key, &name)?;
+                let file = crate::input::open(&path);
+                (file.map_err(|error| not_read(header, self.key, &name, &path, error))?, path, 0)
             }
-            Self::Files(names) => names,
+            Source::Files(_) => return Ok(None),
+        };
+        let length = file.metadata().map_err(|source| Error::read(&path, source))?.len();
+        let length = usize::try_from(length).unwrap_or(usize::MAX).saturating_sub(at);
+        let range = skip.range(&[], length, &path)?;
+        let (start, has_more) = layout.plain(range.len()).map_err(|found| damaged(&path, &found))?;
+        let (element, means) = (layout.element, self.means());
+        let values: Values = Box::new(move |bytes| Ok(element.numbers(bytes, &means)));
+        let start = (at + range.start + start) as u64;
+        let (shape, item) = (layout.shape, element.number.size());
+        Ok(Some((Plain { file, path, start, shape, x_is_fastest: true, item, values }, has_more)))
+    }
+
+    /// The values, with all files in their order along z.
+    fn read(&self, header: &Path, content: &[u8]) -> Result<Voxels> {
+        let Self { source, key, layout, skip, .. } = self;
+        let key = *key;
+        let of_file = |bytes: &[u8], layout: &Layout, path: &Path| {
+            let numbers = &bytes[skip.range(bytes, bytes.len(), path)?];
+            layout.read(numbers, self.means()).map_err(|found| found.of(path))
+        };
+        let names = match source {
+            Source::Here(at) => return of_file(content.get(*at..).unwrap_or_default(), layout, header),
+            Source::Files(names) => names,
         };
         let ([x, y, z], count) = (layout.shape, names.count());
         if z % count != 0 {
@@ -122,13 +214,13 @@ impl Source {
             return Err(Error::format(header, key, counted(count, "file"), expected, remedy));
         }
         names.check(header, key)?;
-        let layout = Layout { shape: [x, y, z / count], ..layout };
+        let layout = Layout { shape: [x, y, z / count], ..*layout };
         let (mut values, mut has_more) = (Vec::new(), false);
         for i in 0..count {
             let name = names.name(i);
             let path = beside(header, key, &name)?;
-            let bytes = content_of(header, key, &name, &path)?;
-            let part = layout.read(skip(&bytes, &path)?, &means).map_err(|found| found.of(&path))?;
+            let bytes = crate::input::read(&path).map_err(|error| not_read(header, key, &name, &path, error))?;
+            let part = of_file(&bytes, &layout, &path)?;
             has_more |= part.has_more;
             // The values of a part are in its order, x fastest.
             let part = part.values.into_raw_vec_and_offset().0;
@@ -180,14 +272,14 @@ fn beside(header: &Path, key: &str, name: &str) -> Result<PathBuf> {
     Ok(header.with_file_name(relative))
 }
 
-/// Content of a file that a header names.
-fn content_of(header: &Path, key: &str, name: &str, path: &Path) -> Result<Vec<u8>> {
-    crate::input::read(path).map_err(|error| match error.kind() {
+/// The error about a file that a header names.
+fn not_read(header: &Path, key: &str, name: &str, path: &Path, error: io::Error) -> Error {
+    match error.kind() {
         ErrorKind::NotFound => {
             let remedy = "put the file there, or correct its name in the header";
             let got = format!("{}, which does not exist", shown(name));
             Error::format(header, key, got, "a file that exists", remedy)
         }
         _ => Error::read(path, error),
-    })
+    }
 }

@@ -129,7 +129,7 @@ impl Number {
     }
 
     /// Bytes per number.
-    fn size(self) -> usize {
+    pub(super) fn size(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
             Self::U16 | Self::I16 => 2,
@@ -140,7 +140,7 @@ impl Number {
 }
 
 impl Element {
-    fn numbers(self, bytes: &[u8], means: impl Fn(f64) -> f64) -> Vec<f32> {
+    pub(super) fn numbers(self, bytes: &[u8], means: impl Fn(f64) -> f64) -> Vec<f32> {
         macro_rules! read {
             ($kind:ty) => {{
                 let (chunks, _) = bytes.as_chunks();
@@ -171,53 +171,62 @@ impl Element {
 }
 
 impl Layout {
+    /// Bytes before the numbers and bytes of them, or an error message where a file of `length` bytes cannot hold them.
+    fn extent(&self, length: usize) -> std::result::Result<(usize, usize), String> {
+        let (shape, size) = (self.shape, self.element.size(self.shape)?);
+        let skip = if let Start::After(skip) = self.start { skip } else { 0 };
+        let total = size.checked_add(skip).ok_or_else(|| format!("{skip} bytes to skip"))?;
+        let (expansion, kind) = match self.encoding {
+            Encoding::Raw => (1, ""),
+            Encoding::Gzip | Encoding::Zlib => (MOST_INFLATION, "compressed "),
+            Encoding::Bzip2 => (MOST_BZIP2, "compressed "),
+            // Its numbers are counted.
+            Encoding::Text => return Ok((skip, size)),
+        };
+        if total / expansion > length {
+            return Err(format!("{length} {kind}bytes for shape {shape:?}"));
+        }
+        Ok((skip, size))
+    }
+
+    /// Where plain numbers begin in `length` bytes, and whether bytes follow the last one; or an error message.
+    pub(super) fn plain(&self, length: usize) -> std::result::Result<(usize, bool), String> {
+        let (skip, size) = self.extent(length)?;
+        let start = if self.start == Start::AtEnd { length - size } else { skip };
+        Ok((start, length - start > size))
+    }
+
     /// The volume in the bytes of a file, or an error message.
     ///
     /// `means` maps a stored number to its value. Memory is bounded by what the bytes can expand to, and by the limit.
     pub(super) fn read(&self, bytes: &[u8], means: impl Fn(f64) -> f64) -> std::result::Result<Voxels, Defect> {
         let (shape, encoding) = (self.shape, self.encoding);
-        let size = self.element.size(shape)?;
-        let (skip, at_end) = match self.start {
-            Start::After(skip) => (skip, false),
-            Start::AtEnd => (0, true),
-        };
-        let total = size.checked_add(skip).ok_or_else(|| format!("{skip} bytes to skip"))?;
-        let expansion = match encoding {
-            Encoding::Raw | Encoding::Text => 1,
-            Encoding::Gzip | Encoding::Zlib => MOST_INFLATION,
-            Encoding::Bzip2 => MOST_BZIP2,
-        };
+        let (skip, size) = self.extent(bytes.len())?;
         if encoding == Encoding::Text {
             return Ok(self.read_text(bytes.get(skip..).unwrap_or_default(), means)?);
         }
-        let describe = |count: usize| {
-            let after = if skip > 0 { format!(" after the first {skip}") } else { String::new() };
-            format!("{count} bytes{after} for shape {shape:?} of {} bytes each", self.element.number.size())
-        };
-        if total / expansion > bytes.len() {
-            let kind = if expansion > 1 { "compressed " } else { "" };
-            return Err(format!("{} {kind}bytes for shape {shape:?}", bytes.len()).into());
-        }
-        let unpacked = if expansion > 1 { total } else { 0 };
+        let unpacked = if encoding == Encoding::Raw { 0 } else { skip + size };
         limit::allow(format!("volume of shape {shape:?}"), self.memory(bytes.len().saturating_add(unpacked)))?;
         // A byte more shows whether there are more.
-        let limit = total.saturating_add(1);
+        let limit = unpacked.saturating_add(1);
         let unpacked = match encoding {
             Encoding::Raw | Encoding::Text => None,
             // All of it, in order to know its end.
-            _ if at_end => return Err("compressed numbers at an unknown place".into()),
+            _ if self.start == Start::AtEnd => return Err("compressed numbers at an unknown place".into()),
             Encoding::Gzip => Some(unpack(MultiGzDecoder::new(bytes), limit)?),
             Encoding::Zlib => Some(unpack(ZlibDecoder::new(bytes), limit)?),
             Encoding::Bzip2 => Some(unpack(MultiBzDecoder::new(bytes), limit)?),
         };
         let bytes = unpacked.as_deref().unwrap_or(bytes);
-        let skip = if at_end { bytes.len().saturating_sub(size) } else { skip };
-        let numbers = bytes.get(skip..).unwrap_or_default();
-        if numbers.len() < size {
-            return Err(describe(numbers.len()).into());
+        let found = bytes.len().saturating_sub(skip);
+        if found < size {
+            let after = if skip > 0 { format!(" after the first {skip}") } else { String::new() };
+            let each = self.element.number.size();
+            return Err(format!("{found} bytes{after} for shape {shape:?} of {each} bytes each").into());
         }
-        let values = self.element.numbers(&numbers[..size], means);
-        Ok(Voxels { values: with_x_fastest(values, shape), has_more: numbers.len() > size })
+        let (start, has_more) = Self { encoding: Encoding::Raw, ..*self }.plain(bytes.len())?;
+        let values = self.element.numbers(&bytes[start..start + size], means);
+        Ok(Voxels { values: with_x_fastest(values, shape), has_more })
     }
 
     /// Memory for the values, their copy in another order, and the bytes they are read from.
@@ -253,9 +262,4 @@ pub(super) fn unpack(packed: impl Read, size: usize) -> std::result::Result<Vec<
     let mut bytes = Vec::new();
     packed.take(size as u64).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     Ok(bytes)
-}
-
-/// The bytes of a volume `[x, y, z]` with x fastest, f32, little-endian.
-pub(super) fn x_fastest(values: &Array3<f32>) -> Vec<u8> {
-    values.t().iter().flat_map(|value| value.to_le_bytes()).collect()
 }

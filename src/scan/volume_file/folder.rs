@@ -1,5 +1,6 @@
 //! A folder with one slice per file.
 
+use super::detached::whole;
 use super::pages::Pages;
 use super::{FOREIGN, VolumeFile, images, raw, tiff};
 use std::path::{Path, PathBuf};
@@ -41,7 +42,7 @@ fn add(content: &[u8], path: &Path, pages: &mut Pages) -> Result<()> {
             tiff::add_all(content, path, pages)?;
         }
         Some("raw") => {
-            let slice = raw::parse(content, path)?;
+            let slice = whole(raw::describe(content.len(), path)?, content, path)?;
             let (columns, rows, _) = slice.values.dim();
             pages.check(rows, columns, path)?;
             pages.add(slice.values.t().iter().copied());

@@ -10,7 +10,7 @@ use trgs_core::error::Error;
 const BOM: &[u8] = b"\xef\xbb\xbf";
 
 /// Longest text header accepted, bytes.
-const LARGEST: usize = 1 << 16;
+pub(super) const LARGEST: usize = 1 << 16;
 
 /// Text of any encoding.
 pub(super) fn lossy(text: &[u8]) -> Cow<'_, str> {

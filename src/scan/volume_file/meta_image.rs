@@ -1,9 +1,9 @@
 //! MetaImage, ITK's format: a text header, followed by the numbers or naming their files.
 
-use super::detached::Source;
+use super::detached::{Described, Numbers, Skip, Source};
 use super::elements::{Element, Encoding, Layout, Number, Start};
-use super::header::{Header, converted, lossy, numbers, shown, surplus, three_axes, vector};
-use super::{Place, VolumeFile, damaged, unsupported};
+use super::header::{Header, converted, lossy, numbers, shown, three_axes, vector};
+use super::{Place, VolumeFile, unsupported};
 use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
@@ -108,7 +108,8 @@ impl Header<'_> {
     }
 }
 
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+/// The volume whose header begins the content.
+pub(super) fn describe(content: &[u8], path: &Path) -> Result<Described> {
     let header = header_of(content, path)?;
     let mut oddities = Vec::new();
     let (shape, axes, element) = numbers_of(&header)?;
@@ -146,12 +147,12 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     if is_scaled {
         oddities.push(format!("its intensity function {slope}·(stored number) + {offset} is applied; ITK does not"));
     }
-    let means = |stored: f64| if is_scaled { stored * slope + offset } else { stored };
-    let voxels = read_numbers(&header, content, shape, element, means)?;
+    let scale = is_scaled.then_some([slope, offset]);
+    let numbers = Numbers { scale, ..place_of_numbers(&header, content, shape, element)? };
     let unknown = header.unknown(|key| KNOWN.contains(&key));
-    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(stated.is_some());
-    volume.oddities.extend(oddities.into_iter().chain(unknown).chain(surplus(voxels.has_more)));
-    Ok(volume)
+    let mut volume = VolumeFile::new(spacing, origin, directions).in_millimetres(stated.is_some());
+    volume.oddities.extend(oddities.into_iter().chain(unknown));
+    Ok((volume, numbers))
 }
 
 /// Shape, number of axes in the file, and type.
@@ -176,13 +177,7 @@ fn numbers_of(header: &Header<'_>) -> Result<([usize; 3], usize, Element)> {
 }
 
 /// The numbers after the header or in other files.
-fn read_numbers(
-    header: &Header<'_>,
-    content: &[u8],
-    shape: [usize; 3],
-    element: Element,
-    means: impl Fn(f64) -> f64,
-) -> Result<super::elements::Voxels> {
+fn place_of_numbers(header: &Header<'_>, content: &[u8], shape: [usize; 3], element: Element) -> Result<Numbers> {
     const FILE: &str = "ElementDataFile";
     let skip: i64 = header.number("HeaderSize", "a number of bytes, or -1")?.unwrap_or(0);
     if let Some(size) = header.get("HeaderSizePerSlice").filter(|size| *size != "0") {
@@ -208,19 +203,10 @@ fn read_numbers(
         Source::files(header.path, FILE, value, &lossy(&content[header.end..]), shape[2])?
     };
     let start = if skip == -1 { Start::AtEnd } else { Start::After(0) };
+    let packed = packed.filter(|_| encoding == Encoding::Zlib);
+    let skip = Skip { bytes: usize::try_from(skip).unwrap_or(0), lines: 0, packed };
     let layout = Layout { element, encoding, shape, start };
-    let after_header = |bytes: &[u8], path: &Path| -> Result<std::ops::Range<usize>> {
-        let start = usize::try_from(skip).unwrap_or(0);
-        if start > bytes.len() {
-            return Err(damaged(path, &format!("{} bytes, of which HeaderSize skips {skip}", bytes.len())));
-        }
-        let size = packed.filter(|_| encoding == Encoding::Zlib).unwrap_or(bytes.len() - start);
-        if size > bytes.len() - start {
-            return Err(damaged(path, &format!("{} of {size} compressed bytes", bytes.len() - start)));
-        }
-        Ok(start..start + size)
-    };
-    source.read(header.path, FILE, content, layout, |bytes, path| Ok(&bytes[after_header(bytes, path)?]), means)
+    Ok(Numbers { source, key: FILE, layout, skip, scale: None })
 }
 
 pub(super) fn header(

@@ -51,9 +51,11 @@ mod nifti;
 mod npy_side;
 mod nrrd;
 mod pages;
+mod plain;
 mod raw;
 mod scaling;
 mod slices;
+mod stored;
 mod tiff;
 
 pub(super) use folder::{GAP, SLICES, files, with_extension};
@@ -62,15 +64,19 @@ pub use raw::SideFile;
 pub use scaling::Scaling;
 pub(super) use scaling::range;
 pub use slices::{Slices, write_slices};
+pub(super) use stored::turned;
+pub use stored::{Stored, open};
 
 use super::content::{damaged, unsupported};
 use super::unit::Unit;
 use super::{array_path, npy};
 use crate::output::write_atomically;
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use glam::{DMat3, DVec3};
-use ndarray::{Array3, Ix3};
+use ndarray::{Array3, ArrayView3, Axis, Ix3};
 use std::borrow::Cow;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 
@@ -214,6 +220,13 @@ pub fn has_known_ending(path: &Path) -> bool {
     is_volume(path) || FOREIGN.iter().any(|(ending, _)| name.ends_with(ending))
 }
 
+/// Writes a slab.
+type PutSlab<'a> = dyn FnMut(ArrayView3<'_, f32>) -> io::Result<()> + 'a;
+/// Gives the slabs across an axis to its argument, in their order.
+type Slabs<'a> = dyn FnMut(usize, &mut PutSlab<'_>) -> io::Result<()> + 'a;
+/// Gives the slices across z to its argument, x fastest.
+type EachSlice<'a> = dyn FnMut(&mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> + 'a;
+
 /// Reads a volume; the format follows from the name.
 ///
 /// # Errors
@@ -233,7 +246,7 @@ pub(super) fn read_in_any_order(path: &Path) -> Result<VolumeFile> {
         return folder::read(path);
     }
     match Format::of(path)? {
-        Format::Npy => return NpySide::beside(path, VolumeFile::bare(npy::read_f32::<Ix3>(path, "[x, y, z]")?)),
+        Format::Npy => return placed(npy::read_f32::<Ix3>(path, "[x, y, z]")?, path),
         #[cfg(any(feature = "hdf5", test))]
         Format::Hdf5 => return super::hdf5::read(path).map(VolumeFile::remarked),
         _ => {}
@@ -253,27 +266,33 @@ pub fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     parse_in_any_order(content, path).map(VolumeFile::in_order)
 }
 
+/// The volume of a `.npy`, at the place that its side file states.
+fn placed(values: Array3<f32>, path: &Path) -> Result<VolumeFile> {
+    let metadata = NpySide::beside(path, values.dim().into())?;
+    Ok(VolumeFile { values, ..metadata })
+}
+
 fn parse_in_any_order(content: &[u8], path: &Path) -> Result<VolumeFile> {
     match Format::of(path)? {
         Format::Npy => {
             let values = npy::parse(content, path)?.numbers.into_f32();
-            NpySide::beside(path, VolumeFile::bare(npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]")?))
+            placed(npy::with_axes::<f32, Ix3>(values, path, "array", "[x, y, z]")?, path)
         }
         Format::Npz => archive::parse(content, path),
         #[cfg(any(feature = "hdf5", test))]
         Format::Hdf5 => super::hdf5::parse(content, path).map(VolumeFile::remarked),
         #[cfg(not(any(feature = "hdf5", test)))]
         Format::Hdf5 => Err(no_hdf5(path)),
-        Format::MetaImage => meta_image::parse(content, path),
-        Format::Nrrd => nrrd::parse(content, path),
-        Format::Nifti => nifti::parse(content, path),
         Format::Tiff => tiff::parse(content, path),
         Format::Image => images::parse(content, path),
         #[cfg(any(feature = "dicom", test))]
         Format::Dicom => dicom::parse(content, path),
         #[cfg(not(any(feature = "dicom", test)))]
         Format::Dicom => Err(no_dicom(path)),
-        Format::Raw => raw::parse(content, path),
+        Format::MetaImage => detached::whole(meta_image::describe(content, path)?, content, path),
+        Format::Nrrd => detached::whole(nrrd::describe(content, path)?, content, path),
+        Format::Nifti => detached::whole(nifti::describe(content, content.len(), path)?, content, path),
+        Format::Raw => detached::whole(raw::describe(content.len(), path)?, content, path),
     }
 }
 
@@ -289,19 +308,51 @@ pub fn write(path: impl AsRef<Path>, volume: &VolumeFile) -> Result<()> {
 }
 
 fn write_path(path: &Path, volume: &VolumeFile) -> Result<()> {
+    write_slabs(path, volume, volume.values.dim().into(), &mut |_, put| put(volume.values.view()))
+}
+
+/// [`write()`] of a volume slab by slab. The file may be the one that it is read from.
+///
+/// # Errors
+/// Those of [`write()`] and [`Stored::each`].
+pub fn write_stored(path: impl AsRef<Path>, stored: Stored) -> Result<()> {
+    let path = path.as_ref();
+    let (metadata, shape) = (stored.metadata().clone(), stored.shape());
+    let mut stored = Some(stored);
+    write_slabs(path, &metadata, shape, &mut |axis, put| {
+        // It is closed before the new file takes its place.
+        let mut stored = stored.take().expect("called once");
+        let written = stored.each(axis, |_, slab| put(slab.view()).map_err(|source| Error::write(path, source)));
+        written.map_err(io::Error::other)
+    })
+}
+
+/// Writes a volume of which the slabs are given, once.
+fn write_slabs(path: &Path, volume: &VolumeFile, shape: [usize; 3], slabs: &mut Slabs<'_>) -> Result<()> {
     let format = Format::of(path).map_err(|_| not_written(path))?;
-    let shape: [usize; 3] = volume.values.dim().into();
     let place = Place::of(volume);
-    let values = match format {
-        Format::Npy | Format::Raw => Cow::Borrowed(&volume.values),
-        _ => per_millimetre(volume),
+    let factor = if format == Format::Raw { 1.0 } else { volume.unit.map_or(1.0, Unit::millimetres) };
+    let slices: &mut EachSlice<'_> = &mut |put| {
+        slabs(2, &mut |slab| {
+            slab.axis_iter(Axis(2)).try_for_each(|slice| {
+                let values: Vec<f32> = slice.t().iter().map(|&value| divided(value, factor)).collect();
+                put(&values)
+            })
+        })
     };
     let header = match format {
-        Format::Npy => return npy::write(path, volume.values.view()),
+        Format::Npy => {
+            return npy::write_parts(path, &shape, |put| {
+                slabs(0, &mut |slab| {
+                    let mut slices = slab.outer_iter();
+                    slices.try_for_each(|slice| put(slice.as_standard_layout().as_slice().expect("standard layout")))
+                })
+            });
+        }
         Format::MetaImage => meta_image::header(path, shape, place)?,
         Format::Nrrd => nrrd::header(path, shape, place)?,
-        Format::Nifti => return nifti::write(path, &values, place),
-        Format::Tiff => return tiff::write(path, &values, place),
+        Format::Nifti => nifti::header(shape, place)?,
+        Format::Tiff => return tiff::write(path, shape, place, slices),
         Format::Dicom | Format::Image | Format::Npz | Format::Hdf5 => {
             let expected = "another format: HDF5, JPEG and volumes as .npz are not written, and DICOM and PNG as folders of slices";
             return Err(Error::invalid("file to write", path.display(), expected, "end it with .nii.gz or .mha"));
@@ -311,10 +362,21 @@ fn write_path(path: &Path, volume: &VolumeFile) -> Result<()> {
             Vec::new()
         }
     };
-    write_atomically(path, |file| {
-        file.write_all(&header)?;
-        file.write_all(&elements::x_fastest(&values))
+    let is_packed = format == Format::Nifti && path.extension().is_some_and(|end| end.eq_ignore_ascii_case("gz"));
+    write_atomically(path, |file| match is_packed {
+        true => {
+            let mut packer = GzEncoder::new(file, Compression::fast());
+            write_numbers(&mut packer, &header, slices)?;
+            packer.finish().map(|_| ())
+        }
+        false => write_numbers(file, &header, slices),
     })
+}
+
+/// Writes a header, and numbers in little-endian order.
+fn write_numbers(file: &mut dyn Write, header: &[u8], slices: &mut EachSlice<'_>) -> io::Result<()> {
+    file.write_all(header)?;
+    slices(&mut |values| file.write_all(&values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<_>>()))
 }
 
 /// The error for a name to write whose ending is of no format: it lists those that are written, of one file each.
@@ -353,8 +415,12 @@ impl Place {
 fn per_millimetre(volume: &VolumeFile) -> Cow<'_, Array3<f32>> {
     match volume.unit.map_or(1.0, Unit::millimetres) {
         1.0 => Cow::Borrowed(&volume.values),
-        factor => Cow::Owned(volume.values.mapv(|value| (f64::from(value) / factor) as f32)),
+        factor => Cow::Owned(volume.values.mapv(|value| divided(value, factor))),
     }
+}
+
+fn divided(value: f32, factor: f64) -> f32 {
+    if factor == 1.0 { value } else { (f64::from(value) / factor) as f32 }
 }
 
 /// The error of a build without the feature.
@@ -372,12 +438,12 @@ pub(super) fn no_hdf5(path: &Path) -> Error {
 }
 
 impl VolumeFile {
-    /// A volume with the metadata of a file.
+    /// The metadata of a file, without values.
     ///
     /// `axes` are the steps between voxels or their directions, in ITK's coordinates. `None` means that the file states
     /// no directions. Lengths that cannot be a spacing are replaced by 1, and an origin that is not finite is unknown;
     /// both are remarked on. A negative spacing reverses its axis, as in ITK.
-    fn new(values: Array3<f32>, spacing: Option<DVec3>, origin: Option<DVec3>, axes: Option<[DVec3; 3]>) -> Self {
+    fn new(spacing: Option<DVec3>, origin: Option<DVec3>, axes: Option<[DVec3; 3]>) -> Self {
         let mut oddities = Vec::new();
         let mut axes = axes.unwrap_or(STRAIGHT.to_cols_array_2d().map(DVec3::from));
         let spacing = spacing.map(|stated| {
@@ -395,7 +461,7 @@ impl VolumeFile {
         // Adding 0 turns -0 into 0.
         let [x, y, z] = axes.map(|axis| axis.normalize() + 0.0);
         let origin = origin.filter(|origin| origin.is_finite()).map(|origin| origin + 0.0);
-        let mut volume = Self { values, spacing, origin, oddities, ..Self::default() };
+        let mut volume = Self { spacing, origin, oddities, ..Self::default() };
         let directions = DMat3::from_cols(x, y, z);
         if !directions.is_finite() {
             volume.oddities.push("its axes have no directions; they are read as x, y and z".into());

@@ -54,15 +54,17 @@ impl NpySide {
         write_atomically(&Self::path(array), |file| Ok(serde_json::to_writer_pretty(file, &side)?))
     }
 
-    /// The volume of an array, with what a side file states if there is one.
-    pub(super) fn beside(array: &Path, volume: VolumeFile) -> Result<VolumeFile> {
+    /// What a side file states of an array of a shape, if there is one; without values.
+    pub(super) fn beside(array: &Path, shape: [usize; 3]) -> Result<VolumeFile> {
         let path = Self::path(array);
         let text = match crate::input::read(&path) {
             Ok(text) => text,
-            Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => return Ok(volume),
+            Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => {
+                return Ok(VolumeFile::default());
+            }
             Err(error) => return Err(Error::read(&path, error)),
         };
-        Self::parse(&text, &path)?.of(volume, &path)
+        Self::parse(&text, &path)?.of(shape, &path)
     }
 
     /// Parses the content of a side file; `path` names it in errors.
@@ -73,15 +75,14 @@ impl NpySide {
         serde_json::from_slice(&utf8(text)).map_err(|error| wrong(path, error.to_string()))
     }
 
-    fn of(&self, volume: VolumeFile, path: &Path) -> Result<VolumeFile> {
-        let shape: [usize; 3] = volume.values.dim().into();
+    fn of(&self, shape: [usize; 3], path: &Path) -> Result<VolumeFile> {
         if shape != self.shape {
             let remark = format!(
                 "{} describes an array of shape {:?}, not of {shape:?}: it is not read",
                 path.file_name().unwrap_or_default().to_string_lossy(),
                 self.shape
             );
-            return Ok(VolumeFile { oddities: vec![remark], ..volume });
+            return Ok(VolumeFile { oddities: vec![remark], ..VolumeFile::default() });
         }
         let unit = self.unit.as_deref().map(str::parse::<Unit>).transpose().map_err(|error| error.in_file(path))?;
         let is_length = |side: &f64| *side > 0.0 && side.is_finite();
@@ -93,7 +94,7 @@ impl NpySide {
             return Err(wrong(path, format!("{self:?}")));
         }
         let (spacing, origin) = (DVec3::from_array(self.spacing), DVec3::from_array(self.origin));
-        let placed = VolumeFile::new(volume.values, Some(spacing), Some(origin), axes);
+        let placed = VolumeFile::new(Some(spacing), Some(origin), axes);
         // Its directions are those of a scan, and nothing unusual.
         Ok(VolumeFile { unit, oddities: Vec::new(), ..placed })
     }

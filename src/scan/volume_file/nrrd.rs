@@ -1,9 +1,9 @@
 //! NRRD: "nearly raw raster data" of Teem and 3D Slicer.
 
-use super::detached::Source;
+use super::detached::{Described, Numbers, Skip, Source};
 use super::elements::{Element, Encoding, Layout, Number, Start};
-use super::header::{Header, converted, lossy, numbers, shown, surplus, three_axes, vector as plain_vector};
-use super::{Place, RAS, VolumeFile, damaged, unsupported};
+use super::header::{Header, converted, lossy, numbers, shown, three_axes, vector as plain_vector};
+use super::{Place, RAS, VolumeFile, unsupported};
 use crate::unit::Unit;
 use glam::DVec3;
 use std::path::Path;
@@ -106,7 +106,8 @@ fn skip(header: &Header<'_>, key: &str) -> Result<i64> {
     value.parse().ok().filter(|n| *n >= -1).ok_or_else(|| header.wrong(key, value, "a number from -1"))
 }
 
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+/// The volume whose header begins the content.
+pub(super) fn describe(content: &[u8], path: &Path) -> Result<Described> {
     let header = header_of(content, path)?;
     let mut oddities = Vec::new();
     let (Some(sides), Some(kind), Some(encoding)) = (header.get("sizes"), header.get("type"), header.get("encoding"))
@@ -127,14 +128,14 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
         _ => header.wrong("type", kind, "a type of one number"),
     })?;
     let (spacing, origin, directions, in_millimetres) = place(&header, axes, &mut oddities)?;
-    let voxels = read_numbers(&header, content, shape, number, encoding, &mut oddities)?;
+    let numbers = place_of_numbers(&header, content, shape, number, encoding, &mut oddities)?;
     for key in ["old min", "oldmin", "old max", "oldmax"].iter().filter(|key| header.get(key).is_some()) {
         oddities.push(format!("{key} states the values before quantisation; numbers are read as stored"));
     }
     let unknown = header.unknown(|key| KNOWN.contains(&key) || key.starts_with("old"));
-    let mut volume = VolumeFile::new(voxels.values, spacing, origin, directions).in_millimetres(in_millimetres);
-    volume.oddities.extend(oddities.into_iter().chain(unknown).chain(surplus(voxels.has_more)));
-    Ok(volume)
+    let mut volume = VolumeFile::new(spacing, origin, directions).in_millimetres(in_millimetres);
+    volume.oddities.extend(oddities.into_iter().chain(unknown));
+    Ok((volume, numbers))
 }
 
 /// Rejects axes that are not of space.
@@ -206,14 +207,14 @@ fn place(header: &Header<'_>, axes: usize, oddities: &mut Vec<String>) -> Result
 }
 
 /// The numbers after the header or in other files.
-fn read_numbers(
+fn place_of_numbers(
     header: &Header<'_>,
     content: &[u8],
     shape: [usize; 3],
     number: Number,
     encoding: &str,
     oddities: &mut Vec<String>,
-) -> Result<super::elements::Voxels> {
+) -> Result<Numbers> {
     const FILE: &str = "data file";
     let known = match encoding.to_lowercase().as_str() {
         "raw" => Encoding::Raw,
@@ -245,18 +246,11 @@ fn read_numbers(
         let (key, value) = if lines < 0 { ("line skip", lines) } else { ("byte skip", bytes) };
         return Err(header.wrong(key, &value.to_string(), "a number from 0"));
     }
+    let skip = Skip { lines: usize::try_from(lines).unwrap_or(usize::MAX), ..Skip::default() };
     // Lines are skipped before unpacking, bytes after it.
     let start = usize::try_from(bytes).map_or(Start::AtEnd, Start::After);
     let layout = Layout { element: Element { number, big_endian }, encoding: known, shape, start };
-    let skip_lines = |path: &Path, bytes: &[u8]| -> Result<usize> {
-        let mut at = 0;
-        for _ in 0..lines {
-            let line = bytes[at..].iter().position(|&byte| byte == b'\n');
-            at += line.ok_or_else(|| damaged(path, &format!("fewer than {lines} lines, which line skip states")))? + 1;
-        }
-        Ok(at)
-    };
-    source.read(header.path, FILE, content, layout, |bytes, path| Ok(&bytes[skip_lines(path, bytes)?..]), |x| x)
+    Ok(Numbers { source, key: FILE, layout, skip, scale: None })
 }
 
 pub(super) fn header(

@@ -70,8 +70,8 @@ impl Pages {
         let pages = Array3::from_shape_vec((self.count, rows, columns), self.values);
         let values = pages.expect("every page has the shape of the first").reversed_axes();
         let is_stated = self.in_millimetres && self.spacing.is_some();
-        let mut volume = VolumeFile::new(values, self.spacing, None, None).in_millimetres(is_stated);
+        let mut volume = VolumeFile::new(self.spacing, None, None).in_millimetres(is_stated);
         volume.oddities.extend(self.oddities);
-        volume
+        VolumeFile { values, ..volume }
     }
 }

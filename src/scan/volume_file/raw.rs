@@ -1,5 +1,6 @@
 //! Raw numbers, described by the file's name or by a side file.
 
+use super::detached::{Described, Numbers, whole};
 use super::elements::{Element, Encoding, Layout, Number, Start};
 use super::{VolumeFile, damaged};
 use crate::unit::Unit;
@@ -79,39 +80,42 @@ impl SideFile {
     /// # Errors
     /// [`Error::Format`] when the content has another length.
     pub fn volume(&self, content: &[u8], path: &Path) -> Result<VolumeFile> {
+        whole(self.describe(content.len(), path)?, content, path)
+    }
+
+    fn describe(&self, length: usize, path: &Path) -> Result<Described> {
         let number = Number::named(&self.kind).expect("checked when it was read");
         let element = Element { number, big_endian: self.byte_order == ByteOrder::Big };
         let [spacing, origin] = [self.spacing, self.origin].map(|vector| vector.map(DVec3::from_array));
         let unit = self.unit.as_deref().and_then(Unit::named);
-        Ok(VolumeFile { spacing, origin, unit, ..volume(content, self.skip_bytes, element, self.shape, path)? })
+        let numbers = numbers(length, self.skip_bytes, element, self.shape, path)?;
+        Ok((VolumeFile { spacing, origin, unit, ..VolumeFile::default() }, numbers))
     }
 }
 
-/// The volume in the content of a file, described by its side file, or else by its name.
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+/// The volume in a file of `length` bytes, described by its side file, or else by its name.
+pub(super) fn describe(length: usize, path: &Path) -> Result<Described> {
     let side_path = side_path(path);
     match crate::input::read(&side_path) {
-        Ok(text) => SideFile::parse(&text, &side_path)?.volume(content, path),
+        Ok(text) => SideFile::parse(&text, &side_path)?.describe(length, path),
         Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => {
             let (shape, element) = of_name(path)?;
-            volume(content, 0, element, shape, path)
+            Ok((VolumeFile::default(), numbers(length, 0, element, shape, path)?))
         }
         Err(error) => Err(Error::read(&side_path, error)),
     }
 }
 
-/// The volume in all numbers after `skip` bytes.
-fn volume(content: &[u8], skip: usize, element: Element, shape: [usize; 3], path: &Path) -> Result<VolumeFile> {
+/// All numbers after `skip` bytes.
+fn numbers(length: usize, skip: usize, element: Element, shape: [usize; 3], path: &Path) -> Result<Numbers> {
     let size = element.size(shape).map_err(|found| damaged(path, &found))?;
-    let numbers = content.get(skip..).unwrap_or_default();
-    if numbers.len() != size {
-        let got = format!("{} bytes after the first {skip}", numbers.len());
+    let found = length.saturating_sub(skip);
+    if found != size {
+        let got = format!("{found} bytes after the first {skip}");
         let remedy = "correct the size and type in the name or side file; skip_bytes of a side file skips a header";
         return Err(Error::format(path, "volume", got, format!("{size} bytes for shape {shape:?}"), remedy));
     }
-    let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(0) };
-    let voxels = layout.read(numbers, |x| x).map_err(|found| found.of(path))?;
-    Ok(VolumeFile::bare(voxels.values))
+    Ok(Numbers::here(skip, Layout { element, encoding: Encoding::Raw, shape, start: Start::After(0) }))
 }
 
 /// The path of the side file, `name.raw.json`.

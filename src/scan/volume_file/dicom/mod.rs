@@ -379,7 +379,8 @@ fn stack(fields: &Fields<'_>, frames: &[Fields<'_>], pixels: &Pixels<'_>) -> Res
     }
     let (rows, columns) = pixels.shape;
     let values = Array3::from_shape_vec((frames.len(), rows, columns), values).expect("every frame has this shape");
-    let mut volume = VolumeFile::new(values.reversed_axes(), spacing, None, None).in_millimetres(spacing.is_some());
+    let mut volume = VolumeFile::new(spacing, None, None).in_millimetres(spacing.is_some());
+    volume.values = values.reversed_axes();
     let apart = if spacing.is_some() && distance.is_none() { ", 1 mm apart" } else { "" };
     volume.oddities.push(format!(
         "its {} frames have no positions of their own: they are read in the order of the file{apart}",
@@ -453,8 +454,8 @@ fn assemble(mut slices: Vec<Slice>, folder: &Path) -> Result<VolumeFile> {
     let values = slices.into_iter().flat_map(|slice| slice.values).collect();
     let values =
         Array3::from_shape_vec((count, rows, columns), values).expect("every slice has the shape of the first");
-    let mut volume =
-        VolumeFile::new(values.reversed_axes(), Some(spacing), Some(origin), Some(axes)).in_millimetres(true);
+    let mut volume = VolumeFile::new(Some(spacing), Some(origin), Some(axes)).in_millimetres(true);
+    volume.values = values.reversed_axes();
     volume.oddities.extend(oddities);
     Ok(volume)
 }

@@ -5,19 +5,13 @@
 
 mod header;
 
+use super::detached::{Described, Numbers};
 use super::elements::{Element, Encoding, Layout, MOST_INFLATION, Number, Start, unpack};
-use super::header::{surplus, three_axes};
+use super::header::three_axes;
 use super::{Place, RAS, VolumeFile, damaged, unsupported};
-use crate::limit;
-use crate::output::write_atomically;
-use flate2::Compression;
 use flate2::read::MultiGzDecoder;
-use flate2::write::GzEncoder;
 use glam::{DMat3, DQuat, DVec3};
 use header::{Header, SMALLEST_OFFSET};
-use ndarray::{Array3, ArrayView2, Axis};
-use std::io::Write;
-use std::iter;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 
@@ -56,17 +50,14 @@ const OTHER_TYPES: [(i64, &str); 7] = [
     (2304, "colours"),
 ];
 
-pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
+/// The volume in a file of `length` bytes, whose content or beginning is given.
+pub(super) fn describe(content: &[u8], length: usize, path: &Path) -> Result<Described> {
     let is_packed = content.starts_with(&[0x1f, 0x8b]);
-    let first = |count: usize| {
-        if is_packed {
-            unpack(MultiGzDecoder::new(content), count)
-        } else {
-            Ok(content[..count.min(content.len())].into())
-        }
-    };
     let broken = |found: &str| damaged(path, found);
-    let head = first(SMALLEST_OFFSET[1]).map_err(|found| broken(&found))?;
+    let head = match is_packed {
+        true => unpack(MultiGzDecoder::new(content), SMALLEST_OFFSET[1]).map_err(|found| broken(&found))?,
+        false => content[..SMALLEST_OFFSET[1].min(content.len())].into(),
+    };
     let header = Header::parse(&head).map_err(|found| broken(&found))?;
     if !header.is_single {
         let remedy = "write it as one file .nii, for example with nibabel";
@@ -83,25 +74,21 @@ pub(super) fn parse(content: &[u8], path: &Path) -> Result<VolumeFile> {
     let start = start(&header, &mut oddities).ok_or_else(|| broken(&format!("vox_offset {}", header.vox_offset)))?;
     let element = Element { number: *number, big_endian: header.big_endian };
     let size = shape.iter().try_fold(*bytes, |product, &n| product.checked_mul(n)).unwrap_or(usize::MAX);
-    // A byte more shows whether there are more.
-    let total = start.saturating_add(size).saturating_add(1);
-    let most = if is_packed { content.len().saturating_mul(MOST_INFLATION) } else { content.len() };
-    if total - 1 > most {
-        return Err(broken(&format!("{} bytes for shape {shape:?} of {bytes} bytes each", content.len())));
+    let most = if is_packed { length.saturating_mul(MOST_INFLATION) } else { length };
+    if start.saturating_add(size) > most {
+        return Err(broken(&format!("{length} bytes for shape {shape:?} of {bytes} bytes each")));
     }
-    limit::allow(format!("volume of shape {shape:?}"), total as u64).map_err(|error| error.in_file(path))?;
-    let unpacked = if is_packed { Some(first(total).map_err(|found| broken(&found))?) } else { None };
-    let means = meaning(&header, &mut oddities);
-    let layout = Layout { element, encoding: Encoding::Raw, shape, start: Start::After(start) };
-    let voxels = layout.read(unpacked.as_deref().unwrap_or(content), means).map_err(|found| found.of(path))?;
+    let encoding = if is_packed { Encoding::Gzip } else { Encoding::Raw };
+    let layout = Layout { element, encoding, shape, start: Start::After(start) };
+    let numbers = Numbers { scale: scale(&header, &mut oddities), ..Numbers::here(0, layout) };
     if header.intent != 0 {
         oddities.push(format!("intent code {}: its numbers may not be attenuation", header.intent));
     }
     let (spacing, origin, axes) = place(&header, &mut oddities);
     let in_millimetres = (1..=3).contains(&(header.units & LENGTHS));
-    let mut volume = VolumeFile::new(voxels.values, Some(spacing), origin, axes).in_millimetres(in_millimetres);
-    volume.oddities.extend(oddities.into_iter().chain(surplus(voxels.has_more)));
-    Ok(volume)
+    let mut volume = VolumeFile::new(Some(spacing), origin, axes).in_millimetres(in_millimetres);
+    volume.oddities.extend(oddities);
+    Ok((volume, numbers))
 }
 
 fn shape(header: &Header, path: &Path) -> Result<[usize; 3]> {
@@ -126,14 +113,14 @@ fn start(header: &Header, oddities: &mut Vec<String>) -> Option<usize> {
     Some((stated as usize).max(smallest))
 }
 
-/// The value of a stored number.
-fn meaning(header: &Header, oddities: &mut Vec<String>) -> impl Fn(f64) -> f64 {
+/// Slope and offset of the values, if they are not the stored numbers.
+fn scale(header: &Header, oddities: &mut Vec<String>) -> Option<[f64; 2]> {
     let (slope, intercept) = (header.slope, header.intercept);
     let is_scaled = slope != 0.0 && slope.is_finite() && intercept.is_finite();
     if !is_scaled && (!slope.is_finite() || !intercept.is_finite() || intercept != 0.0) {
         oddities.push(format!("scl_slope {slope} and scl_inter {intercept} are not applied: numbers are as stored"));
     }
-    move |stored| if is_scaled { stored * slope + intercept } else { stored }
+    is_scaled.then_some([slope, intercept])
 }
 
 /// Spacing, centre of the first voxel and axes in ITK's coordinates, in millimetres.
@@ -191,9 +178,10 @@ fn place(header: &Header, oddities: &mut Vec<String>) -> (DVec3, Option<DVec3>, 
     (sides, None, None)
 }
 
-pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<()> {
-    let Place { spacing, origin, directions, in_millimetres } = place;
-    let sides = <[usize; 3]>::from(values.dim());
+pub(super) fn header(
+    sides: [usize; 3],
+    Place { spacing, origin, directions, in_millimetres }: Place,
+) -> Result<Vec<u8>> {
     let [x, y, z] = sides.map(|side| i16::try_from(side).ok());
     let (Some(x), Some(y), Some(z)) = (x, y, z) else {
         let expected = format!("at most {} voxels along each axis, as NIfTI-1 states", i16::MAX);
@@ -223,15 +211,5 @@ pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<(
     put(256, &singles(&[q.x, q.y, q.z, origin.x, origin.y, origin.z]));
     put(280, &singles(&[row(0), row(1), row(2)].concat()));
     put(344, b"n+1\0");
-    let is_packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
-    write_atomically(path, |out| {
-        let slice = |slice: ArrayView2<'_, f32>| singles(&slice.t().iter().copied().collect::<Vec<_>>());
-        let mut parts = iter::once(header.to_vec()).chain(values.axis_iter(Axis(2)).map(slice));
-        if !is_packed {
-            return parts.try_for_each(|part| out.write_all(&part));
-        }
-        let mut packer = GzEncoder::new(out, Compression::fast());
-        parts.try_for_each(|part| packer.write_all(&part))?;
-        packer.finish().map(|_| ())
-    })
+    Ok(header.to_vec())
 }

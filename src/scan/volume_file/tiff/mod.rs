@@ -11,12 +11,11 @@ mod rewrite;
 use super::elements::{Defect, Element, Encoding, Layout, Number, Start};
 use super::header::lossy;
 use super::pages::Pages;
-use super::{Place, VolumeFile, damaged, unsupported};
+use super::{EachSlice, Place, VolumeFile, damaged, unsupported};
 use crate::output::write_atomically;
 use description::Description;
 use directory::{Directory, Entry, Form};
 use glam::DVec3;
-use ndarray::{Array3, Axis};
 use std::io::{self, Cursor, Seek, Write};
 use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
@@ -311,48 +310,50 @@ fn follow_each_other(form: Form, content: &[u8], page: &Directory) -> bool {
     starts.len() == sizes.len() && ends.zip(starts.iter().skip(1)).all(|(end, next)| end == Some(*next))
 }
 
-/// Writes one single-precision page per z.
-/// Writes pages, with the spacing as ImageJ states it where it is in millimetres.
-pub(super) fn write(path: &Path, values: &Array3<f32>, place: Place) -> Result<()> {
+/// Writes one single-precision page per z, with the spacing as ImageJ states it where it is in millimetres.
+pub(super) fn write(path: &Path, shape: [usize; 3], place: Place, slices: &mut EachSlice<'_>) -> Result<()> {
     let spacing = place.in_millimetres.then_some(place.spacing);
-    let (columns, rows, _) = values.dim();
-    let sides = [columns, rows].map(u32::try_from);
+    let [x, y, _] = shape;
+    let sides = [x, y].map(u32::try_from);
     let [Ok(columns), Ok(rows)] = sides else {
-        return Err(Error::invalid("volume", format!("{:?}", values.dim()), "sides below 2^32", "take another format"));
+        let sides = (x, y, shape[2]);
+        return Err(Error::invalid("volume", format!("{sides:?}"), "sides below 2^32", "take another format"));
     };
+    let sides = [columns, rows];
     write_atomically(path, |file| {
-        let written = if 4 * values.len() > LARGE {
-            TiffEncoder::new_big(file).and_then(|encoder| write_pages(encoder, values, [columns, rows], spacing))
+        if 4 * shape.iter().product::<usize>() > LARGE {
+            let mut encoder = TiffEncoder::new_big(file).map_err(not_written)?;
+            slices(&mut |page| write_page(&mut encoder, page, sides, spacing).map_err(not_written))
         } else {
-            TiffEncoder::new(file).and_then(|encoder| write_pages(encoder, values, [columns, rows], spacing))
-        };
-        written.map_err(|error| match error {
-            TiffError::IoError(error) => error,
-            other => io::Error::other(other.to_string()),
-        })
+            let mut encoder = TiffEncoder::new(file).map_err(not_written)?;
+            slices(&mut |page| write_page(&mut encoder, page, sides, spacing).map_err(not_written))
+        }
     })
 }
 
-fn write_pages<W: Write + Seek, K: TiffKind>(
-    mut encoder: TiffEncoder<W, K>,
-    values: &Array3<f32>,
+fn not_written(error: TiffError) -> io::Error {
+    match error {
+        TiffError::IoError(error) => error,
+        other => io::Error::other(other.to_string()),
+    }
+}
+
+fn write_page<W: Write + Seek, K: TiffKind>(
+    encoder: &mut TiffEncoder<W, K>,
+    page: &[f32],
     [columns, rows]: [u32; 2],
     spacing: Option<DVec3>,
 ) -> TiffResult<()> {
-    for page in values.axis_iter(Axis(2)) {
-        let page: Vec<f32> = page.t().iter().copied().collect();
-        let mut image = encoder.new_image::<Gray32Float>(columns, rows)?;
-        if let Some(DVec3 { x, y, z }) = spacing {
-            // Without the number of images: where it is stated, ImageJ takes the pages for contiguous.
-            let description = format!("ImageJ=1.54f\nunit=mm\nspacing={z}\nloop=false\n");
-            image.encoder().write_tag(Tag::ImageDescription, description.as_str())?;
-            image.resolution_unit(ResolutionUnit::None);
-            image.x_resolution(per_unit(x));
-            image.y_resolution(per_unit(y));
-        }
-        image.write_data(&page)?;
+    let mut image = encoder.new_image::<Gray32Float>(columns, rows)?;
+    if let Some(DVec3 { x, y, z }) = spacing {
+        // Without the number of images: where it is stated, ImageJ takes the pages for contiguous.
+        let description = format!("ImageJ=1.54f\nunit=mm\nspacing={z}\nloop=false\n");
+        image.encoder().write_tag(Tag::ImageDescription, description.as_str())?;
+        image.resolution_unit(ResolutionUnit::None);
+        image.x_resolution(per_unit(x));
+        image.y_resolution(per_unit(y));
     }
-    Ok(())
+    image.write_data(page)
 }
 
 /// Pixels per unit of length, with as many bits as a fraction has.
