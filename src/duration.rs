@@ -2,7 +2,7 @@
 
 use crate::geometry::{Grid, Scanner, Trajectory};
 use crate::numeric::threads;
-use crate::primitives::{Parameters, Primitives};
+use crate::primitives::Primitives;
 use crate::projector::{Field, Kernels, Projection};
 use std::time::Instant;
 
@@ -49,16 +49,7 @@ pub fn seconds_to_project<R: Kernels>(
 pub fn sample(primitives: &Primitives) -> (Primitives, f64) {
     let all = &primitives.parameters;
     let step = all.len().div_ceil(SAMPLE).max(1);
-    fn every<T: Copy>(values: &[T], step: usize) -> Vec<T> {
-        values.iter().step_by(step).copied().collect()
-    }
-    let parameters = Parameters {
-        mean: every(&all.mean, step),
-        scale: every(&all.scale, step),
-        quaternion: every(&all.quaternion, step),
-        density: every(&all.density, step),
-        nu: every(&all.nu, step),
-    };
+    let parameters = all.select(&(0..all.len()).step_by(step).collect::<Vec<_>>());
     let factor = all.len() as f64 / parameters.len().max(1) as f64;
     (Primitives { kernel: primitives.kernel, parameters }, factor)
 }
@@ -71,7 +62,7 @@ fn workers() -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::primitives::KernelKind;
+    use crate::primitives::{KernelKind, Parameters};
 
     #[test]
     fn a_sample_stands_for_all_primitives_and_costs_grow_with_them() {

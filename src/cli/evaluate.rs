@@ -6,15 +6,13 @@ use clap::Args;
 use ndarray::Axis;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trgs::Result;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
 use trgs::geometry::{Grid, Volume};
 use trgs::reconstruction::{Evaluation, evaluate};
-use trgs::scan::model;
 use trgs::scan::volume_file::{self, Stored, VolumeFile};
-use trgs::scan::{Dataset, Frame};
-use trgs::words;
+use trgs::scan::{Dataset, Frame, model};
+use trgs::{Result, words};
 
 /// Compare a reconstruction with the truth and the test views of a dataset, or with a volume
 #[derive(Args)]

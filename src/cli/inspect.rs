@@ -13,13 +13,11 @@ use trgs::config::{Config, Method};
 use trgs::geometry::{Beam, Projections, Scanner, Volume};
 use trgs::primitives::{Group, KernelKind, Primitives};
 use trgs::provenance::Provenance;
-use trgs::scan::model;
 use trgs::scan::npy::{self, Npy, Numbers};
 use trgs::scan::npz::Npz;
 use trgs::scan::stack::RtkGeometry;
-use trgs::scan::trajectory;
 use trgs::scan::volume_file::NpySide;
-use trgs::scan::{Dataset, Frame, array_path, plausibility, volume_file};
+use trgs::scan::{Dataset, Frame, array_path, model, plausibility, trajectory, volume_file};
 use trgs::words::{counted, verb};
 use trgs::{Error, Result};
 

@@ -16,7 +16,6 @@ use std::time::Instant;
 use trgs::config::{Config, Method, Plan, Precision, Preset, Sampling, Start};
 use trgs::evaluation::Metrics;
 use trgs::geometry::Volume;
-use trgs::input;
 use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind};
@@ -26,8 +25,7 @@ use trgs::scan::Dataset;
 use trgs::scan::dataset::DatasetInfo;
 use trgs::scan::plausibility::{self, AnglesFrom};
 use trgs::train::{Decision, primitives_of_model};
-use trgs::words;
-use trgs::{Error, Result, Setting, Text, limit};
+use trgs::{Error, Result, Setting, Text, input, limit, words};
 
 /// Largest number of passes that --auto may choose, in units of the method's default.
 const AUTO: usize = 10;
@@ -80,7 +78,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = positive)]
     points: Option<usize>,
     /// Projection of primitives: exact, or affine as in the paper
-    #[arg(long, value_parser = choice(&[Projection::Exact, Projection::Affine]))]
+    #[arg(long, value_parser = choice(&Projection::ALL))]
     projection: Option<Projection>,
     /// Arithmetic of the pixel kernels
     #[arg(long, value_parser = choice(&Precision::ALL))]

@@ -14,12 +14,10 @@ use trgs::duration::seconds_to_project;
 use trgs::numeric::Real;
 use trgs::primitives::{Parameters, Primitives};
 use trgs::projector::{Field, Kernels, Projection, forward_seen, vjp};
-use trgs::scan::model;
-use trgs::scan::npy;
 use trgs::scan::npy::Element;
-use trgs::words;
+use trgs::scan::{model, npy};
 use trgs::words::counted;
-use trgs::{Error, Result, limit};
+use trgs::{Error, Result, limit, words};
 
 /// The cutoff that makes sampling fast.
 pub(super) const FAST_CUTOFF: f64 = 1e-3;
@@ -41,7 +39,7 @@ pub(super) struct Render {
     #[command(flatten)]
     views: ViewArgs,
     /// Projection of primitives: exact, or affine as in the paper
-    #[arg(long, default_value = "exact", value_parser = choice(&[Projection::Exact, Projection::Affine]))]
+    #[arg(long, default_value = "exact", value_parser = choice(&Projection::ALL))]
     projection: Projection,
     /// File to write: projections [view, v, u]
     #[arg(long, value_name = "FILE.npy", required_unless_present = "explain")]

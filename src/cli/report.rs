@@ -11,13 +11,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use trgs::config::Config;
 use trgs::evaluation::Metrics;
-use trgs::input;
 use trgs::output::{check_file, write_atomically};
 use trgs::report::{Method, Report as Page, render};
 use trgs::scan::Frame;
 use trgs::scan::volume_file::{self, VolumeFile};
-use trgs::words;
-use trgs::{Error, Result};
+use trgs::{Error, Result, input, words};
 
 /// Rewrite the pages of tables from the cells finished so far, or show runs side by side
 #[derive(Args)]

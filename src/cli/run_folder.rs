@@ -23,9 +23,8 @@ use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
 use trgs::report::agreement::{Agreement, Figures};
 use trgs::report::viewer::Scene;
 use trgs::report::{self, Curve, Report};
-use trgs::scan::model;
 use trgs::scan::volume_file::NpySide;
-use trgs::scan::{Dataset, npy};
+use trgs::scan::{Dataset, model, npy};
 use trgs::train::Record;
 use trgs::words::{self, counted};
 use trgs::{Error, Result};
@@ -282,38 +281,36 @@ impl RunFolder {
 
 /// Losses or residuals over the iterations.
 fn curves(outcome: &Outcome) -> [Curve<'static>; 7] {
-    let curve = |name, value: fn(&Record) -> f64| Curve {
-        name,
-        points: outcome.log.iter().map(|record| (record.iteration as f64, value(record))).collect(),
-    };
-    let passes = outcome.passes.iter().map(|TimedPass { pass, .. }| (pass.iteration as f64, pass.residual));
-    let of_passes = |name, value: fn(&Pass) -> Option<f64>| Curve {
-        name,
-        points: (outcome.passes.iter())
-            .filter_map(|TimedPass { pass, .. }| Some((pass.iteration as f64, value(pass)?)))
-            .collect(),
-    };
+    let loss = |name, value| curve(name, &outcome.log, |record| record.iteration, value);
+    let of_passes = |name, value| curve(name, &outcome.passes, |timed| timed.pass.iteration, value);
     [
-        curve("total", |r| r.loss),
-        curve("L1", |r| r.l1),
-        curve("1-SSIM", |r| r.d_ssim),
-        curve("TV", |r| r.tv),
-        Curve { name: "residual", points: passes.collect() },
-        of_passes("objective", |pass| pass.objective),
-        of_passes("step", |pass| pass.change),
+        loss("total", |r| Some(r.loss)),
+        loss("L1", |r| Some(r.l1)),
+        loss("1-SSIM", |r| Some(r.d_ssim)),
+        loss("TV", |r| Some(r.tv)),
+        of_passes("residual", |timed| Some(timed.pass.residual)),
+        of_passes("objective", |timed| timed.pass.objective),
+        of_passes("step", |timed| timed.pass.change),
     ]
+}
+
+/// A value over the iterations, of the items that have it.
+fn curve<T>(
+    name: &'static str,
+    items: &[T],
+    iteration: fn(&T) -> usize,
+    value: fn(&T) -> Option<f64>,
+) -> Curve<'static> {
+    Curve { name, points: items.iter().filter_map(|item| Some((iteration(item) as f64, value(item)?))).collect() }
 }
 
 /// Number of the primitives, mean ν and mean confidence over the iterations.
 fn population(log: &[Record]) -> Vec<Curve<'static>> {
-    let curve = |name, value: fn(&Record) -> Option<f64>| Curve {
-        name,
-        points: log.iter().filter_map(|record| Some((record.iteration as f64, value(record)?))).collect(),
-    };
+    let of = |name, value| curve(name, log, |record: &Record| record.iteration, value);
     vec![
-        curve("primitives", |record| Some(record.primitives as f64)),
-        curve("mean ν", |record| record.mean_nu),
-        curve("mean c", |record| record.confidence),
+        of("primitives", |record| Some(record.primitives as f64)),
+        of("mean ν", |record| record.mean_nu),
+        of("mean c", |record| record.confidence),
     ]
 }
 

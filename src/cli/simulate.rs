@@ -10,11 +10,9 @@ use trgs::classical::RayModel;
 use trgs::geometry::{Beam, Detector, Grid, Scanner, Volume};
 use trgs::output::{Destination, Kind};
 use trgs::scan::chain::PARTS;
-use trgs::scan::hounsfield;
 use trgs::scan::phantom::{Group, PHANTOMS};
 use trgs::scan::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
-use trgs::scan::volume_file;
-use trgs::scan::{Chain, Dataset, Frame, Noise, Phantom};
+use trgs::scan::{Chain, Dataset, Frame, Noise, Phantom, hounsfield, volume_file};
 use trgs::{Error, Result};
 
 /// Simulate a scan of a phantom or a volume and write the dataset

@@ -15,8 +15,7 @@ use trgs::config::Method;
 use trgs::experiments::{self, Case, Cell, Done, Judged, Matching, NAMES, Predictions, Scale, Store, Summary};
 use trgs::numeric::threads;
 use trgs::output::{Destination, Kind, SharedFolder};
-use trgs::words;
-use trgs::{Error, Result, limit};
+use trgs::{Error, Result, limit, words};
 
 /// File with the arguments of a table, so that its page can be rewritten.
 const REQUESTS: &str = "tables.json";

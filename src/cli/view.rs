@@ -22,8 +22,7 @@ use trgs::reconstruction::reproject;
 use trgs::report::viewer::{Depth, Scene, page};
 use trgs::scan::volume_file::{self, VolumeFile};
 use trgs::scan::{Dataset, Frame, stack};
-use trgs::words;
-use trgs::{Error, Result};
+use trgs::{Error, Result, words};
 
 /// Write a page that shows volumes, runs and scans: planes, window, profile, comparison
 #[derive(Args)]

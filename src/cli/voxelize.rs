@@ -19,9 +19,8 @@ use trgs::projector::{Field, Kernels, voxelize_vjp};
 use trgs::scan::dataset::read_scanner;
 use trgs::scan::model;
 use trgs::scan::npy::{self, Element};
-use trgs::words;
 use trgs::words::counted;
-use trgs::{Result, limit};
+use trgs::{Result, limit, words};
 
 /// Sample a model on a grid, and compute the gradient of a function of the volume
 #[derive(Args)]

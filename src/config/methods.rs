@@ -1,8 +1,8 @@
 //! The defaults of each method, and what the parts of the library are told.
 
 use super::{
-    AlgebraicConfig, AsdPocsConfig, Config, DensityControl, Finish, Method, NeuralConfig, NeuralOutput,
-    PositionOptimiser, Preset, TvConfig, VoxelPartner,
+    AsdPocsConfig, Config, DensityControl, Finish, Method, NeuralOutput, PositionOptimiser, Preset, TvConfig,
+    VoxelPartner,
 };
 use crate::classical::algebraic::{AsdPocsSettings, SartSettings, TvSettings};
 use crate::neural::NeuralSettings;
@@ -55,20 +55,17 @@ impl Config {
 
     /// The settings of SART.
     pub fn sart(&self) -> SartSettings {
-        let AlgebraicConfig {
-            relaxation, reduction, constant_relaxation, subset, order, non_negative, tolerance, ..
-        } = self.algebraic;
-        let (iterations, seed) = (self.iterations, self.seed);
+        let a = &self.algebraic;
         SartSettings {
-            iterations,
-            relaxation,
-            reduction,
-            constant_relaxation,
-            subset,
-            order,
-            non_negative,
-            tolerance,
-            seed,
+            iterations: self.iterations,
+            relaxation: a.relaxation,
+            reduction: a.reduction,
+            constant_relaxation: a.constant_relaxation,
+            subset: a.subset,
+            order: a.order,
+            non_negative: a.non_negative,
+            tolerance: a.tolerance,
+            seed: self.seed,
         }
     }
 
@@ -83,41 +80,23 @@ impl Config {
     /// # Panics
     /// When the method has none.
     pub fn neural(&self) -> NeuralSettings {
-        let NeuralConfig {
-            levels,
-            table,
-            samples,
-            rays,
-            air,
-            windows,
-            window,
-            table_rate,
-            network_rate,
-            drop,
-            output,
-            ceiling,
-            partner,
-        } = self.neural;
-        let kind = self.method.network().expect("a method with a network");
-        let (iterations, seed) = (self.iterations, self.seed);
-        let drop = drop.or(iterations);
-        let is_bounded = output == NeuralOutput::Sigmoid;
+        let n = &self.neural;
         NeuralSettings {
-            kind,
-            iterations,
-            levels,
-            table,
-            samples,
-            rays,
-            sees_air: air,
-            windows,
-            window,
-            rate: [table_rate, network_rate],
-            drop,
-            is_bounded,
-            ceiling,
-            pairs_neighbours: partner == VoxelPartner::Neighbour,
-            seed,
+            kind: self.method.network().expect("a method with a network"),
+            iterations: self.iterations,
+            levels: n.levels,
+            table: n.table,
+            samples: n.samples,
+            rays: n.rays,
+            sees_air: n.air,
+            windows: n.windows,
+            window: n.window,
+            rate: [n.table_rate, n.network_rate],
+            drop: n.drop.or(self.iterations),
+            is_bounded: n.output == NeuralOutput::Sigmoid,
+            ceiling: n.ceiling,
+            pairs_neighbours: n.partner == VoxelPartner::Neighbour,
+            seed: self.seed,
         }
     }
 

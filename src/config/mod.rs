@@ -173,21 +173,6 @@ impl WaveletConfig {
 }
 
 impl Method {
-    /// All methods.
-    pub const ALL: [Self; 11] = [
-        Self::TrGs,
-        Self::R2Gaussian,
-        Self::Fdk,
-        Self::Sart,
-        Self::OsSart,
-        Self::AsdPocs,
-        Self::Cgls,
-        Self::Tv,
-        Self::Naf,
-        Self::SaxNerf,
-        Self::Intratomo,
-    ];
-
     /// The name in the literature.
     pub fn title(self) -> &'static str {
         match self {
@@ -224,9 +209,4 @@ impl Method {
     pub fn fits_primitives(self) -> bool {
         matches!(self, Self::TrGs | Self::R2Gaussian)
     }
-}
-
-impl Preset {
-    /// All presets.
-    pub const ALL: [Self; 3] = [Self::R2Gaussian, Self::SaxNerf, Self::Paper];
 }

@@ -128,6 +128,17 @@ impl Error {
         }
     }
 
+    /// Puts the part that the value belongs to before its name in an [`Error::Invalid`].
+    #[must_use]
+    pub fn within(self, part: impl fmt::Display) -> Self {
+        match self {
+            Self::Invalid { what, got, expected, remedy } => {
+                Self::Invalid { what: Text::from(format!("{part}: ")) + what, got, expected, remedy }
+            }
+            other => other,
+        }
+    }
+
     /// Builds an [`Error::Memory`] for `needed` bytes; the remedy is a higher limit.
     pub fn memory(what: impl Into<Text>, got: impl ToString, limit: u64, needed: u64) -> Self {
         const GIGABYTE: u64 = 1_000_000_000;

@@ -11,12 +11,17 @@ pub trait Described {
     fn description(&self) -> &'static str;
 }
 
-/// Declares an enum without fields whose variants have their documentation at run time: [`Described`].
+/// Declares an enum without fields with a list of its variants, which have their documentation at run time: [`Described`].
 #[macro_export]
 macro_rules! described {
     ($(#[$outer:meta])* pub enum $name:ident { $($(#[doc = $docs:literal])+ $variant:ident,)+ }) => {
         $(#[$outer])*
         pub enum $name { $($(#[doc = $docs])+ $variant,)+ }
+
+        impl $name {
+            /// All of them, in the order of their declaration.
+            pub const ALL: [Self; [$(Self::$variant),+].len()] = [$(Self::$variant),+];
+        }
 
         impl $crate::words::Described for $name {
             fn description(&self) -> &'static str {

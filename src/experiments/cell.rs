@@ -91,40 +91,26 @@ impl Table {
         level: &str,
         seed: u64,
     ) -> Option<Cell> {
-        let config = row.config(self.basis, &self.set)?;
-        Cell::new(config, case, scale, views, level, seed, self.conditions())
-    }
-}
-
-impl Cell {
-    /// A cell with a configuration; `None` if the case has other noise than the one asked for.
-    fn new(
-        mut config: Config,
-        case: &Case,
-        scale: Scale,
-        views: usize,
-        level: &str,
-        seed: u64,
-        conditions: Conditions,
-    ) -> Option<Self> {
+        let mut config = row.config(self.basis, &self.set)?;
         if !case.takes_noise() && level != "low" {
             return None;
         }
         config.seed = seed;
-        let scan = Self::scan_key(case, scale, views, level, seed, conditions);
-        let settings = serde_json::to_string(&config).expect("a configuration has string keys");
+        let (case, noise, conditions) = (case.clone(), level.into(), self.conditions());
+        let mut cell = Cell { id: String::new(), case, views, noise, seed, scale, conditions, config };
+        let settings = serde_json::to_string(&cell.config).expect("a configuration has string keys");
         let program = commit().unwrap_or(env!("CARGO_PKG_VERSION"));
-        let id = digest_bytes(format!("{program}\n{scan}\n{settings}").as_bytes())[..ID_DIGITS].to_owned();
-        Some(Self { id, case: case.clone(), views, noise: level.into(), seed, scale, conditions, config })
+        let known = format!("{program}\n{}\n{settings}", cell.scan_id());
+        cell.id = digest_bytes(known.as_bytes())[..ID_DIGITS].to_owned();
+        Some(cell)
     }
+}
 
-    fn scan_key(case: &Case, scale: Scale, views: usize, level: &str, seed: u64, conditions: Conditions) -> String {
-        format!("{} {scale:?} {views} {level} {seed} {conditions:?}", case.digest)
-    }
-
+impl Cell {
     /// Id of the scan; equal for cells of the same scan.
     pub(super) fn scan_id(&self) -> String {
-        Self::scan_key(&self.case, self.scale, self.views, &self.noise, self.seed, self.conditions)
+        let Self { case, scale, views, noise, seed, conditions, .. } = self;
+        format!("{} {scale:?} {views} {noise} {seed} {conditions:?}", case.digest)
     }
 
     /// A short description for display.

@@ -134,55 +134,29 @@ impl Summary {
 
     /// CSV with one line per block, row and metric; rows with unfinished cells have no figures of ours.
     pub fn csv(&self) -> String {
-        let header = [
-            "views",
-            "noise",
-            "row",
-            "metric",
-            "ours",
-            "low",
-            "high",
-            "difference",
-            "difference_low",
-            "difference_high",
-            "paper",
-        ];
-        let mut lines = vec![header.map(str::to_owned)];
+        let header = "views noise row metric ours low high difference difference_low difference_high paper";
+        let mut lines = vec![header.split(' ').map(str::to_owned).collect()];
         self.for_each(|block, row, metric, figure| {
             let plain = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.6}"));
             let ends = |estimate: Option<Estimate>| {
                 let interval = estimate.and_then(|estimate| estimate.interval);
                 [estimate.map(|e| e.mean), interval.map(|i| i.0), interval.map(|i| i.1)].map(plain)
             };
-            let [ours, low, high] = ends(figure.complete());
-            let [difference, difference_low, difference_high] = ends(figure.difference);
             let paper = number(figure.paper, metric).replace('–', "");
-            let (views, noise) = (block.views.to_string(), block.noise.clone());
-            lines.push([
-                views,
-                noise,
-                row.into(),
-                metric.into(),
-                ours,
-                low,
-                high,
-                difference,
-                difference_low,
-                difference_high,
-                paper,
-            ]);
+            let names = [block.views.to_string(), block.noise.clone(), row.into(), metric.into()];
+            lines.push([&names[..], &ends(figure.complete()), &ends(figure.difference), &[paper]].concat());
         });
         written(&lines)
     }
 
     /// CSV with one line per block, row, metric and case: means over seeds.
     pub fn cases_csv(&self) -> String {
-        let mut lines = vec![["views", "noise", "row", "metric", "case", "ours"].map(str::to_owned)];
+        let mut lines = vec![["views", "noise", "row", "metric", "case", "ours"].map(str::to_owned).into()];
         let mut add = |block: &Block, row: &str, metric: &str, by_case: &[Option<f64>]| {
             for (case, value) in self.cases.iter().zip(by_case) {
                 if let Some(value) = value {
                     let (views, noise) = (block.views.to_string(), block.noise.clone());
-                    lines.push([views, noise, row.into(), metric.into(), case.clone(), format!("{value:.6}")]);
+                    lines.push(vec![views, noise, row.into(), metric.into(), case.clone(), format!("{value:.6}")]);
                 }
             }
         };
@@ -217,13 +191,7 @@ impl Summary {
             for (row, figures) in self.table.rows.iter().zip(&block.figures) {
                 let _ = write!(text, "| {} |", row.name);
                 for (metric, figure) in self.table.metrics.iter().zip(figures) {
-                    let ours = ours(figure, metric);
-                    let ours = match figure.rank {
-                        Some(1) => format!("**{ours}**"),
-                        Some(2) => format!("*{ours}*"),
-                        Some(3) => format!("<u>{ours}</u>"),
-                        _ => ours,
-                    };
+                    let ours = marked(ours(figure, metric), figure.rank, [["**", "**"], ["*", "*"], ["<u>", "</u>"]]);
                     let difference = figure.difference.map_or(String::new(), |d| with_interval(Some(d), metric, true));
                     let _ = write!(text, " {ours} | {difference} | {} |", number(figure.paper, metric));
                 }
@@ -256,12 +224,8 @@ impl Summary {
                 text += &escaped(&row.name);
                 for (metric, figure) in self.table.metrics.iter().zip(figures) {
                     let ours = number(figure.complete().map(|estimate| estimate.mean), metric).replace('–', "--");
-                    let ours = match figure.rank {
-                        Some(1) => format!("\\textbf{{{ours}}}"),
-                        Some(2) => format!("\\underline{{{ours}}}"),
-                        Some(3) => format!("\\textit{{{ours}}}"),
-                        _ => ours,
-                    };
+                    let ours =
+                        marked(ours, figure.rank, ["\\textbf{", "\\underline{", "\\textit{"].map(|open| [open, "}"]));
                     let _ = write!(text, " & {ours} & {}", number(figure.paper, metric).replace('–', "--"));
                 }
                 text += " \\\\\n";
@@ -286,17 +250,25 @@ impl Summary {
     }
 }
 
+/// A text between the marks of its rank, which counts from 1.
+fn marked(text: String, rank: Option<usize>, marks: [[&str; 2]; 3]) -> String {
+    match rank.and_then(|rank| marks.get(rank - 1)) {
+        Some([open, close]) => format!("{open}{text}{close}"),
+        None => text,
+    }
+}
+
 /// A cell that no spreadsheet takes for a formula: the name of a file may begin like one. Numbers stay.
 fn harmless(cell: &str) -> String {
     let begins = cell.starts_with(['=', '+', '-', '@', '\t', '\r']);
     if begins && cell.parse::<f64>().is_err() { format!("'{cell}") } else { cell.into() }
 }
 
-fn written<const N: usize>(lines: &[[String; N]]) -> String {
+fn written(lines: &[Vec<String>]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     lines
         .iter()
-        .for_each(|line| writer.write_record(line.each_ref().map(|cell| harmless(cell))).expect("memory takes all"));
+        .for_each(|line| writer.write_record(line.iter().map(|cell| harmless(cell))).expect("memory takes all"));
     String::from_utf8(writer.into_inner().expect("memory takes all")).expect("text")
 }
 
@@ -324,6 +296,6 @@ mod tests {
     #[test]
     fn no_name_is_a_formula_and_numbers_stay() {
         let line = ["=1+1", "+x", "-x", "@x", "-1.5", "+2e3", "a=b", ""].map(String::from);
-        assert_eq!(written(&[line]), "'=1+1,'+x,'-x,'@x,-1.5,+2e3,a=b,\n");
+        assert_eq!(written(&[line.into()]), "'=1+1,'+x,'-x,'@x,-1.5,+2e3,a=b,\n");
     }
 }

@@ -1,22 +1,17 @@
 //! This program's own answers in both precisions: stage name → function that computes it.
 
-use super::iteration;
 use super::manifest::Case;
-use super::networks;
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
-use super::population;
 use super::question::Question;
-use super::recycling;
-use super::run;
+use super::{iteration, networks, population, recycling, run};
 use ndarray::{Array1, Array2, Array3, Array4, Axis, Ix1, Ix2, Ix3};
 use rand::Rng;
 use std::path::Path;
 use trgs_core::confidence::{Coverage, Settings, nu_loss, nu_target};
 use trgs_core::error::{Error, Result};
 use trgs_core::loss::{Ssim, SsimTarget, image_loss, l1::l1, tv::tv};
-use trgs_core::numeric::Precision;
 use trgs_core::numeric::rng::{self, Purpose};
-use trgs_core::numeric::{Real, real};
+use trgs_core::numeric::{Precision, Real, real};
 use trgs_core::optim::{Adam, Exponential, sghmc};
 use trgs_core::primitives::{Parameters, Primitives, student_t};
 use trgs_core::projector::{self, Field, Kernels};
@@ -285,15 +280,8 @@ fn projected_kernels<R: Kernels>(q: &Question) -> Result<Array4<f64>> {
     let all = q.primitives()?;
     let images: Vec<Array3<f64>> = (0..all.len())
         .map(|i| {
-            let p = &all.parameters;
-            let alone = Parameters {
-                mean: vec![p.mean[i]],
-                scale: vec![p.scale[i]],
-                quaternion: vec![p.quaternion[i]],
-                density: vec![p.density[i]],
-                nu: vec![p.nu[i]],
-            };
-            image::<R>(q, &Primitives { kernel: all.kernel, parameters: alone }, 0.0)
+            let alone = Primitives { kernel: all.kernel, parameters: all.parameters.select(&[i]) };
+            image::<R>(q, &alone, 0.0)
         })
         .collect::<Result<_>>()?;
     let views: Vec<_> = images.iter().map(|image| image.view()).collect();

@@ -24,9 +24,6 @@ described! {
 }
 
 impl Format {
-    /// All formats.
-    pub const ALL: [Self; 6] = [Self::F64, Self::F32, Self::F16, Self::Bf16, Self::Tf32, Self::F16F32];
-
     /// Its name in files, flags and reports.
     pub fn name(self) -> &'static str {
         match self {

@@ -2,6 +2,7 @@
 //! output, so that the first wrong one is named. Its questions are written by `trgs oracle trace`.
 
 use super::outputs::{Outputs, one, parameters};
+use super::population::rows;
 use super::question::Question;
 use ndarray::{Array1, Array2, ArrayView2, Ix2};
 use trgs_core::confidence::nu_loss;
@@ -170,8 +171,4 @@ fn sample(
     let mut sampler = Sghmc::continued(momentum, done > burn_in);
     sampler.step(centres, direction, rate, phase, noise_for);
     Ok(sampler.momentum().to_vec())
-}
-
-fn rows(array: &Array2<f64>) -> Vec<[f64; 3]> {
-    array.outer_iter().map(|row| [row[0], row[1], row[2]]).collect()
 }

@@ -41,11 +41,6 @@ described! {
     }
 }
 
-impl Level {
-    /// All levels, from the least.
-    pub const ALL: [Self; 4] = [Self::Core, Self::Optional, Self::Stress, Self::Large];
-}
-
 /// A file of the conformance vectors.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRef {

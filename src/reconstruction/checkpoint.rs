@@ -184,10 +184,7 @@ impl VoxelCheckpoint<'_> {
     }
 
     fn config(&self) -> Result<Config> {
-        Config::from_toml(&self.config).map_err(|message| {
-            let remedy = "use the version of trgs that wrote it";
-            Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
-        })
+        train::config_of(&self.config)
     }
 
     /// Rejects what no run has, as far as it does not depend on the dataset: the method checks its numbers and arrays.
@@ -241,10 +238,7 @@ impl VoxelCheckpoint<'_> {
     }
 
     fn check_data(&self, dataset: &Dataset) -> Result<()> {
-        if self.data != digest(dataset) {
-            return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
-        }
-        Ok(())
+        train::check_digest(&self.data, &digest(dataset))
     }
 }
 

@@ -1,12 +1,12 @@
 //! The first steps of a network's training with all that they rest on, for programs that repeat them.
 
-use super::voxels::chosen_unit;
 use crate::config::{Config, Plan, Precision};
 use crate::error::{Error, Result};
 use crate::limit;
 use crate::neural::{Batch, NeuralRun};
 use crate::numeric::Real;
 use crate::scan::Dataset;
+use crate::train::unit_of;
 use ndarray::ArrayD;
 
 /// Steps of a network's training.
@@ -36,7 +36,7 @@ pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result
         return Err(Error::invalid("method", got, "naf, sax-nerf or intratomo", "name one of them"));
     }
     let config = config.plan(&dataset.scanner, dataset.train.len())?;
-    let unit = chosen_unit(dataset, config.density_unit)?;
+    let unit = unit_of(dataset, &config)?;
     match config.precision {
         Precision::F32 => steps::<f32>(dataset, config, count, unit),
         Precision::F64 => steps::<f64>(dataset, config, count, unit),

@@ -2,17 +2,18 @@
 
 use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint, chooses};
 use super::{Observe, Progress};
+use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{
     AsdPocsRun, AsdPocsSettings, CglsRun, Choice, Passes, SartRun, Trial, TvRun, TvSettings, VoxelRun, VoxelState,
     choose_passes, choose_weight,
 };
-use crate::classical::{VoxelProjector, density_unit};
-use crate::config::{Auto, Config, Method, Plan};
+use crate::config::{Config, Method, Plan};
 use crate::error::{Error, Result, start_again};
 use crate::geometry::Volume;
 use crate::neural::NeuralRun;
 use crate::numeric::Real;
 use crate::scan::Dataset;
+use crate::train::unit_of;
 
 /// What an iterative method found.
 pub(super) struct Found {
@@ -31,10 +32,8 @@ pub(super) fn iterate<R: Real>(
     observe: &mut Observe<'_>,
 ) -> Result<Found> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
-    let unit = match (config.method, config.density_unit) {
-        (method, unit) if method == Method::AsdPocs || method.is_network() => Some(chosen_unit(dataset, unit)?),
-        _ => None,
-    };
+    let has_unit = config.method == Method::AsdPocs || config.method.is_network();
+    let unit = has_unit.then(|| unit_of(dataset, config)).transpose()?;
     // The state of volumes in slabs is in no checkpoint.
     let in_memory = config.division().slabs == 1;
     let (file, from) = checkpoints.map_or((None, None), |c| (in_memory.then_some(c.file), c.from));
@@ -99,14 +98,6 @@ fn choose<R: Real>(
         _ => Passes::Sart(config.sart()),
     };
     choose_passes::<R>(projector, &dataset.train, passes, &mut watch).map(Some)
-}
-
-/// The density that counts as 1.
-pub(super) fn chosen_unit(dataset: &Dataset, unit: Auto<f64>) -> Result<f64> {
-    match unit {
-        Auto::Auto => density_unit(&dataset.scanner, &dataset.train),
-        Auto::Fixed(unit) => Ok(unit),
-    }
 }
 
 /// A run with what was chosen, from the beginning or from a state.

@@ -30,7 +30,7 @@ use rand_distr::{Distribution, Poisson, StandardNormal};
 use std::fmt;
 use std::str::FromStr;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Beam, Detector, Projections, Scanner, Volume};
+use trgs_core::geometry::{Detector, Projections, Scanner, Volume};
 use trgs_core::numeric::elementary::{exp, exp2, log};
 use trgs_core::numeric::rng::{Purpose, stream};
 use trgs_core::numeric::threads;
@@ -112,11 +112,7 @@ impl Default for Chain {
 impl Chain {
     /// The shift of source and detector along u that moves the axis in the image by [`Self::axis`] pixels, scene units.
     pub(super) fn axis_shift(&self, scanner: &Scanner) -> f64 {
-        let magnification = match scanner.beam {
-            Beam::Cone { dso, dsd } => dsd / dso,
-            Beam::Parallel { .. } => 1.0,
-        };
-        self.axis * scanner.detector.pitch_u / magnification
+        self.axis * scanner.detector.pitch_u / scanner.beam.magnification()
     }
 
     /// The bone-like part of a volume; `None` if it is attenuated as water is.

@@ -8,8 +8,7 @@ use super::pixels::{WrongPixels, interpolate};
 use ndarray::{Array2, Axis};
 use std::str::FromStr;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::Scanner;
+use trgs_core::geometry::{Projections, Scanner};
 use trgs_core::setting::Setting;
 use trgs_core::words::counted;
 

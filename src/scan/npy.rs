@@ -4,9 +4,8 @@
 //! integers and booleans, in C or Fortran order. Sizes are checked against the length of the file before memory is
 //! allocated, so a damaged header cannot request more than the file holds.
 
-use crate::input;
-use crate::limit;
 use crate::output::write_atomically;
+use crate::{input, limit};
 use ndarray::{Array, ArrayD, ArrayView, Dimension, IxDyn, Shape, ShapeBuilder, ShapeError};
 use npyz::{DType, Deserialize, NpyHeader, NpyWriter, Order, TypeRead, WriteOptions, WriterBuilder};
 use std::io::{self, BufReader, Read, Write};

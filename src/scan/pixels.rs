@@ -21,8 +21,7 @@
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 use serde::Serialize;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::{Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Scanner, Trajectory};
 use trgs_core::numeric::elementary::{exp, log};
 use trgs_core::numeric::rank::{ONE_SIGMA, median, quantile};
 use trgs_core::numeric::threads;

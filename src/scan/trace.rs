@@ -2,8 +2,7 @@
 
 use ndarray::Array3;
 use trgs_core::error::Result;
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::{Ray, Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Ray, Scanner, Trajectory};
 use trgs_core::numeric::threads;
 
 /// Projections in the views of a trajectory; each pixel is the `integral` along its ray.

@@ -8,8 +8,7 @@ use super::trace::trace;
 use glam::DVec3;
 use ndarray::Array3;
 use trgs_core::error::Result;
-use trgs_core::geometry::{Projections, Volume};
-use trgs_core::geometry::{Ray, Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Ray, Scanner, Trajectory, Volume};
 
 /// Exact projections of a volume in the views of a trajectory, one ray through the centre of each pixel.
 ///

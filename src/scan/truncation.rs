@@ -15,8 +15,7 @@ use super::borders::{Borders, Side};
 use glam::DVec3;
 use ndarray::Axis;
 use std::f64::consts::TAU;
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::{Beam, Scanner, View};
+use trgs_core::geometry::{Beam, Projections, Scanner, View};
 
 /// Ratio of the parts of the detector on both sides of the axis from which on it is displaced.
 const DISPLACED: f64 = 1.05;

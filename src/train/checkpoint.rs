@@ -151,10 +151,7 @@ impl Checkpoint {
     /// # Errors
     /// When it is not one of this version.
     pub fn config(&self) -> Result<Config> {
-        Config::from_toml(&self.config).map_err(|message| {
-            let remedy = "use the version of trgs that wrote it";
-            Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
-        })
+        config_of(&self.config)
     }
 
     /// Makes it the state of a run of `iterations`, which are more than those done.
@@ -198,21 +195,30 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Invalid`].
     pub fn check_data(&self, dataset: &Dataset) -> Result<()> {
-        self.check_digest(&digest(dataset))
+        check_digest(&self.data, &digest(dataset))
     }
 
     /// Rejects another configuration and other data.
     pub(super) fn check(&self, data: &str, config: &Config) -> Result<()> {
         self.check_config(config)?;
-        self.check_digest(data)
+        check_digest(&self.data, data)
     }
+}
 
-    fn check_digest(&self, data: &str) -> Result<()> {
-        if self.data != data {
-            return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
-        }
-        Ok(())
+/// The configuration that a checkpoint holds.
+pub(crate) fn config_of(text: &str) -> Result<Config> {
+    Config::from_toml(text).map_err(|message| {
+        let remedy = "use the version of trgs that wrote it";
+        Error::invalid("configuration of the checkpoint", message, "that of this version", remedy)
+    })
+}
+
+/// Rejects another digest of the projections than a checkpoint holds.
+pub(crate) fn check_digest(saved: &str, data: &str) -> Result<()> {
+    if saved != data {
+        return Err(Error::other_run("dataset", "other projections", "those of the checkpoint"));
     }
+    Ok(())
 }
 
 /// Rejects no more iterations than are done.

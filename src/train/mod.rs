@@ -20,7 +20,7 @@ mod trace;
 mod views;
 
 pub use checkpoint::{Checkpoint, Checkpoints, Decision};
-pub(crate) use checkpoint::{MOST_ITERATIONS, check_extension, digest};
+pub(crate) use checkpoint::{MOST_ITERATIONS, check_digest, check_extension, config_of, digest};
 pub use record::Record;
 pub use start::{initial_primitives, primitives_of_model};
 #[cfg(feature = "oracle")]
@@ -111,7 +111,7 @@ pub(crate) fn seen<'a>(dataset: &'a Dataset, config: &Config) -> Cow<'a, Dataset
 }
 
 /// The unit of density of a run.
-fn unit_of(dataset: &Dataset, config: &Plan) -> Result<f64> {
+pub(crate) fn unit_of(dataset: &Dataset, config: &Plan) -> Result<f64> {
     config.density_unit.fixed().map_or_else(|| density_unit(&dataset.scanner, &dataset.train), Ok)
 }
 

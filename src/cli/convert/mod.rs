@@ -101,7 +101,7 @@ pub(super) struct Convert {
     #[arg(long, value_name = "X", value_parser = crate::cli::arguments::finite)]
     level: Option<f64>,
     /// Write a volume as a folder of slices
-    #[arg(long, value_parser = crate::cli::arguments::choice(&[Slices::Dicom, Slices::Png]))]
+    #[arg(long, value_parser = crate::cli::arguments::choice(&Slices::ALL))]
     slices: Option<Slices>,
     #[command(flatten)]
     corrections: CorrectionArgs,

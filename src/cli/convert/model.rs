@@ -7,8 +7,7 @@ use std::path::Path;
 use trgs::confidence::{Coverage, Settings, Spread};
 use trgs::output::check_file;
 use trgs::primitives::{KernelKind, Primitives};
-use trgs::scan::model;
-use trgs::scan::{Dataset, Frame};
+use trgs::scan::{Dataset, Frame, model};
 use trgs::{Error, Result};
 
 /// The result of the command.

@@ -1,11 +1,10 @@
 //! The target of ν, a function of the confidence, and the loss that attracts ν to it.
 
 use super::Settings;
-use crate::numeric::Lanes;
 use crate::numeric::elementary::{logit, sigmoid};
 use crate::numeric::exponentials::log;
 use crate::numeric::vectors::{LANES, f64x8};
-use crate::numeric::{reduce, threads};
+use crate::numeric::{Lanes, reduce, threads};
 use crate::primitives::activation::Interval;
 
 /// Primitives of one task.

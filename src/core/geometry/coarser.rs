@@ -1,6 +1,6 @@
 //! A scan at a lower resolution: the same detector and box, with fewer pixels and voxels.
 
-use super::{Beam, Detector, Grid, Projections, Scanner};
+use super::{Detector, Grid, Projections, Scanner};
 use crate::numeric::threads;
 use glam::DVec3;
 use ndarray::{Array2, Array3, ArrayView2};
@@ -10,11 +10,7 @@ impl Scanner {
     /// times as long, at most `factor`, that their images on the axis are about as long as the voxels.
     pub fn coarser(&self, factor: usize) -> Self {
         let Self { beam, detector: d, grid } = *self;
-        let magnification = match beam {
-            Beam::Cone { dso, dsd } => dsd / dso,
-            Beam::Parallel { .. } => 1.0,
-        };
-        let voxel = factor as f64 * grid.spacing.min_element() * magnification;
+        let voxel = factor as f64 * grid.spacing.min_element() * beam.magnification();
         let count = |n: usize, pitch: f64| n.div_ceil(((voxel / pitch).round() as usize).clamp(1, factor));
         let [rows, columns] = [count(d.rows, d.pitch_v), count(d.columns, d.pitch_u)];
         let detector = Detector {

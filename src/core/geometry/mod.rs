@@ -163,6 +163,14 @@ impl Beam {
             Self::Cone { dso, .. } | Self::Parallel { dso } => dso,
         }
     }
+
+    /// The length of an image on the detector over that of the object at the axis.
+    pub fn magnification(&self) -> f64 {
+        match *self {
+            Self::Cone { dso, dsd } => dsd / dso,
+            Self::Parallel { .. } => 1.0,
+        }
+    }
 }
 
 impl Detector {
@@ -373,18 +381,13 @@ impl Scanner {
             ));
         }
         check_count("detector", &[d.rows, d.columns])?;
-        for (what, value) in
-            [("pitch of the detector's rows", d.pitch_v), ("pitch of the detector's columns", d.pitch_u)]
-        {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::invalid(
-                    what,
-                    value,
-                    "a positive length",
-                    "correct sDetector = [v, u], the total size",
-                ));
-            }
-        }
+        let positive = |what: &str, value: f64, remedy: &str| match value > 0.0 && value.is_finite() {
+            true => Ok(()),
+            false => Err(Error::invalid(what, value, "a positive length", remedy)),
+        };
+        let size = "correct sDetector = [v, u], the total size";
+        positive("pitch of the detector's rows", d.pitch_v, size)?;
+        positive("pitch of the detector's columns", d.pitch_u, size)?;
         if !(d.offset_u.is_finite() && d.offset_v.is_finite()) {
             return Err(Error::invalid(
                 "detector offset",
@@ -395,23 +398,9 @@ impl Scanner {
         }
         Grid::new(self.grid.shape, self.grid.min, self.grid.max())?;
         let dso = self.beam.dso();
-        if !(dso > 0.0 && dso.is_finite()) {
-            return Err(Error::invalid(
-                "DSO",
-                dso,
-                "a positive length",
-                "give the distance from source to rotation axis",
-            ));
-        }
+        positive("DSO", dso, "give the distance from source to rotation axis")?;
         if let Beam::Cone { dsd, .. } = self.beam {
-            if !(dsd > 0.0 && dsd.is_finite()) {
-                return Err(Error::invalid(
-                    "DSD",
-                    dsd,
-                    "a positive length",
-                    "give the distance from source to detector",
-                ));
-            }
+            positive("DSD", dsd, "give the distance from source to detector")?;
             let radius = self.radius_around_axis();
             if radius >= dso {
                 return Err(Error::invalid(

@@ -3,7 +3,6 @@
 use super::{Beam, Detector, Scanner, View};
 use crate::error::{Error, Result};
 use crate::numeric::elementary::{atan2, cos, sin};
-use crate::setting::Text;
 use glam::{DMat3, DVec3};
 
 /// Largest deviation from unit length and from a right angle of a pose's axes.
@@ -179,21 +178,9 @@ pub struct Trajectory<'a> {
     pub poses: Option<&'a [Pose]>,
 }
 
-impl<'a> From<&'a [f64]> for Trajectory<'a> {
-    fn from(angles: &'a [f64]) -> Self {
-        Self { angles, poses: None }
-    }
-}
-
-impl<'a> From<&'a Vec<f64>> for Trajectory<'a> {
-    fn from(angles: &'a Vec<f64>) -> Self {
-        Self { angles, poses: None }
-    }
-}
-
-impl<'a, const N: usize> From<&'a [f64; N]> for Trajectory<'a> {
-    fn from(angles: &'a [f64; N]) -> Self {
-        Self { angles, poses: None }
+impl<'a, T: AsRef<[f64]> + ?Sized> From<&'a T> for Trajectory<'a> {
+    fn from(angles: &'a T) -> Self {
+        Self { angles: angles.as_ref(), poses: None }
     }
 }
 
@@ -231,12 +218,7 @@ impl Trajectory<'_> {
     pub fn validate(&self, scanner: &Scanner) -> Result<()> {
         let Some(poses) = self.poses else { return Ok(()) };
         for (number, pose) in poses.iter().enumerate() {
-            pose.validate(scanner).map_err(|error| match error {
-                Error::Invalid { what, got, expected, remedy } => {
-                    Error::Invalid { what: Text::from(format!("view {number}: ")) + what, got, expected, remedy }
-                }
-                other => other,
-            })?;
+            pose.validate(scanner).map_err(|error| error.within(format!("view {number}")))?;
         }
         if (0..self.len()).any(|number| scanner.is_seen(&self.view(scanner, number))) {
             return Ok(());

@@ -3,9 +3,8 @@
 //! The steps are those of the `libm` crate (FreeBSD's), with selects instead of branches. They serve work that is done for
 //! every primitive in every iteration.
 
-use super::Lanes;
-use super::elementary;
 use super::vectors::{f64x8, splat};
+use super::{Lanes, elementary};
 use wide::u64x8;
 
 /// ln 2 in two parts: products of the first with integer exponents are exact.

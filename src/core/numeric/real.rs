@@ -20,11 +20,6 @@ described! {
     }
 }
 
-impl Precision {
-    /// Both precisions.
-    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
-}
-
 /// A floating-point scalar that the pixel kernels can run in.
 pub trait Real:
     Copy

@@ -117,6 +117,24 @@ impl Parameters {
         zeros
     }
 
+    /// These rows, in this order.
+    ///
+    /// # Panics
+    /// If there is no such row.
+    #[must_use]
+    pub fn select(&self, rows: &[usize]) -> Self {
+        fn of<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+            rows.iter().map(|&row| values[row]).collect()
+        }
+        Self {
+            mean: of(&self.mean, rows),
+            scale: of(&self.scale, rows),
+            quaternion: of(&self.quaternion, rows),
+            density: of(&self.density, rows),
+            nu: of(&self.nu, rows),
+        }
+    }
+
     /// Whether every quaternion has a direction.
     pub fn have_directions(&self) -> bool {
         self.quaternion.iter().all(|&q| rotation::is_usable(q))

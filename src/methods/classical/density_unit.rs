@@ -47,26 +47,12 @@ pub fn in_unit(dataset: &Dataset, unit: f64) -> Cow<'_, Dataset> {
     if unit == 1.0 {
         return Cow::Borrowed(dataset);
     }
-    let divided = |value: &f32| (f64::from(*value) / unit) as f32;
-    let images = dataset.train.images.map(divided);
-    let train = Projections { angles: dataset.train.angles.clone(), poses: dataset.train.poses.clone(), images };
-    let mut initial_points = dataset.initial_points.clone();
-    if let Some(points) = &mut initial_points {
+    let mut own = dataset.on(dataset.scanner.grid);
+    own.train.images.mapv_inplace(|value| (f64::from(value) / unit) as f32);
+    if let Some(points) = &mut own.initial_points {
         points.column_mut(3).mapv_inplace(|density| density / unit);
     }
-    Cow::Owned(Dataset {
-        name: dataset.name.clone(),
-        scanner: dataset.scanner,
-        scale: dataset.scale,
-        frame: dataset.frame,
-        noise: dataset.noise,
-        train,
-        test: None,
-        truth: None,
-        initial_points,
-        notes: Vec::new(),
-        oddities: Vec::new(),
-    })
+    Cow::Owned(own)
 }
 
 #[cfg(test)]

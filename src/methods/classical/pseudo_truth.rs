@@ -11,8 +11,7 @@
 use super::fdk::{Turn, Window, fdk};
 use trgs_core::error::Result;
 use trgs_core::geometry::Volume;
-use trgs_scan::Dataset;
-use trgs_scan::limit;
+use trgs_scan::{Dataset, limit};
 
 /// The dataset with FDK of all its training views, without negative values, as the truth `[FDK84]`.
 ///

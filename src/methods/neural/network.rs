@@ -8,7 +8,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::Range;
 use trgs_core::numeric::rng::{Purpose, stream};
-use trgs_core::numeric::{Lanes, Real, real};
+use trgs_core::numeric::{Real, real};
 
 /// Layers from the encoding to one number.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +40,7 @@ pub(super) struct Weights<R> {
 }
 
 /// What the network computed for some rows, for its gradient.
+#[derive(Default)]
 pub(super) struct Trace<L> {
     /// Input of each layer.
     inputs: Vec<Vec<L>>,
@@ -47,12 +48,6 @@ pub(super) struct Trace<L> {
     outputs: Vec<Vec<L>>,
     block: BlockTrace<L>,
     scratch: [Vec<L>; 2],
-}
-
-impl<L: Lanes> Default for Trace<L> {
-    fn default() -> Self {
-        Self { inputs: Vec::new(), outputs: Vec::new(), block: BlockTrace::default(), scratch: Default::default() }
-    }
 }
 
 impl Network {

@@ -66,19 +66,13 @@ struct Field<R> {
 }
 
 /// Buffers of a task.
+#[derive(Default)]
 struct Buffers<R: Real> {
     trace: Trace<R::Lanes>,
     codes: Vec<R::Lanes>,
     out: Vec<R::Lanes>,
     slopes: Vec<R::Lanes>,
     to_codes: Vec<R::Lanes>,
-}
-
-impl<R: Real> Default for Buffers<R> {
-    fn default() -> Self {
-        let trace = Trace::default();
-        Self { trace, codes: Vec::new(), out: Vec::new(), slopes: Vec::new(), to_codes: Vec::new() }
-    }
 }
 
 /// What a bundle of rays adds to a step.

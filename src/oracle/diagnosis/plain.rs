@@ -217,13 +217,7 @@ impl Plain {
     /// The gradient of `Σ cotangent·value` to one group, by central differences.
     pub(super) fn gradient(&self, cotangent: &Array3<f64>, part: &str, fault: Option<Fault>) -> Option<ArrayD<f64>> {
         let group = Group::ALL.into_iter().find(|group| group.key() == part)?;
-        let first = match part {
-            "mean" => 0,
-            "scale" => 3,
-            "quaternion" => 6,
-            "density" => 10,
-            _ => 11,
-        };
+        let first: usize = Group::ALL.into_iter().take_while(|before| *before != group).map(Group::width).sum();
         let slope = |p: &Numbers, k: usize| {
             if !p[k].is_finite() {
                 return 0.0;

@@ -1,6 +1,8 @@
 //! The dimensions of each stage's questions: what can be left out, reordered, and counted.
 
-use crate::{iteration, recycling, run};
+use crate::{answers, iteration, recycling, run};
+use std::iter;
+use std::sync::LazyLock;
 
 /// What the elements of a dimension are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,38 +32,9 @@ pub(crate) struct Dimension {
     pub(crate) reversible: bool,
 }
 
-/// The stages for which questions are generated.
-pub const STAGES: [&str; 29] = [
-    "covariance",
-    "kernel",
-    "integral-factor",
-    "density",
-    "projected-kernel-affine",
-    "projected-kernel-exact",
-    "image-affine",
-    "image-exact",
-    "gradient-density",
-    "gradient-image-affine",
-    "gradient-image-exact",
-    "activation",
-    "gradient-raw",
-    "image-cutoff",
-    "density-cutoff",
-    "loss-l1",
-    "loss-ssim",
-    "loss-tv",
-    "loss-image",
-    "nu-target",
-    "loss-nu",
-    "haar",
-    "wavelet-loss",
-    "gradient-wavelet",
-    "schedule",
-    "adam",
-    "sghmc-gate",
-    "sghmc",
-    "gradient-shadow",
-];
+/// The stages for which questions are generated. The place of a stage among them seeds its questions.
+pub static STAGES: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| answers::STAGES.into_iter().filter(|stage| !dimensions(stage).is_empty()).collect());
 
 /// The outputs of a stage.
 pub(crate) fn outputs(stage: &str) -> &'static [&'static str] {
@@ -102,48 +75,36 @@ pub(crate) fn dimensions(stage: &str) -> Vec<Dimension> {
     let elements = |inputs: &[(&'static str, usize)], outputs: &[(&'static str, usize)]| {
         of(Of::Elements, inputs, outputs, 1, true)
     };
-    // Views, rows and columns, of an output or of a cotangent.
-    let images = |inputs: Option<&'static str>, outputs: Option<(&'static str, usize)>| {
-        [Of::Views, Of::Rows, Of::Columns].into_iter().enumerate().map(move |(axis, kind)| {
-            let inputs: Vec<_> = inputs.iter().map(|role| (*role, axis)).collect();
-            let outputs: Vec<_> = outputs.iter().map(|(role, first)| (*role, first + axis)).collect();
-            of(kind, &inputs, &outputs, 1, kind == Of::Views)
-        })
-    };
-    let voxels = |inputs: Option<&'static str>, outputs: Option<&'static str>| {
-        (0..3).map(move |axis| {
-            let inputs: Vec<_> = inputs.iter().map(|role| (*role, axis)).collect();
-            let outputs: Vec<_> = outputs.iter().map(|role| (*role, axis)).collect();
-            of(Of::Voxels(axis), &inputs, &outputs, 1, false)
-        })
-    };
+    // A dimension, and three axes of an output or of a cotangent.
+    let with =
+        |all: Dimension, kinds: [Of; 3], inputs: Option<&'static str>, outputs: Option<(&'static str, usize)>| {
+            let axes = kinds.into_iter().enumerate().map(|(axis, kind)| {
+                let inputs: Vec<_> = inputs.iter().map(|role| (*role, axis)).collect();
+                let outputs: Vec<_> = outputs.iter().map(|(role, first)| (*role, first + axis)).collect();
+                of(kind, &inputs, &outputs, 1, kind == Of::Views)
+            });
+            iter::once(all).chain(axes).collect()
+        };
+    let (images, voxels) = ([Of::Views, Of::Rows, Of::Columns], [0, 1, 2].map(Of::Voxels));
     let block =
         |step| move |axis| of(Of::Elements, &[("block", axis), ("high", axis)], &[("gradient", axis)], step, step != 2);
     match stage {
         "covariance" => vec![primitives("model", &[("covariance", 0)])],
         "kernel" => vec![elements(&[("delta", 0), ("nu", 0)], &[("kernel", 0)])],
         "integral-factor" => vec![elements(&[("nu", 0)], &[("factor", 0), ("slope", 0)])],
-        "density" | "density-cutoff" => {
-            [primitives("model", &[])].into_iter().chain(voxels(None, Some("volume"))).collect()
-        }
+        "density" | "density-cutoff" => with(primitives("model", &[]), voxels, None, Some(("volume", 0))),
         "projected-kernel-affine" | "projected-kernel-exact" => {
-            [primitives("model", &[("kernels", 0)])].into_iter().chain(images(None, Some(("kernels", 1)))).collect()
+            with(primitives("model", &[("kernels", 0)]), images, None, Some(("kernels", 1)))
         }
         "image-affine" | "image-exact" | "image-cutoff" => {
-            [primitives("model", &[])].into_iter().chain(images(None, Some(("image", 0)))).collect()
+            with(primitives("model", &[]), images, None, Some(("image", 0)))
         }
-        "gradient-density" => {
-            [primitives("model", &[("grad", 0)])].into_iter().chain(voxels(Some("cotangent"), None)).collect()
-        }
+        "gradient-density" => with(primitives("model", &[("grad", 0)]), voxels, Some("cotangent"), None),
         "gradient-image-affine" | "gradient-image-exact" => {
-            [primitives("model", &[("grad", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
+            with(primitives("model", &[("grad", 0)]), images, Some("cotangent"), None)
         }
-        "gradient-shadow" => {
-            [primitives("model", &[("shadow", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
-        }
-        "gradient-raw" => {
-            [primitives("raw", &[("grad", 0)])].into_iter().chain(images(Some("cotangent"), None)).collect()
-        }
+        "gradient-shadow" => with(primitives("model", &[("shadow", 0)]), images, Some("cotangent"), None),
+        "gradient-raw" => with(primitives("raw", &[("grad", 0)]), images, Some("cotangent"), None),
         "activation" => vec![primitives("raw", &[("physical", 0)])],
         "loss-l1" | "loss-ssim" | "loss-image" => {
             let along = |axis| elements(&[("prediction", axis), ("target", axis)], &[("gradient", axis)]);

@@ -42,9 +42,6 @@ described! {
 }
 
 impl Ask {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Values, Self::Relations, Self::Refusals];
-
     /// The stages for which questions are generated.
     pub fn stages(self) -> Vec<&'static str> {
         match self {

@@ -1,12 +1,11 @@
 use super::*;
-use crate::answers;
 use crate::check::{Options, Status, check};
 use crate::limits::Tolerances;
-use crate::waivers;
+use crate::{answers, waivers};
 use trgs_core::numeric::Precision;
 
 fn all_stages() -> Vec<String> {
-    STAGES.map(String::from).into()
+    STAGES.iter().map(ToString::to_string).collect()
 }
 
 /// The failures of this program's own answers, with a change of each question; it refuses by an error or a panic.

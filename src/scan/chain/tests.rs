@@ -5,7 +5,7 @@ use crate::simulate::{Object, Orbit, Plan, simulate_measured, simulate_on};
 use crate::tolerances::{largest, relative};
 use glam::DVec3;
 use ndarray::{Axis, Slice};
-use trgs_core::geometry::Grid;
+use trgs_core::geometry::{Beam, Grid};
 use trgs_core::numeric::reduce;
 
 const OFF: Chain = Chain {

@@ -13,7 +13,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::{Beam, Detector, Grid, Pose, Scanner};
-use trgs_core::setting::Text;
 use trgs_core::words::utf8;
 
 /// Value of `noise_model` for the Beer-Lambert law.
@@ -473,14 +472,8 @@ impl ScannerMeta {
 
     /// The poses of the lists of vectors or matrices.
     fn stated_poses(&self, scanner: &Scanner, scale: f64) -> Result<Option<Vec<Pose>>> {
-        let numbered = |(number, pose): (usize, Result<Pose>)| {
-            pose.map_err(|error| match error {
-                Error::Invalid { what, got, expected, remedy } => {
-                    Error::Invalid { what: Text::from(format!("view {number}: ")) + what, got, expected, remedy }
-                }
-                other => other,
-            })
-        };
+        let numbered =
+            |(number, pose): (usize, Result<Pose>)| pose.map_err(|error| error.within(format!("view {number}")));
         let poses: Vec<Pose> = match (&self.vectors, &self.matrices) {
             (None, None) => return Ok(None),
             (Some(vectors), None) => {

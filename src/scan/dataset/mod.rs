@@ -54,8 +54,7 @@ use ndarray::{Array2, Array3, ArrayView, Dimension, Ix2};
 use poses::Motion;
 use std::path::{Path, PathBuf};
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Beam, Grid, Pose, Scanner, Trajectory};
-use trgs_core::geometry::{Projections, Volume};
+use trgs_core::geometry::{Beam, Grid, Pose, Projections, Scanner, Trajectory, Volume};
 use trgs_core::words::counted;
 
 /// A scan: projections, geometry, and the true volume if it is known.

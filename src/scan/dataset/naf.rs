@@ -16,8 +16,7 @@ use ndarray::Array3;
 use serde_json::json;
 use std::path::Path;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Projections, Volume};
-use trgs_core::geometry::{Scanner, Trajectory};
+use trgs_core::geometry::{Projections, Scanner, Trajectory, Volume};
 
 /// Millimetres to metres.
 const METRE: f64 = 1e-3;

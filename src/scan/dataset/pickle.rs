@@ -151,12 +151,8 @@ impl Machine<'_> {
                 b'N' => self.push(Value::None),
                 0x88 => self.push(Value::Bool(true)),
                 0x89 => self.push(Value::Bool(false)),
-                b'K' => {
-                    let value = self.unsigned(1)?;
-                    self.integer(value)?;
-                }
-                b'M' => {
-                    let value = self.unsigned(2)?;
+                code @ (b'K' | b'M') => {
+                    let value = self.unsigned(if code == b'K' { 1 } else { 2 })?;
                     self.integer(value)?;
                 }
                 b'J' => {
@@ -200,21 +196,13 @@ impl Machine<'_> {
                     let pairs = self.stack.split_off(mark);
                     self.set(pairs)?;
                 }
-                b'q' => {
-                    let key = self.unsigned(1)?;
-                    self.remember(key)?;
-                }
-                b'r' => {
-                    let key = self.unsigned(4)?;
+                code @ (b'q' | b'r') => {
+                    let key = self.unsigned(if code == b'q' { 1 } else { 4 })?;
                     self.remember(key)?;
                 }
                 0x94 => self.remember(self.memo.len())?,
-                b'h' => {
-                    let key = self.unsigned(1)?;
-                    self.recall(key)?;
-                }
-                b'j' => {
-                    let key = self.unsigned(4)?;
+                code @ (b'h' | b'j') => {
+                    let key = self.unsigned(if code == b'h' { 1 } else { 4 })?;
                     self.recall(key)?;
                 }
                 b'c' => {

@@ -5,8 +5,7 @@ use crate::volume_file::{STRAIGHT, Stored, VolumeFile, turned};
 use glam::DVec3;
 use ndarray::Array3;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Grid;
-use trgs_core::geometry::{Volume, check_finite_from, check_shape};
+use trgs_core::geometry::{Grid, Volume, check_finite_from, check_shape};
 
 /// The names of the axes of an array.
 const AXES: [&str; 3] = ["x", "y", "z"];

@@ -5,10 +5,9 @@ use super::mark::Mark;
 use super::temporary::{NEW, OLD, is_staging, is_temporary, remove_staging};
 use super::{COMMIT, MARK, OWNER, step};
 use std::collections::BTreeSet;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use std::{fs, io};
 use trgs_core::words;
 
 /// [`sweep`], once for each folder and process.

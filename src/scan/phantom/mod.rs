@@ -11,11 +11,11 @@ mod voxels;
 
 use super::trace::trace;
 use glam::DVec3;
+use library::parts::{Chance, Parts};
 use library::{artificial, basic, nature, organs};
 use solid::Solid;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::{Grid, Ray, Scanner, Trajectory};
-use trgs_core::geometry::{Projections, Volume};
+use trgs_core::geometry::{Grid, Projections, Ray, Scanner, Trajectory, Volume};
 use trgs_core::numeric::reduce;
 
 /// The groups of the paper's synthetic cases.
@@ -38,55 +38,68 @@ pub struct Named {
     pub description: &'static str,
     /// The group of the paper's case that it stands in for; `None` if it imitates no scan.
     pub group: Option<Group>,
-    solids: fn(u64) -> Vec<Solid>,
+    source: Source,
+}
+
+/// Where the solids of a phantom come from.
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    /// A function of the seed.
+    Own(fn(u64) -> Vec<Solid>),
+    /// The number of the phantom, and a function that adds its parts.
+    Drawn(u64, fn(&mut Parts, &mut Chance)),
 }
 
 /// The named phantoms: first those without a group, then the stand-ins in the order of their groups.
 pub const PHANTOMS: [Named; 20] = {
     use Group::{AnimalsAndPlants, Artificial, Organs};
-    const fn named(
-        name: &'static str,
-        group: Option<Group>,
-        description: &'static str,
-        solids: fn(u64) -> Vec<Solid>,
-    ) -> Named {
-        Named { name, description, group, solids }
-    }
     [
-        named("shepp-logan", None, "the head phantom in three dimensions, with contrasts one can see", |_| {
+        own("shepp-logan", "the head phantom in three dimensions, with contrasts one can see", |_| {
             basic::shepp_logan()
         }),
-        named("torso", None, "a chest with lungs, heart, spine and ribs", |_| basic::torso()),
-        named("foam", None, "a ball with hundreds of bubbles; the seed places them", basic::foam),
-        named(
-            "axes",
-            None,
-            "a different marker on every axis and in every octant: shows flips and exchanged axes",
-            |_| basic::axes(),
-        ),
-        named("letters", None, "a cube with R, A and S on these sides of the patient", |_| basic::letters()),
-        named("chest", Some(Organs), "lungs with vessels and a nodule, heart, ribs, spine", organs::chest),
-        named("foot", Some(Organs), "26 bones with marrow in soft tissue", organs::foot),
-        named("head", Some(Organs), "skull, brain with sulci and ventricles, sinuses, teeth", organs::head),
-        named("jaw", Some(Organs), "both jaws with teeth of enamel, dentine and pulp", organs::jaw),
-        named("pancreas", Some(Organs), "the upper abdomen with its organs, vessels and bowels", organs::pancreas),
-        named("beetle", Some(AnimalsAndPlants), "a stag beetle: thin shells, legs, antennae", nature::beetle),
-        named("bonsai", Some(AnimalsAndPlants), "a small tree in a pot", nature::bonsai),
-        named("broccoli", Some(AnimalsAndPlants), "a branching stalk with florets of buds", nature::broccoli),
-        named("kingsnake", Some(AnimalsAndPlants), "a coiled snake with vertebrae and ribs", nature::kingsnake),
-        named("pepper", Some(AnimalsAndPlants), "a hollow pepper with walls, seeds and stem", nature::pepper),
-        named("backpack", Some(Artificial), "a bag with bottles, books, cans and cables", artificial::backpack),
-        named(
+        own("torso", "a chest with lungs, heart, spine and ribs", |_| basic::torso()),
+        own("foam", "a ball with hundreds of bubbles; the seed places them", basic::foam),
+        own("axes", "a different marker on every axis and in every octant: shows flips and exchanged axes", |_| {
+            basic::axes()
+        }),
+        own("letters", "a cube with R, A and S on these sides of the patient", |_| basic::letters()),
+        drawn("chest", Organs, "lungs with vessels and a nodule, heart, ribs, spine", 1, organs::chest),
+        drawn("foot", Organs, "26 bones with marrow in soft tissue", 2, organs::foot),
+        drawn("head", Organs, "skull, brain with sulci and ventricles, sinuses, teeth", 3, organs::head),
+        drawn("jaw", Organs, "both jaws with teeth of enamel, dentine and pulp", 4, organs::jaw),
+        drawn("pancreas", Organs, "the upper abdomen with its organs, vessels and bowels", 5, organs::pancreas),
+        drawn("beetle", AnimalsAndPlants, "a stag beetle: thin shells, legs, antennae", 11, nature::beetle),
+        drawn("bonsai", AnimalsAndPlants, "a small tree in a pot", 12, nature::bonsai),
+        drawn("broccoli", AnimalsAndPlants, "a branching stalk with florets of buds", 13, nature::broccoli),
+        drawn("kingsnake", AnimalsAndPlants, "a coiled snake with vertebrae and ribs", 14, nature::kingsnake),
+        drawn("pepper", AnimalsAndPlants, "a hollow pepper with walls, seeds and stem", 15, nature::pepper),
+        drawn("backpack", Artificial, "a bag with bottles, books, cans and cables", 21, artificial::backpack),
+        drawn(
             "engine",
-            Some(Artificial),
+            Artificial,
             "a block with two cylinders, pistons, crankshaft and pipes",
+            22,
             artificial::engine,
         ),
-        named("mount", Some(Artificial), "a metal bracket with bores, ribs and screws", artificial::mount),
-        named("present", Some(Artificial), "a box with ribbons, bow and toys", artificial::present),
-        named("teapot", Some(Artificial), "a pot with spout, handle and lid, and a lobster inside", artificial::teapot),
+        drawn("mount", Artificial, "a metal bracket with bores, ribs and screws", 23, artificial::mount),
+        drawn("present", Artificial, "a box with ribbons, bow and toys", 24, artificial::present),
+        drawn("teapot", Artificial, "a pot with spout, handle and lid, and a lobster inside", 25, artificial::teapot),
     ]
 };
+
+const fn own(name: &'static str, description: &'static str, solids: fn(u64) -> Vec<Solid>) -> Named {
+    Named { name, description, group: None, source: Source::Own(solids) }
+}
+
+const fn drawn(
+    name: &'static str,
+    group: Group,
+    description: &'static str,
+    number: u64,
+    draw: fn(&mut Parts, &mut Chance),
+) -> Named {
+    Named { name, description, group: Some(group), source: Source::Drawn(number, draw) }
+}
 
 impl Group {
     /// All groups in the paper's order.
@@ -126,7 +139,11 @@ impl Phantom {
     /// For an unknown name; the message lists the names and suggests the nearest one.
     pub fn by_name(name: &str, seed: u64) -> Result<Self> {
         if let Some(phantom) = PHANTOMS.iter().find(|phantom| phantom.name == name) {
-            return Ok(Self { name: name.into(), solids: (phantom.solids)(seed) });
+            let solids = match phantom.source {
+                Source::Own(solids) => solids(seed),
+                Source::Drawn(number, draw) => Parts::drawn(seed, number, draw),
+            };
+            return Ok(Self { name: name.into(), solids });
         }
         let names = PHANTOMS.map(|phantom| phantom.name);
         let distance = |candidate: &&str| strsim::damerau_levenshtein(name, candidate);

@@ -2,8 +2,7 @@
 
 use super::solid::{Coverage, Solid};
 use ndarray::Array3;
-use trgs_core::geometry::Grid;
-use trgs_core::geometry::Volume;
+use trgs_core::geometry::{Grid, Volume};
 use trgs_core::numeric::{reduce, threads};
 
 /// The density within a voxel.

@@ -6,8 +6,7 @@ use crate::Noise;
 use crate::phantom::{PHANTOMS, Phantom};
 use crate::simulate::{Object, Orbit, Plan, simulate, simulate_on};
 use std::f64::consts::{PI, TAU};
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
+use trgs_core::geometry::{Beam, Detector, Grid, Projections, Scanner};
 
 fn scanner() -> Scanner {
     let detector = Detector { rows: 26, columns: 28, pitch_v: 0.15, pitch_u: 0.15, offset_u: 0.0, offset_v: 0.0 };

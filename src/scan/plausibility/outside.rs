@@ -6,8 +6,7 @@
 use super::Evidence;
 use crate::borders::{CLEARLY, Side};
 use glam::DVec3;
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::{Beam, Grid, Ray, Scanner, View};
+use trgs_core::geometry::{Beam, Grid, Projections, Ray, Scanner, View};
 use trgs_core::numeric::threads;
 
 /// Largest number of views examined.

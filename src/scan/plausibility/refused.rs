@@ -4,8 +4,7 @@ use super::{Evidence, is_at_border};
 use crate::dataset::Dataset;
 use std::f64::consts::{PI, TAU};
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::Scanner;
+use trgs_core::geometry::{Projections, Scanner};
 use trgs_core::setting::{Setting, Text};
 
 /// Span of the angles of a circle beyond which they are taken for degrees, radians: two turns.

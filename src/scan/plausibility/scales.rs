@@ -3,7 +3,6 @@
 use super::{Evidence, outside};
 use crate::borders::Side;
 use crate::dataset::Dataset;
-use trgs_core::geometry::Beam;
 use trgs_core::geometry::Projections;
 use trgs_core::numeric::reduce;
 
@@ -44,10 +43,7 @@ pub(super) fn of_truth(scan: &Evidence<'_>) -> Option<String> {
     let values = |array: &ndarray::Array3<f32>| reduce::sum(array.as_slice().expect("arrays of scans are in C order"));
     let spacing = truth.grid.spacing;
     let mass = values(&truth.values) * spacing.x * spacing.y * spacing.z;
-    let magnification = match scanner.beam {
-        Beam::Cone { dso, dsd } => dsd / dso,
-        Beam::Parallel { .. } => 1.0,
-    };
+    let magnification = scanner.beam.magnification();
     let pixel = scanner.detector.pitch_u * scanner.detector.pitch_v / (magnification * magnification);
     let pixels = train.images.len() as f64;
     let seen = (values(&train.images) - scan.air() * pixels) * pixel / train.len() as f64;

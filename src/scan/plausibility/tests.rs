@@ -5,8 +5,7 @@ use crate::Noise;
 use crate::dataset::Dataset;
 use crate::phantom::{PHANTOMS, Phantom};
 use crate::simulate::{Object, Plan, simulate};
-use trgs_core::geometry::{Beam, Scanner};
-use trgs_core::geometry::{Detector, Grid};
+use trgs_core::geometry::{Beam, Detector, Grid, Scanner};
 
 fn scanner(columns: usize, offset_u: f64) -> Scanner {
     let detector = Detector { rows: 40, columns, pitch_v: 0.1, pitch_u: 0.09, offset_u, offset_v: 0.0 };

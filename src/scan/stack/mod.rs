@@ -27,8 +27,7 @@ use crate::limit;
 use ndarray::{Array3, Axis, Ix2, Ix3};
 use std::path::Path;
 use trgs_core::error::{Error, Result};
-use trgs_core::geometry::Projections;
-use trgs_core::geometry::Trajectory;
+use trgs_core::geometry::{Projections, Trajectory};
 use trgs_core::words::counted;
 
 /// Relative difference of steps between angles from which on both are stated.

@@ -15,7 +15,6 @@ use std::path::Path;
 use trgs_core::error::{Error, Result};
 use trgs_core::geometry::Pose;
 use trgs_core::numeric::elementary::{cos, sin};
-use trgs_core::setting::Text;
 use trgs_core::words::utf8;
 
 /// Parameters of a view in the order of [`NAMES`].
@@ -79,7 +78,7 @@ impl RtkGeometry {
                 for element in element.children().filter(roxmltree::Node::is_element) {
                     take(element, &mut own, &mut oddities)?;
                 }
-                poses.push(pose(&own).map_err(|error| numbered(poses.len(), error))?);
+                poses.push(pose(&own).map_err(|error| error.within(format!("projection {}", poses.len())))?);
             } else {
                 take(element, &mut shared, &mut oddities)?;
             }
@@ -132,15 +131,6 @@ fn pose(parameters: &Parameters) -> Result<Pose> {
         u: world(DVec3::X),
         v: world(DVec3::NEG_Y),
     })
-}
-
-fn numbered(number: usize, error: Error) -> Error {
-    match error {
-        Error::Invalid { what, got, expected, remedy } => {
-            Error::Invalid { what: Text::from(format!("projection {number}: ")) + what, got, expected, remedy }
-        }
-        other => other,
-    }
 }
 
 fn wrong(what: &str, got: impl ToString, expected: &str) -> Error {

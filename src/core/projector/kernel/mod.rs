@@ -111,7 +111,8 @@ impl Conic {
 }
 
 /// A batch of columns, and intermediate values of its registers.
-pub(crate) struct Scratch<L> {
+#[derive(Default)]
+pub(crate) struct Scratch<L: Lanes> {
     x: [L; BATCH],
     y: [L; BATCH],
     /// 1/√(1+e).
@@ -120,21 +121,6 @@ pub(crate) struct Scratch<L> {
     power: [L; BATCH],
     columns: ColumnBatch<L>,
     total: Totals<L>,
-}
-
-impl<L: Lanes> Default for Scratch<L> {
-    fn default() -> Self {
-        let empty = [L::default(); BATCH];
-        Self {
-            x: empty,
-            y: empty,
-            root: empty,
-            log: empty,
-            power: empty,
-            columns: ColumnBatch::default(),
-            total: Totals::default(),
-        }
-    }
 }
 
 /// Adds a primitive to a target; pixels beyond `max_x` are left unchanged.

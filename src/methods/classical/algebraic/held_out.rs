@@ -150,13 +150,13 @@ pub fn choose_weight<R: Real>(
         let mut run = TvRun::in_space(projector, &train, &settings, None, space)?;
         let mut error_of = |power: i32| {
             run.restart(weight(power))?;
-            let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
+            let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None), 0) } else { Ok(()) };
             let error = |run: &mut TvRun<'_, R>| Ok(held.error(&run.see_others()?));
             let judged = judged(&mut run, &error, &|_| false, &|_| usize::MAX, &mut see)?;
             work += judged.iterations * train.len();
             let error = judged.errors[judged.errors.len() - 1].1.sums;
             if number == 0 {
-                go_on(observe(KEY, Some(&Trial { value: weight(power), error: relative(error) })))?;
+                go_on(observe(KEY, Some(&Trial { value: weight(power), error: relative(error) })), 0)?;
             }
             Ok(error)
         };
@@ -211,7 +211,7 @@ pub fn choose_passes<R: Real>(
     let (train, views_held) = (projections.select(train), projections.select(held));
     let share = train.len() as f64 / projections.len() as f64;
     let held = Held::<R>::new(projector, &views_held)?;
-    let mut see = |judged: Option<Trial>| judged.map_or(Ok(()), |trial| go_on(observe(KEY, Some(&trial))));
+    let mut see = |judged: Option<Trial>| judged.map_or(Ok(()), |trial| go_on(observe(KEY, Some(&trial)), 0));
     let last = |best: usize| (best as f64 * PATIENCE).max(best as f64 + 1.0).ceil() as usize;
     let when = |iteration: usize| iteration > 0;
     let errors = match passes {
@@ -293,11 +293,11 @@ pub fn choose_finish<R: Real>(
         let when =
             |iteration: usize| iteration == fewest || iteration > fewest && iteration.is_multiple_of(JUDGED_EVERY);
         let last = |best: usize| best.max(fewest) + IN_VAIN;
-        let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None)) } else { Ok(()) };
+        let mut see = |judged: Option<Trial>| if judged.is_none() { go_on(observe(KEY, None), 0) } else { Ok(()) };
         let judged = judged(&mut run, &error, &when, &last, &mut see)?;
         steps += judged.iterations;
         let best = least_of(&judged.errors).expect("the last iteration is judged").clone();
-        go_on(observe(KEY, Some(&Trial { value: weight, error: relative(best.sums) })))?;
+        go_on(observe(KEY, Some(&Trial { value: weight, error: relative(best.sums) })), 0)?;
         let (iterations, taken) = near(&judged.errors, search.near).expect("the last iteration is judged");
         Ok((weight, *iterations, taken.share, best))
     };
@@ -377,11 +377,12 @@ pub fn pilot_folds(projector: &VoxelProjector, projections: &Projections) -> Opt
     folds.into_iter().nth(1).filter(|[train, _]| train.len() >= PILOT_FOLDS - 1)
 }
 
-pub(super) fn go_on(flow: ControlFlow<()>) -> Result<()> {
+/// An error after `step` where the observer of a run that keeps no checkpoint breaks.
+pub(crate) fn go_on(flow: ControlFlow<()>, step: usize) -> Result<()> {
     match flow {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => {
-            Err(Error::Interrupted { step: 0, remedy: "nothing was written; run the same command again".into() })
+            Err(Error::Interrupted { step, remedy: "nothing was written; run the same command again".into() })
         }
     }
 }

@@ -142,10 +142,7 @@ impl Pass {
 fn run_to_the_end(mut run: impl VoxelRun, observe: &mut Observe<'_>) -> Result<Volume> {
     while !run.is_finished() {
         let Some(pass) = run.step()? else { break };
-        if observe(&pass).is_break() {
-            let remedy = "nothing was written; run the same command again".into();
-            return Err(Error::Interrupted { step: pass.iteration, remedy });
-        }
+        held_out::go_on(observe(&pass), pass.iteration)?;
     }
     Box::new(run).into_volume()
 }

@@ -1,6 +1,6 @@
 //! Volumes that are larger than memory: slabs of slices along x, in files without a name.
 
-use super::space::{self, Change, Measure, Name, Part, Space, started};
+use super::space::{self, Change, Measure, Name, Part, Space, some, started};
 use crate::classical::VoxelProjector;
 use std::any::Any;
 use std::fs::File;
@@ -95,10 +95,6 @@ impl<'a> Slabs<'a> {
         self.files[place].write(slice, values).map_err(failed)
     }
 
-    fn some(&self, views: &[usize]) -> Vec<View> {
-        views.iter().map(|&view| self.views[view]).collect()
-    }
-
     /// Reads, changes and writes every slab of a volume.
     fn each<R: Real>(&mut self, name: Name, mut work: impl FnMut(&Part<'_>, &mut [R])) -> Result<()> {
         for part in self.parts.clone() {
@@ -126,7 +122,7 @@ impl<R: Real> Space<R> for Slabs<'_> {
     }
 
     fn project(&mut self, views: &[usize], name: Option<Name>) -> Result<Vec<R>> {
-        let (views, parts, slice) = (self.some(views), self.parts.clone(), self.files[0].slice);
+        let (views, parts, slice) = (some(&self.views, views), self.parts.clone(), self.files[0].slice);
         let mut sums = self.projector.no_sums(&views);
         let (mut slab, mut slices) = (Vec::new(), 0..0);
         for (part, rising) in parts.iter().map(|part| (part, true)).chain(parts.iter().rev().map(|part| (part, false)))
@@ -146,12 +142,12 @@ impl<R: Real> Space<R> for Slabs<'_> {
     }
 
     fn adjoin(&mut self, views: &[usize], images: &[R], name: Name, step: Option<R>) -> Result<()> {
-        let views = self.some(views);
+        let views = some(&self.views, views);
         self.each(name, |part, slab| part.adjoin(&views, images, slab, step))
     }
 
     fn correct(&mut self, views: &[usize], images: [&[R]; 2], relaxation: R, non_negative: bool) -> Result<()> {
-        let views = self.some(views);
+        let views = some(&self.views, views);
         self.each(Name::Volume, |part, slab| part.correct(&views, images, slab, relaxation, non_negative))
     }
 

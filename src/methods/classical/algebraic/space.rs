@@ -291,10 +291,11 @@ impl<'a, R: Real> Whole<'a, R> {
     fn part(&self) -> Part<'a> {
         Part { projector: self.projector, x: 0..self.projector.scanner().grid.shape[0] }
     }
+}
 
-    fn some(&self, views: &[usize]) -> Vec<View> {
-        views.iter().map(|&view| self.views[view]).collect()
-    }
+/// The views of these numbers.
+pub(super) fn some(all: &[View], views: &[usize]) -> Vec<View> {
+    views.iter().map(|&view| all[view]).collect()
 }
 
 impl<R: Real> Space<R> for Whole<'_, R> {
@@ -303,7 +304,7 @@ impl<R: Real> Space<R> for Whole<'_, R> {
     }
 
     fn project(&mut self, views: &[usize], name: Option<Name>) -> Result<Vec<R>> {
-        let views = self.some(views);
+        let views = some(&self.views, views);
         let Some(name) = name else {
             let voxels = self.projector.scanner().grid.voxels();
             return Ok(self.projector.project(&views, &vec![R::ONE; voxels]).values);
@@ -312,13 +313,13 @@ impl<R: Real> Space<R> for Whole<'_, R> {
     }
 
     fn adjoin(&mut self, views: &[usize], images: &[R], name: Name, step: Option<R>) -> Result<()> {
-        let views = self.some(views);
+        let views = some(&self.views, views);
         self.part().adjoin(&views, images, &mut self.volumes[name as usize], step);
         Ok(())
     }
 
     fn correct(&mut self, views: &[usize], images: [&[R]; 2], relaxation: R, non_negative: bool) -> Result<()> {
-        let views = self.some(views);
+        let views = some(&self.views, views);
         self.part().correct(&views, images, &mut self.volumes[0], relaxation, non_negative);
         Ok(())
     }

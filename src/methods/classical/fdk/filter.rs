@@ -21,10 +21,7 @@ pub(super) fn filtered<R: Sample>(
 ) -> Columns<R> {
     let (rows, columns) = (scanner.detector.rows, scanner.detector.columns);
     let ramp = Ramp::new(columns, window);
-    let magnification = match scanner.beam {
-        Beam::Cone { dso, dsd } => dsd / dso,
-        Beam::Parallel { .. } => 1.0,
-    };
+    let magnification = scanner.beam.magnification();
     let mut values = vec![R::ZERO; images.len()];
     threads::for_each_chunk(&mut values, rows * columns, |view, out| {
         let scale = |column| weights.at(view, column) * magnification / scanner.detector.pitch_u;

@@ -72,6 +72,7 @@ pub use convention::Convention;
 pub use offsets::{AxisShift, OffsetScan, RollScan};
 pub use reference::{Resemblance, Source};
 
+use super::algebraic::held_out::go_on;
 use held_out::{HeldOut, Hypothesis, held_out};
 use offsets::{Search, first_scan, refine};
 use prepared::Prepared;
@@ -216,21 +217,25 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let mut steps = Steps { observe, done: 0 };
     let beam = dataset.scanner.beam;
     let Prepared { views, wrong, air } = Prepared::new(dataset, &stated_circle)?;
-    let mut candidates = classes(&views, &stated_circle, &mut steps)?;
-    rank(&Reduced::new(&views, &stated_circle, MEDIUM), &mut candidates, &beam)?;
+    let mut trials = classes(&views, &stated_circle, &mut steps)?;
+    rank(&Reduced::new(&views, &stated_circle, MEDIUM), &mut trials, &beam)?;
     steps.done("conventions")?;
 
     // The stated convention is kept unless the data exclude it.
-    let stated = candidates.iter().find(|c| c.convention == Convention::AS_STATED).expect("it is among all");
+    let mut all = trials.iter().map(|trial| &trial.candidate);
+    let stated = all.find(|c| c.convention == Convention::AS_STATED).expect("it is among all");
     let class = if stated.told_apart { 1 } else { stated.class };
-    let reference = compare(dataset, &views, &stated_circle, &mut candidates, class)?;
+    let reference = compare(dataset, &views, &stated_circle, &mut trials, class)?;
     steps.done("reference")?;
-    candidates.sort_by_key(|trial| (trial.class != class, trial.class, trial.is_unlike, trial.faults()));
+    trials.sort_by_key(|trial| {
+        let own = trial.candidate.class;
+        (own != class, own, trial.is_unlike, trial.faults())
+    });
 
-    let chosen = candidates.iter().find(|c| c.class == class).expect("every class has a member").clone();
+    let chosen = trials.iter().find(|trial| trial.candidate.class == class).expect("every class has a member");
     let fine = Reduced::new(&views, &stated_circle, FINE);
-    let convention = chosen.convention;
-    let widely = refine(&fine, convention, chosen.offset, 0, ALONG_U[0])?;
+    let (convention, place) = chosen.hypothesis();
+    let widely = refine(&fine, convention, place, 0, ALONG_U[0])?;
     let mut along_u = refine(&fine, convention, widely.offset, 0, ALONG_U[1])?;
     steps.done("detector along u")?;
     let along_v = |place: Place| match beam {
@@ -240,7 +245,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let mut of_v = along_v(along_u.offset)?;
     steps.done("detector along v")?;
 
-    let [.., stated_roll, stated_shift] = chosen.offset;
+    let [.., stated_roll, stated_shift] = place;
     let coarse = Reduced::new(&views, &stated_circle, COARSE);
     let place = of_v.as_ref().unwrap_or(&along_u).offset;
     let widely = refine(&coarse, convention, place, ROLL, OF_ROLL[0])?;
@@ -257,10 +262,7 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let d = &stated_circle.scanner.detector;
     let [u, v, found_roll, _] = rolled.offset;
     let roll = if is_rolled { found_roll } else { stated_roll };
-    let magnification = match stated_circle.scanner.beam {
-        Beam::Cone { dso, dsd } => dsd / dso,
-        Beam::Parallel { .. } => 1.0,
-    };
+    let magnification = stated_circle.scanner.beam.magnification();
     let shift = stated_shift + (u - d.offset_u) / magnification;
     let as_stated = [
         [d.offset_u, v, roll, stated_shift],
@@ -285,14 +287,14 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
     let mut check = GeometryCheck {
         agrees: false,
         verdict: Vec::new(),
-        looks_like: chosen.convention,
+        looks_like: convention,
         off_detector: [d.offset_u, d.offset_v],
         roll,
         axis_shift,
         offset_u,
         offset_v,
         reference,
-        candidates: candidates.iter().map(|trial| trial.candidate([d.pitch_u, d.pitch_v])).collect(),
+        candidates: trials.into_iter().map(|trial| trial.candidate).collect(),
         is_explained: false,
         wrong_pixels: wrong,
         air,
@@ -307,14 +309,8 @@ pub fn check_geometry(dataset: &Dataset, observe: &mut Observe<'_>) -> Result<Ge
 /// A convention that is being evaluated.
 #[derive(Clone)]
 struct Trial {
-    convention: Convention,
-    /// As in [`reduced::Place`].
-    offset: Place,
-    class: usize,
-    residual: f64,
-    standard_errors: f64,
-    told_apart: bool,
-    resemblance: Option<Resemblance>,
+    candidate: Candidate,
+    place: Place,
     /// Whether another member of its class resembles the reference more.
     is_unlike: bool,
 }
@@ -322,20 +318,13 @@ struct Trial {
 impl Trial {
     /// Number of differences from the stated convention.
     fn faults(&self) -> usize {
-        self.convention.faults() + usize::from(self.resemblance.is_some_and(|r| r.quarter_turns != 0))
+        let Candidate { convention, resemblance, .. } = &self.candidate;
+        convention.faults() + usize::from(resemblance.is_some_and(|r| r.quarter_turns != 0))
     }
 
-    fn candidate(&self, pitch: [f64; 2]) -> Candidate {
-        Candidate {
-            convention: self.convention,
-            words: self.convention.words(),
-            class: self.class,
-            residual: self.residual,
-            standard_errors: self.standard_errors,
-            told_apart: self.told_apart,
-            offset: [self.offset[0] / pitch[0], self.offset[1] / pitch[1]],
-            resemblance: self.resemblance,
-        }
+    /// What it supposes.
+    fn hypothesis(&self) -> Hypothesis {
+        (self.candidate.convention, self.place)
     }
 }
 
@@ -374,37 +363,37 @@ fn classes(views: &Projections, stated: &Stated, steps: &mut Steps<'_, '_>) -> R
         let class = representatives.iter().position(|other| convention.looks_like(other, beam));
         let class = class.expect("every convention is represented");
         let [u, v, ..] = found[class];
-        let offset = place(convention, convention.offset_from(&representatives[class], [u, v]));
-        Trial {
+        let place = place(convention, convention.offset_from(&representatives[class], [u, v]));
+        let candidate = Candidate {
             convention: *convention,
-            offset,
+            words: convention.words(),
             class,
             residual: 0.0,
             standard_errors: 0.0,
             told_apart: false,
+            offset: [place[0] / d.pitch_u, place[1] / d.pitch_v],
             resemblance: None,
-            is_unlike: false,
-        }
+        };
+        Trial { candidate, place, is_unlike: false }
     };
     Ok(all.iter().map(trial).collect())
 }
 
 /// Evaluates all conventions and numbers their classes, the best first.
 fn rank(scan: &Reduced, trials: &mut [Trial], beam: &Beam) -> Result<()> {
-    let hypotheses: Vec<Hypothesis> = trials.iter().map(|trial| (trial.convention, trial.offset)).collect();
+    let hypotheses: Vec<Hypothesis> = trials.iter().map(Trial::hypothesis).collect();
     let results = held_out(scan, &hypotheses)?;
     let residuals: Vec<f64> = results.iter().map(HeldOut::residual).collect();
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|&a, &b| residuals[a].total_cmp(&residuals[b]));
     let mut leaders: Vec<usize> = Vec::new();
     for &i in &order {
-        if leaders.iter().all(|&leader| !trials[i].convention.looks_like(&trials[leader].convention, beam)) {
+        if leaders.iter().all(|&leader| !hypotheses[i].0.looks_like(&hypotheses[leader].0, beam)) {
             leaders.push(i);
         }
     }
-    let conventions: Vec<Convention> = leaders.iter().map(|&leader| trials[leader].convention).collect();
-    for (i, trial) in trials.iter_mut().enumerate() {
-        let class = conventions.iter().position(|leader| trial.convention.looks_like(leader, beam));
+    for (i, Trial { candidate: trial, .. }) in trials.iter_mut().enumerate() {
+        let class = leaders.iter().position(|&leader| trial.convention.looks_like(&hypotheses[leader].0, beam));
         trial.class = class.expect("every class has a leader") + 1;
         trial.residual = residuals[i];
         let worse = results[leaders[trial.class - 1]].worse_than(&results[leaders[0]]);
@@ -423,13 +412,13 @@ fn compare(
 ) -> Result<Option<Source>> {
     let coarse = Reduced::new(views, stated, COARSE);
     let Some(reference) = Reference::new(dataset, coarse.grid()) else { return Ok(None) };
-    let members: Vec<usize> = (0..trials.len()).filter(|&i| trials[i].class == class).collect();
-    let hypotheses: Vec<Hypothesis> = members.iter().map(|&i| (trials[i].convention, trials[i].offset)).collect();
+    let members: Vec<usize> = (0..trials.len()).filter(|&i| trials[i].candidate.class == class).collect();
+    let hypotheses: Vec<Hypothesis> = members.iter().map(|&i| trials[i].hypothesis()).collect();
     let found = reference.compare(&coarse, &hypotheses)?;
     let best = found.iter().map(|resemblance| resemblance.correlation).fold(f64::NEG_INFINITY, f64::max);
     for (&i, resemblance) in members.iter().zip(found) {
         trials[i].is_unlike = resemblance.correlation < best - RESEMBLES;
-        trials[i].resemblance = Some(resemblance);
+        trials[i].candidate.resemblance = Some(resemblance);
     }
     Ok(Some(reference.source))
 }
@@ -443,12 +432,6 @@ struct Steps<'a, 'b> {
 impl Steps<'_, '_> {
     fn done(&mut self, what: &'static str) -> Result<()> {
         self.done += 1;
-        match (self.observe)(&Step { what, done: self.done, steps: Step::ALL }) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(Error::Interrupted {
-                step: self.done,
-                remedy: "nothing was written; run the same command again".into(),
-            }),
-        }
+        go_on((self.observe)(&Step { what, done: self.done, steps: Step::ALL }), self.done)
     }
 }

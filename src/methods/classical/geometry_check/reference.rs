@@ -1,8 +1,7 @@
 //! The known object, which resolves ambiguities that projections cannot.
 
 use super::RESEMBLES;
-use super::held_out::Hypothesis;
-use super::held_out::reconstruct;
+use super::held_out::{Hypothesis, reconstruct};
 use super::reduced::Reduced;
 use glam::DVec3;
 use ndarray::{Array2, Array3};

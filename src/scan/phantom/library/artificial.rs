@@ -1,7 +1,7 @@
 //! Artificial objects: backpack, engine, mount, present, teapot. z points up.
 
 use super::super::solid::{Shape, Solid};
-use super::parts::{Parts, arc, curve};
+use super::parts::{Chance, Parts, arc, curve};
 use glam::{DQuat, DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
 use trgs_core::numeric::elementary::{cos, sin};
@@ -30,10 +30,8 @@ fn bottle(parts: &mut Parts, foot: DVec3, way: DVec3, radius: f64, full: f64) {
     parts.rod(0.65, [foot + way * 0.9, foot + way], 0.5 * radius);
 }
 
-pub(in super::super) fn backpack(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn backpack(parts: &mut Parts, chance: &mut Chance) {
     const CLOTH: f64 = 0.3;
-    let mut parts = Parts::new(seed, 21);
-    let mut chance = parts.chance(0);
     // The bag: a rounded top, a main and a front compartment, padding at the back.
     for (density, wall) in [(CLOTH, 0.0), (0.02, 0.02)] {
         parts.cuboid(density, [0.0, 0.12, -0.16], DVec3::new(0.58, 0.34, 0.72) - wall);
@@ -58,16 +56,16 @@ pub(in super::super) fn backpack(seed: u64) -> Vec<Solid> {
     zip.iter().for_each(|tooth| parts.ball(0.9, *tooth, 0.016));
     // Computer, books with covers, bottle, can, lunch box with apple and cutlery.
     let lean = DQuat::from_rotation_x(chance.between(-0.04, 0.04));
-    turned_box(&mut parts, 0.8, dvec3(0.0, 0.34, -0.12), dvec3(0.47, 0.025, 0.34), lean);
-    turned_box(&mut parts, 0.45, dvec3(0.0, 0.34, -0.12), dvec3(0.44, 0.012, 0.31), lean);
-    turned_box(&mut parts, METAL, dvec3(0.0, 0.34, -0.3), dvec3(0.3, 0.012, 0.1), lean);
+    turned_box(parts, 0.8, dvec3(0.0, 0.34, -0.12), dvec3(0.47, 0.025, 0.34), lean);
+    turned_box(parts, 0.45, dvec3(0.0, 0.34, -0.12), dvec3(0.44, 0.012, 0.31), lean);
+    turned_box(parts, METAL, dvec3(0.0, 0.34, -0.3), dvec3(0.3, 0.012, 0.1), lean);
     for book in 0..3 {
         let half = dvec3(chance.about(0.36, 0.1), 0.04, chance.about(0.42, 0.1));
         let centre = dvec3(-0.14, 0.25 - 0.1 * f64::from(book), -0.86 + half.z);
         parts.cuboid(0.55, centre, half);
         parts.cuboid(chance.between(0.36, 0.48), centre + dvec3(0.012, 0.0, 0.0), half - dvec3(0.0, 0.009, 0.012));
     }
-    bottle(&mut parts, dvec3(0.4, 0.1, -0.84), dvec3(0.0, 0.0, 0.95), 0.13, chance.between(0.4, 0.9));
+    bottle(parts, dvec3(0.4, 0.1, -0.84), dvec3(0.0, 0.0, 0.95), 0.13, chance.between(0.4, 0.9));
     let can = dvec3(0.36, -0.1, -0.83);
     parts.rod(0.9, [can, can + DVec3::Z * 0.38], 0.11);
     parts.rod(0.4, [can + DVec3::Z * 0.012, can + DVec3::Z * 0.32], 0.1);
@@ -111,14 +109,11 @@ pub(in super::super) fn backpack(seed: u64) -> Vec<Solid> {
         let coin = dvec3(chance.between(-0.3, 0.3), chance.between(-0.46, -0.3), chance.between(-0.78, -0.76));
         parts.ellipsoid_along(0.95, coin, dvec3(0.035, 0.035, 0.007), chance.direction() * 0.3 + DVec3::Z);
     }
-    parts.solids
 }
 
-pub(in super::super) fn engine(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn engine(parts: &mut Parts, chance: &mut Chance) {
     const CAST: f64 = 0.5;
     const STEEL: f64 = 0.9;
-    let mut parts = Parts::new(seed, 22);
-    let mut chance = parts.chance(0);
     // Crankshaft along y: crankcase, block, head, pan, ribs.
     parts.cuboid(CAST, [0.0, 0.0, -0.5], [0.5, 0.78, 0.3]);
     parts.cuboid(CAST, [0.0, 0.0, 0.1], [0.42, 0.78, 0.4]);
@@ -207,20 +202,17 @@ pub(in super::super) fn engine(seed: u64) -> Vec<Solid> {
         let pore = dvec3(draws.between(-0.4, 0.4), draws.between(-0.76, 0.76), draws.between(0.46, 0.66));
         parts.ball(0.0, pore, draws.between(0.008, 0.02));
     }
-    parts.solids
 }
 
-pub(in super::super) fn mount(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn mount(parts: &mut Parts, chance: &mut Chance) {
     const ALLOY: f64 = 0.7;
     const STEEL: f64 = 1.0;
-    let mut parts = Parts::new(seed, 23);
-    let mut chance = parts.chance(0);
     // Gussets: boxes cut along their diagonal, where no other part lies yet.
     let slope = DQuat::from_rotation_x(chance.about(0.62, 0.05));
     for side in SIDES {
         parts.cuboid(ALLOY, [side * 0.5, 0.04, -0.2], [0.05, 0.58, 0.6]);
     }
-    turned_box(&mut parts, 0.0, dvec3(0.0, -0.52, 0.22), dvec3(0.9, 0.5, 1.0), slope);
+    turned_box(parts, 0.0, dvec3(0.0, -0.52, 0.22), dvec3(0.9, 0.5, 1.0), slope);
     for side in SIDES {
         let hole = dvec3(side * 0.5, 0.22, -0.36);
         parts.rod(0.0, [hole - DVec3::X * 0.1, hole + DVec3::X * 0.1], 0.14);
@@ -279,14 +271,11 @@ pub(in super::super) fn mount(seed: u64) -> Vec<Solid> {
         };
         parts.ball(0.0, pore, draws.between(0.008, 0.024));
     }
-    parts.solids
 }
 
-pub(in super::super) fn present(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn present(parts: &mut Parts, chance: &mut Chance) {
     const CARD: f64 = 0.35;
     const RIBBON: f64 = 0.6;
-    let mut parts = Parts::new(seed, 24);
-    let mut chance = parts.chance(0);
     // Box with a lid, ribbons around it, the bow.
     let half = dvec3(chance.about(0.76, 0.02), chance.about(0.7, 0.02), 0.56);
     let middle = dvec3(0.0, 0.0, -0.32);
@@ -316,8 +305,8 @@ pub(in super::super) fn present(seed: u64) -> Vec<Solid> {
         let along = draws.direction() * 0.045;
         parts.capsule(0.12, [chip - along, chip + along], 0.035);
     }
-    bear(&mut parts, dvec3(-0.36, 0.16, -0.42));
-    car(&mut parts, dvec3(0.34, -0.3, -0.62), DQuat::from_rotation_z(chance.between(-0.3, 0.3)));
+    bear(parts, dvec3(-0.36, 0.16, -0.42));
+    car(parts, dvec3(0.34, -0.3, -0.62), DQuat::from_rotation_z(chance.between(-0.3, 0.3)));
     // A watch in its case, a bottle of scent, marbles.
     let watch = dvec3(0.36, 0.36, -0.66);
     parts.cuboid(0.4, watch, [0.24, 0.2, 0.14]);
@@ -333,13 +322,12 @@ pub(in super::super) fn present(seed: u64) -> Vec<Solid> {
     for ends in strap.windows(2) {
         parts.strap(0.75, [ends[0], ends[1]], (ends[1] - ends[0]).cross(DVec3::Y), [0.01, 0.05]);
     }
-    bottle(&mut parts, dvec3(0.05, 0.4, -0.82), dvec3(0.0, 0.0, 0.62), 0.12, chance.between(0.3, 0.9));
+    bottle(parts, dvec3(0.05, 0.4, -0.82), dvec3(0.0, 0.0, 0.62), 0.12, chance.between(0.3, 0.9));
     for i in 0..9 {
         let turn = GOLDEN * f64::from(i);
         let out = 0.05 + 0.045 * f64::from(i).sqrt();
         parts.ball(chance.between(0.75, 0.95), [0.4 + out * cos(turn), -0.02 + out * sin(turn), -0.8], 0.045);
     }
-    parts.solids
 }
 
 /// A plush bear with a voice box and glass eyes.
@@ -386,11 +374,9 @@ fn car(parts: &mut Parts, place: DVec3, turn: DQuat) {
     parts.tube(METAL, &spring, |_| 0.008);
 }
 
-pub(in super::super) fn teapot(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn teapot(parts: &mut Parts, chance: &mut Chance) {
     const CLAY: f64 = 0.8;
     const GLAZE: f64 = 0.95;
-    let mut parts = Parts::new(seed, 25);
-    let mut chance = parts.chance(0);
     // Spout to +x, handle to -x. The belly is filled last, so that both end in its wall.
     let belly = (dvec3(0.0, 0.0, -0.12), dvec3(0.58, 0.58, chance.about(0.46, 0.03)));
     let lift = chance.about(0.42, 0.08);
@@ -427,8 +413,7 @@ pub(in super::super) fn teapot(seed: u64) -> Vec<Solid> {
         let bubble = belly.0 + chance.direction() * (belly.1 - 0.036);
         parts.ball(0.4, bubble, chance.between(0.008, 0.018));
     }
-    lobster(&mut parts, belly.0 - dvec3(0.0, 0.0, 0.24));
-    parts.solids
+    lobster(parts, belly.0 - dvec3(0.0, 0.0, 0.24));
 }
 
 /// A lobster, as in a well-known data set: body, tail, claws, legs, antennae.

@@ -4,4 +4,4 @@ pub(super) mod artificial;
 pub(super) mod basic;
 pub(super) mod nature;
 pub(super) mod organs;
-mod parts;
+pub(super) mod parts;

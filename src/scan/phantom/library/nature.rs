@@ -1,7 +1,6 @@
 //! Animals and plants: beetle, bonsai, broccoli, kingsnake, pepper. z points up.
 
-use super::super::solid::Solid;
-use super::parts::{Parts, curve, pulled_into};
+use super::parts::{Chance, Parts, curve, pulled_into};
 use glam::{DVec3, dvec3};
 use std::f64::consts::{PI, TAU};
 use trgs_core::numeric::elementary::{cos, sin};
@@ -11,11 +10,9 @@ const SIDES: [f64; 2] = [-1.0, 1.0];
 /// The golden angle; multiples of it are evenly spread.
 const GOLDEN: f64 = 2.399_963;
 
-pub(in super::super) fn beetle(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn beetle(parts: &mut Parts, chance: &mut Chance) {
     const SHELL: f64 = 0.8;
     const FLESH: f64 = 0.3;
-    let mut parts = Parts::new(seed, 11);
-    let mut chance = parts.chance(0);
     // Head to -y: abdomen below the wing cases, thorax, head, each a thin shell.
     let wide = chance.about(0.36, 0.04);
     let bodies = [
@@ -95,7 +92,6 @@ pub(in super::super) fn beetle(seed: u64) -> Vec<Solid> {
             }
         }
     }
-    parts.solids
 }
 
 /// Adds a branch in bent segments and its own branches; returns the tips in `tips`.
@@ -132,10 +128,8 @@ fn grow(
     }
 }
 
-pub(in super::super) fn bonsai(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn bonsai(parts: &mut Parts, chance: &mut Chance) {
     const WOOD: f64 = 0.62;
-    let mut parts = Parts::new(seed, 12);
-    let mut chance = parts.chance(0);
     // Pot with a rim and feet, soil with stones.
     parts.cone(0.85, [dvec3(0.0, 0.0, -0.88), dvec3(0.0, 0.0, -0.56)], [0.42, 0.56]);
     parts.rod(0.85, [dvec3(0.0, 0.0, -0.6), dvec3(0.0, 0.0, -0.54)], 0.6);
@@ -169,7 +163,7 @@ pub(in super::super) fn bonsai(seed: u64) -> Vec<Solid> {
     let starts = [(trunk[3], 0.5, 2), (trunk[4], 3.1, 2), (trunk[5], 1.9, 2), (trunk[6], 4.6, 3), (trunk[6], 0.2, 2)];
     for (i, (place, turn, level)) in starts.into_iter().enumerate() {
         let way = dvec3(0.42 * cos(turn), 0.42 * sin(turn), 0.2 + 0.12 * i as f64);
-        grow(&mut parts, WOOD, (place, way, 0.055), (level, 5 + i as u64), crown, &mut tips);
+        grow(parts, WOOD, (place, way, 0.055), (level, 5 + i as u64), crown, &mut tips);
     }
     for (i, tip) in tips.into_iter().enumerate() {
         let mut draws = parts.chance(10_000 + i as u64);
@@ -179,13 +173,10 @@ pub(in super::super) fn bonsai(seed: u64) -> Vec<Solid> {
             parts.ellipsoid_along(draws.between(0.22, 0.4), leaf, dvec3(0.045, 0.02, 0.075), axis);
         }
     }
-    parts.solids
 }
 
-pub(in super::super) fn broccoli(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn broccoli(parts: &mut Parts, chance: &mut Chance) {
     const STALK: f64 = 0.5;
-    let mut parts = Parts::new(seed, 13);
-    let mut chance = parts.chance(0);
     let crown = (dvec3(0.0, 0.0, 0.16), dvec3(0.72, 0.72, 0.58));
     let foot = dvec3(chance.between(-0.08, 0.08), chance.between(-0.08, 0.08), -0.92);
     let fork = dvec3(0.0, 0.0, -0.3);
@@ -201,7 +192,7 @@ pub(in super::super) fn broccoli(seed: u64) -> Vec<Solid> {
     for i in 0..7_u32 {
         let (turn, rise) = (GOLDEN * f64::from(i), if i == 0 { 3.0 } else { 0.9 + 0.12 * f64::from(i) });
         let way = dvec3(cos(turn), sin(turn), rise).normalize() * 0.42;
-        grow(&mut parts, STALK, (fork, way, 0.1), (1, 1 + u64::from(i)), crown, &mut tips);
+        grow(parts, STALK, (fork, way, 0.1), (1, 1 + u64::from(i)), crown, &mut tips);
     }
     // Pith, drier than its surroundings.
     parts.cone(0.34, [foot + dvec3(0.0, 0.0, 0.02), fork], [0.1, 0.13]);
@@ -216,14 +207,11 @@ pub(in super::super) fn broccoli(seed: u64) -> Vec<Solid> {
             parts.ball(draws.between(0.55, 0.75), bud, draws.between(0.03, 0.05));
         }
     }
-    parts.solids
 }
 
-pub(in super::super) fn kingsnake(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn kingsnake(parts: &mut Parts, chance: &mut Chance) {
     const BONE: f64 = 0.95;
     const JOINTS: usize = 80;
-    let mut parts = Parts::new(seed, 14);
-    let mut chance = parts.chance(0);
     let (turns, start) = (chance.about(2.55, 0.03), chance.between(0.0, TAU));
     let spine = curve(JOINTS, |t| {
         let turn = start + TAU * turns * t;
@@ -271,18 +259,15 @@ pub(in super::super) fn kingsnake(seed: u64) -> Vec<Solid> {
             parts.cone(1.0, [root, root - dvec3(0.0, 0.0, 0.045)], [0.008, 0.002]);
         }
     }
-    parts.solids
 }
 
 fn pow4(x: f64) -> f64 {
     x * x * x * x
 }
 
-pub(in super::super) fn pepper(seed: u64) -> Vec<Solid> {
+pub(in super::super) fn pepper(parts: &mut Parts, chance: &mut Chance) {
     const WALL: f64 = 0.55;
     const LOBES: u32 = 4;
-    let mut parts = Parts::new(seed, 15);
-    let mut chance = parts.chance(0);
     let start = chance.between(0.0, TAU);
     let lobes: Vec<_> = (0..LOBES)
         .map(|i| {
@@ -337,5 +322,4 @@ pub(in super::super) fn pepper(seed: u64) -> Vec<Solid> {
     let stem = curve(6, |t| dvec3(0.0, 0.0, 0.52 + 0.34 * t) + bend * 0.22 * t * t);
     parts.tube(0.6, &stem, |t| 0.055 - 0.01 * t);
     parts.tube(0.3, &stem, |t| 0.03 - 0.006 * t);
-    parts.solids
 }

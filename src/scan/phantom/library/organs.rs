@@ -1,6 +1,5 @@
 //! Parts of the human body: chest, foot, head, jaw, pancreas. x is left, the back is at +y, z is up.
 
-use super::super::solid::Solid;
 use super::parts::{Chance, Parts, arc, curve, pulled_into};
 use glam::{DVec3, dvec3};
 use std::f64::consts::PI;
@@ -72,9 +71,7 @@ fn tree(parts: &mut Parts, chance: &mut Chance, density: f64, stem: [DVec3; 2], 
     }
 }
 
-pub(in super::super) fn chest(seed: u64) -> Vec<Solid> {
-    let mut parts = Parts::new(seed, 1);
-    let mut chance = parts.chance(0);
+pub(in super::super) fn chest(parts: &mut Parts, chance: &mut Chance) {
     parts.cylinder(FAT, [0.0, 0.0, 0.0], [chance.about(0.89, 0.02), chance.about(0.61, 0.03), 0.93]);
     parts.cylinder(MUSCLE, [0.0, 0.0, 0.0], [0.84, 0.56, 0.93]);
     // Fat between the shoulder's muscles, lungs, and the liver below the right one.
@@ -95,7 +92,7 @@ pub(in super::super) fn chest(seed: u64) -> Vec<Solid> {
         for k in 0..3 {
             let mut draws = parts.chance(10 + 3 * i as u64 + k);
             let way = dvec3(side * 0.14, draws.between(-0.12, 0.12), 0.2 * k as f64 - 0.2);
-            tree(&mut parts, &mut draws, MUSCLE, [hilum, way], 0.028, room);
+            tree(parts, &mut draws, MUSCLE, [hilum, way], 0.028, room);
         }
     }
     let mut draws = parts.chance(1);
@@ -125,18 +122,17 @@ pub(in super::super) fn chest(seed: u64) -> Vec<Solid> {
             parts.capsule(density, [fork, dvec3(side * 0.2, 0.02, 0.1)], 0.03 + extra);
         }
     }
-    spine(&mut parts, [-0.93, 0.93], 10, 0.33, 0.11);
-    ribs(&mut parts);
+    spine(parts, [-0.93, 0.93], 10, 0.33, 0.11);
+    ribs(parts);
     // Breastbone, collarbones, shoulder blades.
     parts.strap(BONE, [dvec3(0.0, -0.46, 0.45), dvec3(0.0, -0.5, -0.25)], DVec3::Y, [0.028, 0.075]);
     parts.strap(MARROW, [dvec3(0.0, -0.46, 0.42), dvec3(0.0, -0.5, -0.22)], DVec3::Y, [0.014, 0.055]);
     for side in SIDES {
         let neck = dvec3(side * 0.09, -0.42, 0.58);
-        bone(&mut parts, [neck, dvec3(side * 0.62, -0.12, 0.74)], 0.034);
+        bone(parts, [neck, dvec3(side * 0.62, -0.12, 0.74)], 0.034);
         let blade = [dvec3(side * 0.62, 0.38, 0.66), dvec3(side * 0.42, 0.5, 0.12)];
         parts.strap(BONE, blade, dvec3(0.4 * side, 1.0, 0.0), [0.018, 0.1]);
     }
-    parts.solids
 }
 
 /// Nine pairs of ribs; all but the last two reach the breastbone as cartilage.
@@ -162,9 +158,7 @@ fn ribs(parts: &mut Parts) {
     }
 }
 
-pub(in super::super) fn foot(seed: u64) -> Vec<Solid> {
-    let mut parts = Parts::new(seed, 2);
-    let mut chance = parts.chance(0);
+pub(in super::super) fn foot(parts: &mut Parts, chance: &mut Chance) {
     // Skin and flesh: leg, heel, instep, ball; toes with their bones. Toes point to -y, the big toe lies at +x.
     let skin = |parts: &mut Parts, density: f64, less: f64| {
         parts.cone(density, [dvec3(-0.04, 0.45, -0.25), dvec3(-0.04, 0.44, 0.93)], [0.27 - less, 0.29 - less]);
@@ -177,27 +171,27 @@ pub(in super::super) fn foot(seed: u64) -> Vec<Solid> {
         );
         parts.ellipsoid(density, [0.02, -0.38, -0.53], DVec3::new(0.4, 0.32, 0.17) - less);
     };
-    skin(&mut parts, MUSCLE, 0.0);
-    skin(&mut parts, FAT, 0.02);
+    skin(parts, MUSCLE, 0.0);
+    skin(parts, FAT, 0.02);
     parts.ellipsoid_along(MUSCLE, dvec3(0.02, 0.05, -0.5), dvec3(0.2, 0.1, 0.42), dvec3(0.0, -1.0, -0.25));
     parts.rod(ORGAN, [dvec3(-0.03, 0.68, -0.2), dvec3(-0.03, 0.62, 0.93)], 0.045);
     // Leg.
-    bone(&mut parts, [dvec3(0.05, 0.4, 0.8), dvec3(0.04, 0.38, 0.03)], chance.about(0.1, 0.06));
+    bone(parts, [dvec3(0.05, 0.4, 0.8), dvec3(0.04, 0.38, 0.03)], chance.about(0.1, 0.06));
     parts.cone(BONE, [dvec3(0.05, 0.4, 0.1), dvec3(0.04, 0.38, -0.04)], [0.1, 0.14]);
     parts.cone(MARROW, [dvec3(0.05, 0.4, 0.08), dvec3(0.04, 0.38, -0.02)], [0.06, 0.11]);
     parts.capsule(BONE, [dvec3(0.16, 0.38, 0.05), dvec3(0.16, 0.38, -0.1)], 0.04);
-    bone(&mut parts, [dvec3(-0.17, 0.48, 0.83), dvec3(-0.15, 0.42, -0.08)], chance.about(0.045, 0.06));
+    bone(parts, [dvec3(-0.17, 0.48, 0.83), dvec3(-0.15, 0.42, -0.08)], chance.about(0.045, 0.06));
     // Ankle, heel and the middle of the foot.
     let mut small = |parts: &mut Parts, centre: [f64; 3], half: [f64; 3], axis: [f64; 3]| {
         let size = chance.about(1.0, 0.04);
         ossicle(parts, centre.into(), DVec3::from(half) * size, axis.into());
     };
-    small(&mut parts, [0.03, 0.32, -0.17], [0.13, 0.11, 0.2], [0.0, 1.0, 0.25]);
-    small(&mut parts, [-0.02, 0.55, -0.42], [0.12, 0.14, 0.3], [0.0, 1.0, -0.25]);
-    small(&mut parts, [0.08, 0.06, -0.24], [0.12, 0.1, 0.06], [0.0, 1.0, 0.2]);
-    small(&mut parts, [-0.13, 0.08, -0.42], [0.09, 0.09, 0.15], [0.0, 1.0, 0.2]);
+    small(parts, [0.03, 0.32, -0.17], [0.13, 0.11, 0.2], [0.0, 1.0, 0.25]);
+    small(parts, [-0.02, 0.55, -0.42], [0.12, 0.14, 0.3], [0.0, 1.0, -0.25]);
+    small(parts, [0.08, 0.06, -0.24], [0.12, 0.1, 0.06], [0.0, 1.0, 0.2]);
+    small(parts, [-0.13, 0.08, -0.42], [0.09, 0.09, 0.15], [0.0, 1.0, 0.2]);
     for (i, x) in [0.15, 0.04, -0.05].into_iter().enumerate() {
-        small(&mut parts, [x, -0.08, -0.29 - 0.02 * i as f64], [0.055, 0.08, 0.09], [0.0, 1.0, 0.2]);
+        small(parts, [x, -0.08, -0.29 - 0.02 * i as f64], [0.055, 0.08, 0.09], [0.0, 1.0, 0.2]);
     }
     // Rays: a metatarsal and two or three phalanges each.
     for toe in 0..5 {
@@ -212,19 +206,16 @@ pub(in super::super) fn foot(seed: u64) -> Vec<Solid> {
         for (density, less) in [(MUSCLE, 0.0), (FAT, 0.015)] {
             parts.capsule(density, [head, end], if toe == 0 { 0.115 } else { 0.078 } - less);
         }
-        bone(&mut parts, [base, head], 0.036 * first);
+        bone(parts, [base, head], 0.036 * first);
         let joints: &[f64] = if toe == 0 { &[0.15, 0.55, 0.62, 1.0] } else { &[0.16, 0.52, 0.6, 0.78, 0.86, 1.02] };
         for pair in joints.chunks(2) {
             let thick = 0.03 * first * (1.1 - 0.35 * pair[0]);
-            bone(&mut parts, [head.lerp(end, pair[0]), head.lerp(end, pair[1])], thick);
+            bone(parts, [head.lerp(end, pair[0]), head.lerp(end, pair[1])], thick);
         }
     }
-    parts.solids
 }
 
-pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
-    let mut parts = Parts::new(seed, 3);
-    let mut chance = parts.chance(0);
+pub(in super::super) fn head(parts: &mut Parts, chance: &mut Chance) {
     let centre = dvec3(0.0, 0.08, 0.22);
     // Skin, ears, nose, neck.
     parts.cylinder(MUSCLE, [0.0, 0.27, -0.6], [0.37, 0.36, 0.33]);
@@ -249,7 +240,7 @@ pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
             dvec3(0.2, 0.52, 0.4) * chance.about(1.0, 0.03),
         );
     }
-    sulci(&mut parts, centre, grey);
+    sulci(parts, centre, grey);
     parts.ellipsoid(WATER, centre + dvec3(0.0, 0.0, 0.08), [0.01, 0.64, 0.47]);
     // Ventricles and deep nuclei.
     let wide = chance.about(0.05, 0.25);
@@ -272,10 +263,9 @@ pub(in super::super) fn head(seed: u64) -> Vec<Solid> {
     }
     parts.capsule(BONE, [dvec3(0.0, 0.22, -0.24), dvec3(0.0, 0.26, -0.36)], 0.17);
     parts.capsule(WATER, [dvec3(0.0, 0.2, -0.15), dvec3(0.0, 0.28, -0.42)], 0.11);
-    spine(&mut parts, [-0.93, -0.42], 4, 0.2, 0.1);
+    spine(parts, [-0.93, -0.42], 4, 0.2, 0.1);
     parts.rod(ORGAN, [dvec3(0.0, 0.2, -0.08), dvec3(0.0, 0.31, -0.93)], 0.05);
-    face(&mut parts);
-    parts.solids
+    face(parts);
 }
 
 /// Furrows of the brain: thin sheets that extend inwards from its surface.
@@ -341,9 +331,7 @@ fn face(parts: &mut Parts) {
     }
 }
 
-pub(in super::super) fn jaw(seed: u64) -> Vec<Solid> {
-    let mut parts = Parts::new(seed, 4);
-    let mut chance = parts.chance(0);
+pub(in super::super) fn jaw(parts: &mut Parts, chance: &mut Chance) {
     // Cheeks, mouth, tongue, throat.
     let chin = chance.about(0.5, 0.04);
     for (density, less) in [(FAT, 0.0), (MUSCLE, 0.06)] {
@@ -367,13 +355,13 @@ pub(in super::super) fn jaw(seed: u64) -> Vec<Solid> {
     let along = |parts: &mut Parts, density: f64, path: &[DVec3], size: [f64; 2]| {
         path.windows(2).for_each(|pair| parts.strap(density, [pair[0], pair[1]], DVec3::Z, size));
     };
-    branches(&mut parts, BONE, 0.0);
-    along(&mut parts, BONE, &lower, [0.2, 0.105]);
-    along(&mut parts, BONE, &upper, [0.15, 0.1]);
+    branches(parts, BONE, 0.0);
+    along(parts, BONE, &lower, [0.2, 0.105]);
+    along(parts, BONE, &upper, [0.15, 0.1]);
     parts.ellipsoid(BONE, [0.0, -0.06, 0.38], [0.52, 0.58, 0.035]);
-    branches(&mut parts, MARROW, 0.03);
-    along(&mut parts, MARROW, &lower, [0.165, 0.07]);
-    along(&mut parts, MARROW, &upper, [0.12, 0.07]);
+    branches(parts, MARROW, 0.03);
+    along(parts, MARROW, &lower, [0.165, 0.07]);
+    along(parts, MARROW, &upper, [0.12, 0.07]);
     let canal: Vec<DVec3> = lower.iter().map(|point| *point - dvec3(0.0, 0.0, 0.1)).collect();
     parts.tube(WATER, &canal, |_| 0.022);
     for side in SIDES {
@@ -385,10 +373,9 @@ pub(in super::super) fn jaw(seed: u64) -> Vec<Solid> {
             ([dvec3(0.0, 0.15, -0.06), dvec3(0.0, 0.12, 0.08)][jaw], [[0.57, 0.77], [0.555, 0.755]][jaw]);
         for (i, place) in arc(13, centre, half, [-PI + 0.22, -0.22]).into_iter().enumerate() {
             let mut draws = parts.chance(10 + 20 * jaw as u64 + i as u64);
-            tooth(&mut parts, &mut draws, place, up, i.min(13 - i));
+            tooth(parts, &mut draws, place, up, i.min(13 - i));
         }
     }
-    parts.solids
 }
 
 /// A tooth with its root towards `up`; `kind` counts from the last molar, 0, to the central incisor, 6.
@@ -413,9 +400,7 @@ fn tooth(parts: &mut Parts, chance: &mut Chance, crown: DVec3, up: f64, kind: us
     }
 }
 
-pub(in super::super) fn pancreas(seed: u64) -> Vec<Solid> {
-    let mut parts = Parts::new(seed, 5);
-    let mut chance = parts.chance(0);
+pub(in super::super) fn pancreas(parts: &mut Parts, chance: &mut Chance) {
     // Skin and fat, muscles, the fat of the belly.
     parts.cylinder(FAT, [0.0, 0.0, 0.0], [0.93, chance.about(0.68, 0.02), 0.93]);
     parts.cylinder(MUSCLE, [0.0, 0.02, 0.0], [0.83, 0.6, 0.93]);
@@ -431,7 +416,7 @@ pub(in super::super) fn pancreas(seed: u64) -> Vec<Solid> {
     for k in 0..3 {
         let mut draws = parts.chance(10 + k);
         let way = dvec3(-0.2, draws.between(-0.15, 0.1), 0.14 * k as f64 - 0.08);
-        tree(&mut parts, &mut draws, 0.58, [dvec3(-0.1, 0.0, 0.24), way], 0.034, [liver[0], liver[1] * 0.94]);
+        tree(parts, &mut draws, 0.58, [dvec3(-0.1, 0.0, 0.24), way], 0.034, [liver[0], liver[1] * 0.94]);
     }
     parts.ellipsoid_along(WATER, dvec3(-0.3, -0.28, -0.02), dvec3(0.08, 0.08, 0.16), dvec3(0.2, -0.5, -1.0));
     parts.ellipsoid_along(BLOOD, dvec3(0.56, 0.2, 0.48), dvec3(0.13, 0.2, 0.29), dvec3(0.1, 0.3, 1.0));
@@ -450,8 +435,8 @@ pub(in super::super) fn pancreas(seed: u64) -> Vec<Solid> {
     parts.tube(ORGAN, &stomach, |t| 0.22 - 0.12 * t);
     parts.tube(WATER, &stomach, |t| 0.195 - 0.12 * t);
     parts.ellipsoid(AIR, stomach[2] + dvec3(0.0, -0.11, 0.02), [0.12, 0.06, 0.14]);
-    bowels(&mut parts);
-    spine(&mut parts, [-0.93, 0.93], 5, 0.26, 0.14);
+    bowels(parts);
+    spine(parts, [-0.93, 0.93], 5, 0.26, 0.14);
     for side in SIDES {
         for pair in 0..4 {
             let top = 0.85 - 0.28 * f64::from(pair);
@@ -468,8 +453,7 @@ pub(in super::super) fn pancreas(seed: u64) -> Vec<Solid> {
     parts.tube(0.57, &curve(6, |t| dvec3(0.48 - 0.55 * t, 0.12 - 0.14 * sin(PI * t), 0.3 - 0.16 * t)), |_| 0.03);
     parts.capsule(0.57, [dvec3(-0.07, 0.05, 0.12), dvec3(-0.12, -0.02, 0.28)], 0.038);
     parts.capsule(0.57, [dvec3(-0.06, 0.02, 0.13), dvec3(-0.02, -0.08, -0.4)], 0.034);
-    gland(&mut parts);
-    parts.solids
+    gland(parts);
 }
 
 /// The pancreas: lobules around a duct.

@@ -9,21 +9,24 @@ use trgs_core::numeric::elementary::{cos, sin};
 use trgs_core::numeric::rng::{Purpose, stream};
 
 /// Parts in order of insertion: each displaces earlier parts where they overlap.
-pub(super) struct Parts {
+pub(in super::super) struct Parts {
     seed: u64,
     phantom: u64,
-    pub(super) solids: Vec<Solid>,
+    solids: Vec<Solid>,
 }
 
 /// Random numbers for one group of parts.
-pub(super) struct Chance(ChaCha8Rng);
+pub(in super::super) struct Chance(ChaCha8Rng);
 
 impl Parts {
-    /// An empty list of parts.
+    /// The parts that `draw` adds, with the random numbers of the group 0.
     ///
     /// `phantom` is a number unique to the phantom, so that no two phantoms share random numbers.
-    pub(super) fn new(seed: u64, phantom: u64) -> Self {
-        Self { seed, phantom, solids: Vec::new() }
+    pub(in super::super) fn drawn(seed: u64, phantom: u64, draw: fn(&mut Self, &mut Chance)) -> Vec<Solid> {
+        let mut parts = Self { seed, phantom, solids: Vec::new() };
+        let mut chance = parts.chance(0);
+        draw(&mut parts, &mut chance);
+        parts.solids
     }
 
     /// The random numbers of a group of parts; they depend only on the seed, the phantom and `id`.
