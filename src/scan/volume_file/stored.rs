@@ -135,7 +135,7 @@ impl Stored {
         Self { metadata, axes, factor, ..self }
     }
 
-    /// The same, read once where memory allows: for several passes over its slabs.
+    /// The same volume in memory, where memory allows; its file is then read once for several passes over slabs.
     ///
     /// # Errors
     /// Those of [`Self::slab`].

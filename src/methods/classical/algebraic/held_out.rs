@@ -115,10 +115,11 @@ pub enum Passes {
 
 /// The weight of [`super::tv()`] with the least error on held-out views, a quarter of all views.
 ///
-/// Not in the paper. A second quarter is held out, too, where another weight is within one standard error of the best. Each weight is judged after the iterations of `settings`, from zeros: with fewer, small weights are
-/// further from their minimum than they will be in the run, and a weight too large is chosen. Weights change by factors
-/// of four from the first one to either side until the error rises; then a parabola in the logarithm of the weight is
-/// fitted to the three around the best. With two views or fewer, the weight of `settings` is returned.
+/// Not in the paper. A second quarter is held out, too, where another weight is within one standard error of the best.
+/// Each weight is judged after the iterations of `settings`, from zeros: with fewer, small weights are further from their
+/// minimum than they will be in the run, and a weight too large is chosen. Weights change by factors of four from the
+/// first one to either side until the error rises; then a parabola in the logarithm of the weight is fitted to the three
+/// around the best. With two views or fewer, the weight of `settings` is returned.
 ///
 /// # Errors
 /// Those of [`super::tv()`].
