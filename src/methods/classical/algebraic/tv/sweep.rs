@@ -50,9 +50,11 @@ impl<R: Real> TvRun<'_, R> {
         let objective = 0.5 * misfit + self.lambda * variation;
         let pass = Pass::new(self.iteration, self.settings.iterations, misfit.sqrt())?;
         if objective > (1.0 - SLOW) * self.objective {
-            self.sets /= 2;
+            // Larger sets have other sums: the first sweep over them is compared with none.
+            (self.sets, self.objective) = (self.sets / 2, f64::INFINITY);
+        } else {
+            self.objective = objective;
         }
-        self.objective = objective;
         if self.sets <= 1 {
             self.begin_whole()?;
         }

@@ -22,11 +22,15 @@ fn scanner(shape: [usize; 3]) -> Scanner {
 
 /// Noisy projections of a block in a box, times `unit`.
 fn scan(shape: [usize; 3], unit: f32) -> (VoxelProjector, Projections) {
+    scan_of(shape, unit, 7)
+}
+
+fn scan_of(shape: [usize; 3], unit: f32, views: usize) -> (VoxelProjector, Projections) {
     let projector = VoxelProjector::new(&scanner(shape), RayModel::Joseph).unwrap();
     let inside = |i: usize, n: usize| 4 * i >= n && 4 * i < 3 * n || n == 1;
     let block = |(x, y, z)| if inside(x, shape[0]) && inside(y, shape[1]) && inside(z, shape[2]) { 1.0 } else { 0.1 };
     let values = Array3::from_shape_fn(shape, block);
-    let angles = Scanner::uniform_angles(7, 0.1, TAU);
+    let angles = Scanner::uniform_angles(views, 0.1, TAU);
     let mut images: Array3<f64> = projector.forward(&angles, values.view()).unwrap();
     images.iter_mut().enumerate().for_each(|(i, value)| *value += ((i * 37) % 23) as f64 / 230.0 - 0.05);
     let images = images.mapv(|value| unit * value as f32);
@@ -247,6 +251,20 @@ fn sweeps_get_further_than_as_many_iterations_over_all_views() {
     sweeping.begin_whole().unwrap();
     let [fast, slow] = [&sweeping, &whole].map(TvRun::objective);
     assert!(fast < slow && slow < before, "{fast}, {slow}, {before}");
+}
+
+#[test]
+fn every_number_of_sets_has_two_sweeps() {
+    let (projector, projections) = scan_of(SHAPE, 1.0, 24);
+    let settings = TvSettings { weight: 0.1, ..settings(40) };
+    let mut run = TvRun::<f64>::new(&projector, &projections, &settings, None, &Division::whole()).unwrap();
+    let mut after = || {
+        run.step().unwrap();
+        run.sets
+    };
+    let sets: Vec<usize> = (0..40).map(|_| after()).collect();
+    assert_eq!([sets[0], sets[39]], [8, 1]);
+    assert!(sets.windows(3).all(|sets| sets[1] < 2 || sets[0] == sets[1] || sets[1] == sets[2]), "{sets:?}");
 }
 
 #[test]
