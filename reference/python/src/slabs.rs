@@ -10,6 +10,7 @@ use ndarray::{Array1, Array3, Ix1, Ix3};
 use numpy::PyReadonlyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
+use std::iter;
 use std::ops::Range;
 use trgs::classical::algebraic::{self, Change, Measure, Name, SartRun, Space, TvRun, VoxelRun};
 use trgs::classical::{RayModel, VoxelProjector};
@@ -168,7 +169,7 @@ impl Part {
             let expected = measure.reads().len().to_string();
             return Err(wrong_value("volumes", volumes.len(), &expected, "give those of the sum"));
         }
-        let mut named: [&[f32]; 4] = [&[]; 4];
+        let mut named: [&[f32]; 3] = [&[]; 3];
         measure.reads().iter().zip(&volumes).for_each(|(name, volume)| named[*name as usize] = volume);
         run(py, || part.measure(measure, named))
     }
@@ -184,12 +185,12 @@ impl Part {
     ) -> PyResult<(Array<'py>, [Array<'py>; 3])> {
         let part = self.part();
         let values = |what: &str, value: &Array<'py>| Ok(slice(&self.slab(what, value, part.reads(steps))?).to_vec());
-        let y: Vec<f32> = values("y", y)?;
-        let dual: PyResult<Vec<Vec<f32>>> =
-            [&dual.0, &dual.1, &dual.2].map(|q| values("dual", q)).into_iter().collect();
-        let dual = dual?.try_into().expect("three arrays");
-        let (next, dual) = run(py, || part.solve(&y, dual, tau, steps))?;
-        Ok((self.give(py, next), dual.map(|dual| self.give(py, dual))))
+        let arrays: PyResult<Vec<Vec<f32>>> =
+            iter::once(values("y", y)).chain([&dual.0, &dual.1, &dual.2].map(|q| values("dual", q))).collect();
+        let arrays = arrays?.try_into().expect("four arrays");
+        let (found, own) = run(py, || part.solve(arrays, tau, steps))?;
+        let [next, dual @ ..] = found.map(|values| self.give(py, values[own.clone()].to_vec()));
+        Ok((next, dual))
     }
 }
 
@@ -240,7 +241,6 @@ fn name(name: Name) -> &'static str {
     match name {
         Name::Volume => "volume",
         Name::Before => "before",
-        Name::Middle => "middle",
         Name::Next => "next",
     }
 }

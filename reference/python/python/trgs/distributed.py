@@ -395,7 +395,7 @@ class _Space:
         self.scanner, self.angles = self._put(scanner), self._put(angles)
         self.slice = scanner.grid.shape[1:]
         self.slabs: dict[str, list[Any]] = {}
-        for name in ("volume", "before", "middle", "next"):
+        for name in ("volume", "before", "next"):
             self.change("fill", name, 0.0)
         self.change("forget", "dual", 0.0)
         self.reads = [_core.Part(scanner, angles, *part).reads for part in parts]
@@ -465,7 +465,7 @@ class _Space:
         return [term for slab in self.client.gather(terms) for term in slab]
 
     def solve(self, tau: float, steps: int) -> None:
-        read = [(self._slices("middle", *reads(steps)), self._slices("dual", *reads(steps))) for reads in self.reads]
+        read = [(self._slices("next", *reads(steps)), self._slices("dual", *reads(steps))) for reads in self.reads]
         both = [self._on(_solved, part, y, dual, tau, steps) for part, (y, dual) in zip(self.parts, read)]
         self.slabs["next"] = [self._submit(_item, found, 0) for found in both]
         self.slabs["dual"] = [self._submit(_item, found, 1) for found in both]

@@ -31,7 +31,7 @@ impl Division {
     ) -> Result<Box<dyn Space<R> + 'a>> {
         Ok(match self.slabs {
             1 => Box::new(Whole::new(projector, views, true)),
-            slabs => Box::new(Slabs::new::<R>(projector, views, slabs, &self.folder)?),
+            slabs => Box::new(Slabs::<R>::new(projector, views, slabs, &self.folder)?),
         })
     }
 }

@@ -2,11 +2,11 @@
 
 use std::ops::{Add, Mul};
 use trgs_core::geometry::Grid;
-use trgs_core::numeric::threads::{chunks, for_each_chunk, for_each_zip};
+use trgs_core::numeric::threads::{chunks, for_each_chunk, for_each_zip, map};
 use trgs_core::numeric::{Lanes, Real, real, reduce};
 
-/// Voxels per parallel task.
-const SHARE: usize = 1 << 14;
+/// Parallel tasks of a step.
+const TASKS: usize = 16;
 /// Length of a step of the dual. It converges below 2; there one step is as good as two of 1.
 const STEP: f64 = 1.9;
 
@@ -23,12 +23,13 @@ const STEP: f64 = 1.9;
 /// w_a is the smallest spacing of the voxels divided by the one along a.
 #[derive(Clone, Debug)]
 pub(super) struct Proximal<R> {
-    /// Numbers of lines of voxels along the first two axes, and their length.
+    /// Numbers of slices, of lines per slice and of voxels per line.
     shape: [usize; 3],
     weights: [f64; 3],
     /// An upper bound of `‖D‖²`.
     bound: f64,
     q: [Vec<R>; 3],
+    /// A slice of zeros: q before the first one.
     zeros: Vec<R>,
 }
 
@@ -42,10 +43,10 @@ impl<R: Real> Proximal<R> {
         let [nx, ny, nz] = grid.shape;
         let [x, y, z] = weights(grid);
         // A volume with a single slice in z has the same memory order with its long lines last.
-        let (shape, weights) = if nz == 1 { ([1, slices, ny], [z, x, y]) } else { ([slices, ny, nz], [x, y, z]) };
+        let (shape, weights) = if nz == 1 { ([slices, 1, ny], [x, z, y]) } else { ([slices, ny, nz], [x, y, z]) };
         let sides = [(nx, x), (ny, y), (nz, z)].into_iter().filter(|(n, _)| *n > 1);
         let bound = sides.map(|(_, weight)| 4.0 * weight * weight).sum();
-        Self { shape, weights, bound, q, zeros: vec![R::ZERO; shape[2]] }
+        Self { shape, weights, bound, q, zeros: vec![R::ZERO; ny * nz] }
     }
 
     /// The dual variable q.
@@ -53,63 +54,81 @@ impl<R: Real> Proximal<R> {
         &self.q
     }
 
+    pub(super) fn into_dual(self) -> [Vec<R>; 3] {
+        self.q
+    }
+
     /// Sets the dual variable to continue from.
     pub(super) fn set_dual(&mut self, dual: [Vec<R>; 3]) {
         self.q = dual;
     }
 
-    fn lines(&self) -> usize {
-        (SHARE / self.shape[2]).max(1)
+    /// Numbers of a parallel task.
+    fn share(&self) -> usize {
+        self.shape[0].div_ceil(TASKS) * self.zeros.len()
     }
 
-    /// Solves for x given z by `steps` steps; τ is in units of z.
-    pub(super) fn solve(&mut self, z: &[R], tau: f64, steps: usize, x: &mut [R]) {
-        let bound = self.bound;
-        if tau == 0.0 || bound == 0.0 {
-            x.iter_mut().zip(z).for_each(|(x, &z)| *x = if z > R::ZERO { z } else { R::ZERO });
+    /// Solves for x in the place of z by `steps` steps; τ is in units of z.
+    pub(super) fn solve(&mut self, z: &mut [R], tau: f64, steps: usize) {
+        if tau == 0.0 || self.bound == 0.0 {
+            z.iter_mut().for_each(|z| *z = if *z > R::ZERO { *z } else { R::ZERO });
             return;
         }
         for _ in 0..steps {
-            self.primal(z, tau, x);
-            self.ascend(x, STEP / (tau * bound));
+            self.ascend(z, tau);
         }
-        self.primal(z, tau, x);
-    }
-
-    /// `x = max(0, z - τ·Dᵀq)`.
-    fn primal(&self, z: &[R], tau: f64, x: &mut [R]) {
-        let ([_, ny, nz], lines, q) = (self.shape, self.lines(), &self.q);
-        let factors: [R; 3] = self.weights.map(|weight| real(tau * weight));
-        for_each_chunk(x, lines * nz, |chunk, x| {
-            for (i, x) in x.chunks_exact_mut(nz).enumerate() {
-                let line = chunk * lines + i;
-                let at = line * nz;
-                let before = |axis: usize, first: bool, stride: usize| {
-                    if first { &self.zeros[..nz] } else { &q[axis][at - stride..][..nz] }
-                };
-                let q_before = [before(0, line < ny, ny * nz), before(1, line % ny == 0, nz)];
-                let q = q.each_ref().map(|q| &q[at..at + nz]);
-                primal_line::<R::Lanes>(q, q_before, &z[at..at + nz], factors, x);
-            }
+        let (share, slice) = (self.share(), self.zeros.len());
+        for_each_chunk(z, share, |task, z| {
+            z.chunks_exact_mut(slice).enumerate().for_each(|(i, z)| self.primal(tau, task * share + i * slice, z));
         });
     }
 
-    /// An ascent step of the dual.
-    fn ascend(&mut self, x: &[R], step: f64) {
-        let ([nx, ny, nz], lines) = (self.shape, self.lines());
-        let factors: [R; 3] = self.weights.map(|weight| real(step * weight));
-        let length = lines * nz;
-        let [q0, q1, q2] = &mut self.q;
-        for_each_zip((chunks(q0, length), chunks(q1, length), chunks(q2, length)), |chunk, (q0, q1, q2)| {
-            for i in 0..q0.len() / nz {
-                let (line, part) = (chunk * lines + i, i * nz..(i + 1) * nz);
-                let at = line * nz;
-                let here = &x[at..at + nz];
-                // The last line has no difference to a next line.
-                let next = |last: bool, stride: usize| if last { here } else { &x[at + stride..][..nz] };
-                let next = [next(line / ny + 1 == nx, ny * nz), next(line % ny + 1 == ny, nz)];
-                let q = [&mut q0[part.clone()], &mut q1[part.clone()], &mut q2[part]];
-                dual_line::<R::Lanes>(here, next, factors, q);
+    /// `max(0, z - τ·Dᵀq)` of the slice that begins at `at`, in the place of z.
+    fn primal(&self, tau: f64, at: usize, z: &mut [R]) {
+        let slice = self.zeros.len();
+        let before = if at == 0 { &self.zeros } else { &self.q[0][at - slice..at] };
+        let q = self.q.each_ref().map(|q| &q[at..at + slice]);
+        primal_slice(q, [before, &self.zeros], self.factors(tau), self.shape[2], z);
+    }
+
+    /// Weights times a factor.
+    fn factors(&self, factor: f64) -> [R; 3] {
+        self.weights.map(|weight| real(factor * weight))
+    }
+
+    /// An ascent step of the dual. Two slices of x per task are there at a time.
+    fn ascend(&mut self, z: &[R], tau: f64) {
+        let (share, slice, nz) = (self.share(), self.zeros.len(), self.shape[2]);
+        // q of the slice before the first one of a task is another task's.
+        let firsts = map(z.len().div_ceil(share), |task| {
+            let mut x = z[task * share..][..slice].to_vec();
+            self.primal(tau, task * share, &mut x);
+            x
+        });
+        let (down, up) = (self.factors(tau), self.factors(STEP / (tau * self.bound)));
+        let Self { q: [q0, q1, q2], zeros, .. } = self;
+        for_each_zip((chunks(q0, share), chunks(q1, share), chunks(q2, share)), |task, (q0, q1, q2)| {
+            let (mut here, mut next) = (firsts[task].clone(), vec![R::ZERO; slice]);
+            for at in (0..q0.len()).step_by(slice) {
+                let (part, above) = (at..at + slice, at + slice..at + 2 * slice);
+                let beyond = if above.end <= q0.len() {
+                    next.copy_from_slice(&z[task * share + above.start..][..slice]);
+                    let q = [&q0[above.clone()], &q1[above.clone()], &q2[above]];
+                    primal_slice(q, [&q0[part], zeros], down, nz, &mut next);
+                    &next
+                } else {
+                    // The last slice has no difference to a next slice.
+                    firsts.get(task + 1).unwrap_or(&here)
+                };
+                for k in (0..slice).step_by(nz) {
+                    let line = k..k + nz;
+                    let x = &here[line.clone()];
+                    let next = [&beyond[line.clone()], here.get(k + nz..k + 2 * nz).unwrap_or(x)];
+                    let line = at + k..at + k + nz;
+                    let q = [&mut q0[line.clone()], &mut q1[line.clone()], &mut q2[line]];
+                    dual_line::<R::Lanes>(x, next, up, q);
+                }
+                std::mem::swap(&mut here, &mut next);
             }
         });
     }
@@ -145,15 +164,24 @@ fn square<T: Copy + Add<Output = T> + Mul<Output = T>>([a, b, c]: [T; 3]) -> T {
     a * a + b * b + c * c
 }
 
-/// [`Proximal::primal`] for one line.
+/// [`Proximal::primal`] of a slice, from q, q of the first axis before it, and zeros.
+fn primal_slice<R: Real>(q: [&[R]; 3], before: [&[R]; 2], factors: [R; 3], nz: usize, z: &mut [R]) {
+    let [before, zeros] = before;
+    for at in (0..z.len()).step_by(nz) {
+        let line = at..at + nz;
+        let before = [&before[line.clone()], if at == 0 { &zeros[..nz] } else { &q[1][at - nz..at] }];
+        primal_line::<R::Lanes>(q.map(|q| &q[line.clone()]), before, factors, &mut z[line]);
+    }
+}
+
+/// [`primal_slice`] of one line.
 fn primal_line<L: Lanes>(
     q: [&[L::Scalar]; 3],
     before: [&[L::Scalar]; 2],
-    z: &[L::Scalar],
     factors: [L::Scalar; 3],
-    x: &mut [L::Scalar],
+    z: &mut [L::Scalar],
 ) {
-    let (factors, n) = (factors.map(L::splat), x.len());
+    let (factors, n) = (factors.map(L::splat), z.len());
     for k in (0..n).step_by(L::WIDTH) {
         let at = |values: &[L::Scalar]| L::from_first(&values[k..n]);
         let below = match k {
@@ -163,7 +191,7 @@ fn primal_line<L: Lanes>(
         let adjoint = factors[0] * (at(before[0]) - at(q[0]))
             + factors[1] * (at(before[1]) - at(q[1]))
             + factors[2] * (below - at(q[2]));
-        (at(z) - adjoint).at_least(L::default()).write_first(&mut x[k..(k + L::WIDTH).min(n)]);
+        (at(z) - adjoint).at_least(L::default()).write_first(&mut z[k..(k + L::WIDTH).min(n)]);
     }
 }
 

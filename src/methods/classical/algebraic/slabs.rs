@@ -30,26 +30,25 @@ impl Scratch {
         self.file.seek(SeekFrom::Start(bytes)).map(|_| &mut self.file)
     }
 
-    fn read<R: Real>(&mut self, slices: Range<usize>) -> io::Result<Vec<R>> {
-        let (from, count) = (slices.start, slices.len() * self.slice);
-        let mut values: Box<dyn Any> = match size_of::<R>() {
-            4 => Box::new(vec![0_f32; count]),
-            _ => Box::new(vec![0_f64; count]),
+    fn read<R: Real>(&mut self, slices: Range<usize>, mut values: Vec<R>) -> io::Result<Vec<R>> {
+        values.resize(slices.len() * self.slice, R::ZERO);
+        let any: &mut dyn Any = &mut values;
+        let bytes = if any.is::<Vec<f32>>() {
+            bytemuck::cast_slice_mut(any.downcast_mut::<Vec<f32>>().expect(TYPES))
+        } else {
+            bytemuck::cast_slice_mut(any.downcast_mut::<Vec<f64>>().expect(TYPES))
         };
-        let bytes = match values.downcast_mut::<Vec<f32>>() {
-            Some(values) => bytemuck::cast_slice_mut(values),
-            None => bytemuck::cast_slice_mut(values.downcast_mut::<Vec<f64>>().expect(TYPES)),
-        };
-        self.at::<R>(from)?.read_exact(bytes)?;
-        Ok(*values.downcast().expect(TYPES))
+        self.at::<R>(slices.start)?.read_exact(bytes)?;
+        Ok(values)
     }
 
+    /// Writes some of the values.
     #[expect(clippy::ptr_arg, reason = "slices have no type that is known when the program runs")]
-    fn write<R: Real>(&mut self, slice: usize, values: &Vec<R>) -> io::Result<()> {
+    fn write<R: Real>(&mut self, slice: usize, values: &Vec<R>, some: Range<usize>) -> io::Result<()> {
         let values: &dyn Any = values;
         let bytes = match values.downcast_ref::<Vec<f32>>() {
-            Some(values) => bytemuck::cast_slice(values),
-            None => bytemuck::cast_slice(values.downcast_ref::<Vec<f64>>().expect(TYPES)),
+            Some(values) => bytemuck::cast_slice(&values[some]),
+            None => bytemuck::cast_slice(&values.downcast_ref::<Vec<f64>>().expect(TYPES)[some]),
         };
         self.at::<R>(slice)?.write_all(bytes)
     }
@@ -59,48 +58,59 @@ impl Scratch {
 const TYPES: &str = "single or double";
 
 /// Volumes in slabs, one in memory at a time.
-pub(super) struct Slabs<'a> {
+pub(super) struct Slabs<'a, R> {
     projector: &'a VoxelProjector,
     views: Vec<View>,
     parts: Vec<Part<'a>>,
-    /// Volumes by name, then the dual and its next values.
+    /// Volumes by name, then the dual, then what becomes of [`STEP`].
     files: Vec<Scratch>,
+    /// Memory of slabs that were read before: the system takes longer to give new memory than to read.
+    pub(super) spare: Vec<Vec<R>>,
 }
 
-/// Places of the dual and of its next values among the files.
-const DUAL: [usize; 3] = [4, 5, 6];
-const NEXT_DUAL: [usize; 3] = [7, 8, 9];
+/// Places among the files of y and the dual, and of what a step writes beside them, since it reads slices of other slabs.
+const STEP: [usize; 4] = [2, 3, 4, 5];
+const AFTER: [usize; 4] = [6, 7, 8, 9];
 
-impl<'a> Slabs<'a> {
+impl<'a, R: Real> Slabs<'a, R> {
     /// Zeros in `count` slabs; the files are in `folder`.
-    pub(super) fn new<R: Real>(
-        projector: &'a VoxelProjector,
-        views: Vec<View>,
-        count: usize,
-        folder: &Path,
-    ) -> Result<Self> {
+    pub(super) fn new(projector: &'a VoxelProjector, views: Vec<View>, count: usize, folder: &Path) -> Result<Self> {
         let shape = projector.scanner().grid.shape;
         let file = |_| Scratch::new(folder, shape, size_of::<R>());
-        let files = (0..=NEXT_DUAL[2]).map(file).collect::<io::Result<_>>().map_err(failed)?;
+        let files = (0..=AFTER[3]).map(file).collect::<io::Result<_>>().map_err(failed)?;
         let count = count.clamp(1, shape[0]);
         let part = |k: usize| Part::new(projector, k * shape[0] / count..(k + 1) * shape[0] / count);
-        Ok(Self { projector, views, parts: (0..count).map(part).collect::<Result<_>>()?, files })
+        Ok(Self { projector, views, parts: (0..count).map(part).collect::<Result<_>>()?, files, spare: Vec::new() })
     }
 
-    fn read<R: Real>(&mut self, place: usize, slices: Range<usize>) -> Result<Vec<R>> {
-        self.files[place].read(slices).map_err(failed)
+    fn read(&mut self, place: usize, slices: Range<usize>) -> Result<Vec<R>> {
+        let memory = self.spare.pop().unwrap_or_default();
+        self.files[place].read(slices, memory).map_err(failed)
     }
 
-    fn write<R: Real>(&mut self, place: usize, slice: usize, values: &Vec<R>) -> Result<()> {
-        self.files[place].write(slice, values).map_err(failed)
+    /// Memory of so many equal values.
+    fn equal(&mut self, value: R, count: usize) -> Vec<R> {
+        let mut values = self.spare.pop().unwrap_or_default();
+        values.clear();
+        values.resize(count, value);
+        values
+    }
+
+    fn keep(&mut self, values: impl IntoIterator<Item = Vec<R>>) {
+        self.spare.extend(values.into_iter().filter(|values| values.capacity() > 0));
+    }
+
+    fn write(&mut self, place: usize, slice: usize, values: &Vec<R>) -> Result<()> {
+        self.files[place].write(slice, values, 0..values.len()).map_err(failed)
     }
 
     /// Reads, changes and writes every slab of a volume.
-    fn each<R: Real>(&mut self, name: Name, mut work: impl FnMut(&Part<'_>, &mut [R])) -> Result<()> {
+    fn each(&mut self, name: Name, mut work: impl FnMut(&Part<'_>, &mut [R])) -> Result<()> {
         for part in self.parts.clone() {
             let mut slab = self.read(name as usize, part.x())?;
             work(&part, &mut slab);
             self.write(name as usize, part.x().start, &slab)?;
+            self.keep([slab]);
         }
         Ok(())
     }
@@ -116,7 +126,7 @@ fn failed(error: io::Error) -> Error {
     )
 }
 
-impl<R: Real> Space<R> for Slabs<'_> {
+impl<R: Real> Space<R> for Slabs<'_, R> {
     fn views(&self) -> usize {
         self.views.len()
     }
@@ -130,13 +140,15 @@ impl<R: Real> Space<R> for Slabs<'_> {
             // The last slab of the first pass is the first one of the second.
             if part.reads(0) != slices {
                 slices = part.reads(0);
+                self.keep([slab]);
                 slab = match name {
                     Some(name) => self.read(name as usize, slices.clone())?,
-                    None => vec![R::ONE; slices.len() * slice],
+                    None => self.equal(R::ONE, slices.len() * slice),
                 };
             }
             part.project(&views, &slab, rising, &mut sums);
         }
+        self.keep([slab]);
         self.projector.scale(&views, &mut sums);
         Ok(sums)
     }
@@ -157,24 +169,26 @@ impl<R: Real> Space<R> for Slabs<'_> {
             Change::Scale(name, _) => (&[name as usize], &[name as usize]),
             Change::Keep => (&[0], &[1]),
             Change::Extrapolate(_) => (&[0, 1], &[2]),
-            Change::Forget => (&[], &DUAL),
+            Change::Forget => (&[], &STEP[1..]),
         };
         let slice = self.files[0].slice;
         for x in self.parts.iter().map(Part::x).collect::<Vec<_>>() {
-            let zeros = vec![R::ZERO; x.len() * slice];
             if change == Change::Forget {
+                let zeros = self.equal(R::ZERO, x.len() * slice);
                 writes.iter().try_for_each(|&place| self.write(place, x.start, &zeros))?;
+                self.keep([zeros]);
                 continue;
             }
-            let mut volumes: [Vec<R>; 4] = Default::default();
+            let mut volumes: [Vec<R>; 3] = Default::default();
             for &place in reads {
                 volumes[place] = self.read(place, x.clone())?;
             }
             for &place in writes.iter().filter(|place| !reads.contains(place)) {
-                volumes[place].clone_from(&zeros);
+                volumes[place] = self.equal(R::ZERO, x.len() * slice);
             }
             space::change(change, volumes.each_mut().map(Vec::as_mut_slice));
             writes.iter().try_for_each(|&place| self.write(place, x.start, &volumes[place]))?;
+            self.keep(volumes);
         }
         Ok(())
     }
@@ -182,11 +196,12 @@ impl<R: Real> Space<R> for Slabs<'_> {
     fn measure(&mut self, measure: Measure<R>) -> Result<Vec<[f64; 3]>> {
         let mut terms = Vec::new();
         for part in self.parts.clone() {
-            let mut volumes: [Vec<R>; 4] = Default::default();
+            let mut volumes: [Vec<R>; 3] = Default::default();
             for &name in measure.reads() {
                 volumes[name as usize] = self.read(name as usize, part.reads(0))?;
             }
             terms.extend(part.measure(measure, volumes.each_ref().map(Vec::as_slice)));
+            self.keep(volumes);
         }
         Ok(terms)
     }
@@ -194,23 +209,21 @@ impl<R: Real> Space<R> for Slabs<'_> {
     fn solve(&mut self, tau: f64, steps: usize) -> Result<()> {
         for part in self.parts.clone() {
             let (read, first) = (part.reads(steps), part.x().start);
-            let y: Vec<R> = self.read(Name::Middle as usize, read.clone())?;
-            let mut dual: [Vec<R>; 3] = Default::default();
-            for (dual, place) in dual.iter_mut().zip(DUAL) {
-                *dual = self.read(place, read.clone())?;
+            let [y, a, b, c] = STEP.map(|place| self.read(place, read.clone()));
+            let (found, own) = part.solve([y?, a?, b?, c?], tau, steps);
+            for (values, place) in found.iter().zip(AFTER) {
+                self.files[place].write(first, values, own.clone()).map_err(failed)?;
             }
-            let (next, dual) = part.solve(&y, dual, tau, steps);
-            self.write(Name::Next as usize, first, &next)?;
-            dual.iter().zip(NEXT_DUAL).try_for_each(|(dual, place)| self.write(place, first, dual))?;
+            self.keep(found);
         }
-        DUAL.into_iter().zip(NEXT_DUAL).for_each(|(a, b)| self.files.swap(a, b));
+        STEP.into_iter().zip(AFTER).for_each(|(a, b)| self.files.swap(a, b));
         Ok(())
     }
 
     fn start(&mut self, values: &[f32]) -> Result<()> {
         let slice = self.files[0].slice;
         for x in self.parts.iter().map(Part::x).collect::<Vec<_>>() {
-            self.write(0, x.start, &started::<R>(&values[x.start * slice..x.end * slice]))?;
+            self.write(0, x.start, &started(&values[x.start * slice..x.end * slice]))?;
         }
         Ok(())
     }
@@ -222,7 +235,7 @@ impl<R: Real> Space<R> for Slabs<'_> {
     fn volume(&mut self) -> Result<Vec<R>> {
         let mut values = Vec::with_capacity(self.projector.scanner().grid.voxels());
         for part in self.parts.clone() {
-            values.extend(self.read::<R>(0, part.x())?);
+            values.extend(self.read(0, part.x())?);
         }
         Ok(values)
     }

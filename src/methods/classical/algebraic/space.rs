@@ -21,9 +21,7 @@ pub enum Name {
     Volume,
     /// x of the iteration before.
     Before,
-    /// y, from which a step is taken.
-    Middle,
-    /// The next x.
+    /// y, from which a step is taken, and in its place the next x.
     Next,
 }
 
@@ -117,7 +115,7 @@ pub(super) fn total<R: Real>(space: &mut (impl Space<R> + ?Sized), measure: Meas
 }
 
 /// [`Space::change`] of some slices, but [`Change::Forget`].
-pub(super) fn change<R: Real>(change: Change<R>, volumes: [&mut [R]; 4]) {
+pub(super) fn change<R: Real>(change: Change<R>, volumes: [&mut [R]; 3]) {
     match change {
         Change::Fill(name, value) => volumes[name as usize].fill(value),
         Change::Scale(name, factor) => {
@@ -128,7 +126,7 @@ pub(super) fn change<R: Real>(change: Change<R>, volumes: [&mut [R]; 4]) {
             before.copy_from_slice(x);
         }
         Change::Extrapolate(beta) => {
-            let [x, before, y, _] = volumes;
+            let [x, before, y] = volumes;
             threads::for_each_chunk(y, CHUNK, |chunk, y| {
                 let (x, before) = (&x[chunk * CHUNK..], &before[chunk * CHUNK..]);
                 y.iter_mut().enumerate().for_each(|(i, y)| *y = extrapolated(x[i], before[i], beta));
@@ -216,7 +214,7 @@ impl<'a> Part<'a> {
     }
 
     /// The part's terms of [`Space::measure`]; volumes have the slices of [`Self::reads`] of 0.
-    pub fn measure<R: Real>(&self, measure: Measure<R>, volumes: [&[R]; 4]) -> Vec<[f64; 3]> {
+    pub fn measure<R: Real>(&self, measure: Measure<R>, volumes: [&[R]; 3]) -> Vec<[f64; 3]> {
         let grid = &self.projector.scanner().grid;
         let [_, ny, nz] = grid.shape;
         let part = |slice: usize| slice * ny * nz..(slice + 1) * ny * nz;
@@ -234,7 +232,7 @@ impl<'a> Part<'a> {
                 [Proximal::variation(grid, &x[part(slice)], x.get(part(slice + 1))), 0.0, 0.0]
             }
             Measure::Step(beta) => {
-                let [x, before, _, next] = volumes.map(|volume| &volume[part(slice).start.min(volume.len())..]);
+                let [x, before, next] = volumes.map(|volume| &volume[part(slice).start.min(volume.len())..]);
                 let of = |i: usize| {
                     let moved = (next[i] - extrapolated(x[i], before[i], beta)).to_f64();
                     [moved * moved, next[i].to_f64() * next[i].to_f64(), -moved * (next[i] - x[i]).to_f64()]
@@ -244,15 +242,16 @@ impl<'a> Part<'a> {
         })
     }
 
-    /// The part's slices of [`Space::solve`] and of the next dual, from y and the dual with the slices of [`Self::reads`].
-    pub fn solve<R: Real>(&self, y: &[R], dual: [Vec<R>; 3], tau: f64, steps: usize) -> (Vec<R>, [Vec<R>; 3]) {
+    /// [`Space::solve`] from y and the dual with the slices of [`Self::reads`]: what becomes of them, and where the part's
+    /// own values are; the others are not those of the step.
+    pub fn solve<R: Real>(&self, [mut y, a, b, c]: [Vec<R>; 4], tau: f64, steps: usize) -> ([Vec<R>; 4], Range<usize>) {
         let (grid, read) = (&self.projector.scanner().grid, self.reads(steps));
-        let mut next = vec![R::ZERO; y.len()];
-        let mut proximal = Proximal::of(grid, read.len(), dual);
-        proximal.solve(y, tau, steps, &mut next);
+        let mut proximal = Proximal::of(grid, read.len(), [a, b, c]);
+        proximal.solve(&mut y, tau, steps);
         let slice = grid.shape[1] * grid.shape[2];
         let own = (self.x.start - read.start) * slice..(self.x.end - read.start) * slice;
-        (next[own.clone()].to_vec(), proximal.dual().each_ref().map(|dual| dual[own.clone()].to_vec()))
+        let [a, b, c] = proximal.into_dual();
+        ([y, a, b, c], own)
     }
 }
 
@@ -265,17 +264,17 @@ pub(super) fn started<R: Real>(values: &[f32]) -> Vec<R> {
 pub(super) struct Whole<'a, R> {
     projector: &'a VoxelProjector,
     views: Vec<View>,
-    volumes: [Vec<R>; 4],
+    volumes: [Vec<R>; 3],
     proximal: Option<Proximal<R>>,
 }
 
 impl<'a, R: Real> Whole<'a, R> {
-    /// Zeros: the volumes of SART alone, or all four and the dual of the total variation.
+    /// Zeros: the volumes of SART alone, or all three and the dual of the total variation.
     pub(super) fn new(projector: &'a VoxelProjector, views: Vec<View>, varies: bool) -> Self {
         let grid = &projector.scanner().grid;
         let volume = |is_used: bool| if is_used { vec![R::ZERO; grid.voxels()] } else { Vec::new() };
         let proximal = varies.then(|| Proximal::new(grid));
-        Self { projector, views, volumes: [true, varies, varies, varies].map(volume), proximal }
+        Self { projector, views, volumes: [true, varies, varies].map(volume), proximal }
     }
 
     /// A volume.
@@ -337,8 +336,7 @@ impl<R: Real> Space<R> for Whole<'_, R> {
     }
 
     fn solve(&mut self, tau: f64, steps: usize) -> Result<()> {
-        let [.., y, next] = &mut self.volumes;
-        self.proximal.as_mut().expect("a method with total variation").solve(y, tau, steps, next);
+        self.proximal.as_mut().expect("a method with total variation").solve(&mut self.volumes[2], tau, steps);
         Ok(())
     }
 

@@ -56,13 +56,13 @@ impl TvSettings {
             sizes.at_work(1),
         ];
         if sizes.slabs == 1 {
-            let volumes = "four volumes, dual of the total variation, and as it is written";
+            let volumes = "three volumes, dual of the total variation, and as it is written";
             arrays.push(allocation(
                 "volume that predicts them best",
                 if chooses { sizes.voxels } else { 0 },
                 sizes.real,
             ));
-            arrays.push(allocation(volumes, sizes.voxels, 7 * sizes.real + sizes.written()));
+            arrays.push(allocation(volumes, sizes.voxels, 6 * sizes.real + sizes.written()));
         } else {
             let slabs = "slabs of two volumes and of the dual of the total variation, with those beside them";
             arrays.push(allocation(slabs, sizes.slab(2 * (self.steps + 1)), 5 * sizes.real));
@@ -314,7 +314,7 @@ impl<'a, R: Real> TvRun<'a, R> {
         let seen = self.seen.iter().zip(&self.seen_before).zip(&self.system.measured);
         let residual: Vec<R> = seen.map(|((&seen, &before), &p)| seen + beta * (seen - before) - p).collect();
         let [step, tau] = self.step_lengths();
-        self.space.adjoin(&self.views, &residual, Name::Middle, Some(real(step)))?;
+        self.space.adjoin(&self.views, &residual, Name::Next, Some(real(step)))?;
         drop(residual);
         self.space.solve(tau, self.settings.steps)?;
 

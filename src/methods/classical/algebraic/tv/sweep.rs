@@ -65,7 +65,7 @@ impl<R: Real> TvRun<'_, R> {
     fn correct(&mut self, set: &[usize]) -> Result<f64> {
         self.space.change(Change::Extrapolate(real(self.momentum[1])))?;
         let pixels = self.system.pixels;
-        let mut residual = self.space.project(set, Some(Name::Middle))?;
+        let mut residual = self.space.project(set, Some(Name::Next))?;
         threads::for_each_chunk(&mut residual, pixels, |slot, residual| {
             let part = set[slot] * pixels..(set[slot] + 1) * pixels;
             let known = self.system.measured[part.clone()].iter().zip(&self.idle[part]);
@@ -75,7 +75,7 @@ impl<R: Real> TvRun<'_, R> {
         });
         let share = self.views.len() as f64 / set.len() as f64;
         let [step, tau] = self.step_lengths();
-        self.space.adjoin(set, &residual, Name::Middle, Some(real(share * step)))?;
+        self.space.adjoin(set, &residual, Name::Next, Some(real(share * step)))?;
         self.space.solve(tau, STEPS)?;
         self.advance();
         self.momentum = next_momentum(self.momentum[0]);

@@ -85,7 +85,7 @@ fn cut(q: &mut [Array3<f64>; 3], limit: f64) {
 
 #[test]
 fn the_step_of_total_variation_is_the_plain_one() {
-    for shape in [SHAPE, [20, 5, 1], [3, 4, 37]] {
+    for shape in [SHAPE, [20, 5, 1], [3, 4, 37], [37, 4, 3]] {
         let grid = scanner(shape).grid;
         let z = Array3::from_shape_fn(shape, |(x, y, z)| ((x * 5 + y * 3 + z * 7) % 11) as f64 / 5.0 - 0.6);
         let tau = 0.13;
@@ -100,22 +100,26 @@ fn the_step_of_total_variation_is_the_plain_one() {
             cut(&mut q, 1.0);
         }
         let plain = primal(&q);
-        let mut found = vec![0.0; plain.len()];
         let mut proximal = Proximal::<f64>::new(&grid);
-        proximal.solve(z.as_slice().unwrap(), tau, 1500, &mut found);
+        let mut solved = |steps: usize| {
+            let mut x = z.clone().into_raw_vec_and_offset().0;
+            proximal.solve(&mut x, tau, steps);
+            x
+        };
+        let found = solved(1500);
         let worst = found.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         within!(worst, "{shape:?}: {worst}");
         let lengths = [0, 1, 2].map(|axis| differences(&grid, &plain, axis));
         let square = |i: usize| lengths.iter().map(|d| d.as_slice().unwrap()[i]).map(|d| d * d).sum::<f64>();
         let variation: f64 = (0..plain.len()).map(|i| square(i).sqrt()).sum();
         let none: &[f64] = &[];
-        let volumes = [plain.as_slice().unwrap(), none, none, none];
+        let volumes = [plain.as_slice().unwrap(), none, none];
         let projector = VoxelProjector::new(&scanner(shape), RayModel::Joseph).unwrap();
         let terms = Part::new(&projector, 0..shape[0]).unwrap().measure(Measure::Variation(Name::Volume), volumes);
         let fast: f64 = terms.iter().map(|term| term[0]).sum();
         within!("norm", (fast - variation).abs() / variation, "{shape:?}: {fast}, {variation}");
         // A second call continues from the first one's dual.
-        proximal.solve(z.as_slice().unwrap(), tau, 1, &mut found);
+        let found = solved(1);
         let worst = found.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         within!(worst, "{shape:?}: {worst}");
     }
@@ -278,7 +282,7 @@ fn slabs_have_the_bits_of_whole_volumes() {
             let (whole, passes) = run::<f32>(&scan, &settings);
             for count in [1, 2, 3, 7] {
                 let views = projector.views(projections.trajectory()).unwrap();
-                let slabs = Box::new(Slabs::new::<f32>(projector, views, count, &folder).unwrap());
+                let slabs = Box::new(Slabs::<f32>::new(projector, views, count, &folder).unwrap());
                 let mut run = TvRun::<f32>::in_space(projector, projections, &settings, None, slabs).unwrap();
                 let found: Vec<Pass> = (0..12).map(|_| run.step().unwrap()).collect();
                 assert_eq!(found, passes, "{count} slabs");
@@ -288,4 +292,22 @@ fn slabs_have_the_bits_of_whole_volumes() {
             }
         }
     }
+}
+
+#[test]
+fn memory_of_slabs_is_used_again() {
+    let (projector, projections) = scan(SHAPE, 1.0);
+    let views = projector.views(projections.trajectory()).unwrap();
+    let mut slabs = Slabs::<f32>::new(&projector, views, 3, &std::env::temp_dir()).unwrap();
+    for name in [None, Some(Name::Volume)].repeat(4) {
+        for change in [Change::Forget, Change::Fill(Name::Next, 1.0), Change::Extrapolate(0.5)] {
+            slabs.change(change).unwrap();
+        }
+        let images = slabs.project(&[0, 3], name).unwrap();
+        slabs.adjoin(&[0, 3], &images, Name::Next, Some(0.1)).unwrap();
+        slabs.solve(0.1, 2).unwrap();
+        slabs.measure(Measure::Step(0.5)).unwrap();
+    }
+    // A step has four arrays at a time.
+    assert_eq!(slabs.spare.len(), 4);
 }
