@@ -12,7 +12,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::iter;
 use std::ops::Range;
-use trgs::classical::algebraic::{self, Change, Measure, Name, SartRun, Space, TvRun, VoxelRun};
+use std::sync::Mutex;
+use trgs::classical::algebraic::{
+    self, Change, Measure, Name, SartRun, Space, Trial, TvRun, VoxelRun, choose_weight_in,
+};
 use trgs::classical::{RayModel, VoxelProjector};
 use trgs::geometry::View;
 use trgs::{Config, Error, Method};
@@ -20,6 +23,8 @@ use trgs::{Config, Error, Method};
 /// What a slab's functions read.
 const SLAB: &str = "[x, y, z]";
 const IMAGES: &str = "[pixel]";
+/// Nothing panics while it holds the lock.
+const NEVER: &str = "no panic while locked";
 
 type Array<'py> = Bound<'py, PyAny>;
 
@@ -212,16 +217,21 @@ pub(crate) fn fdk_part<'py>(
 }
 
 /// Volumes that an object of Python has.
-struct Elsewhere {
-    object: Py<PyAny>,
-    views: usize,
+struct Elsewhere<'a> {
+    object: &'a Py<PyAny>,
+    /// The numbers that the object has for the views.
+    views: Vec<usize>,
     /// What the object raised.
-    raised: Option<PyErr>,
+    raised: &'a Mutex<Option<PyErr>>,
 }
 
-impl Elsewhere {
+impl Elsewhere<'_> {
+    fn of(&self, views: &[usize]) -> Vec<usize> {
+        views.iter().map(|&view| self.views[view]).collect()
+    }
+
     fn call<T>(
-        &mut self,
+        &self,
         method: &str,
         arguments: impl for<'py> FnOnce(Python<'py>) -> PyResult<Bound<'py, PyTuple>>,
         result: impl for<'py> FnOnce(Bound<'py, PyAny>) -> PyResult<T>,
@@ -231,7 +241,7 @@ impl Elsewhere {
             result(self.object.bind(py).call_method1(method, arguments(py)?)?)
         });
         called.map_err(|error| {
-            self.raised = Some(error);
+            *self.raised.lock().expect(NEVER) = Some(error);
             Error::Interrupted { step: 0, remedy: "".into() }
         })
     }
@@ -253,18 +263,20 @@ fn nothing(_: Bound<'_, PyAny>) -> PyResult<()> {
     Ok(())
 }
 
-impl Space<f32> for &mut Elsewhere {
+impl Space<f32> for Elsewhere<'_> {
     fn views(&self) -> usize {
-        self.views
+        self.views.len()
     }
 
     fn project(&mut self, views: &[usize], of: Option<Name>) -> trgs::Result<Vec<f32>> {
         let read = |images: Bound<'_, PyAny>| Ok(slice(&read::<f32, Ix1>(&images, "images", IMAGES)?).to_vec());
-        self.call("project", |py| (views.to_vec(), of.map(name)).into_pyobject(py), read)
+        let views = self.of(views);
+        self.call("project", |py| (views, of.map(name)).into_pyobject(py), read)
     }
 
     fn adjoin(&mut self, views: &[usize], images: &[f32], of: Name, step: Option<f32>) -> trgs::Result<()> {
-        self.call("adjoin", |py| (views.to_vec(), flat(py, images), name(of), step).into_pyobject(py), nothing)
+        let views = self.of(views);
+        self.call("adjoin", |py| (views, flat(py, images), name(of), step).into_pyobject(py), nothing)
     }
 
     fn correct(
@@ -274,11 +286,12 @@ impl Space<f32> for &mut Elsewhere {
         relaxation: f32,
         non_negative: bool,
     ) -> trgs::Result<()> {
+        let views = self.of(views);
         self.call(
             "correct",
             |py| {
                 let (corrections, weights) = (flat(py, corrections), flat(py, weights));
-                (views.to_vec(), corrections, weights, relaxation, non_negative).into_pyobject(py)
+                (views, corrections, weights, relaxation, non_negative).into_pyobject(py)
             },
             nothing,
         )
@@ -289,7 +302,7 @@ impl Space<f32> for &mut Elsewhere {
             Change::Fill(of, value) => ("fill", name(of), value),
             Change::Scale(of, value) => ("scale", name(of), value),
             Change::Keep => ("keep", "before", 0.0),
-            Change::Extrapolate(beta) => ("extrapolate", "middle", beta),
+            Change::Extrapolate(beta) => ("extrapolate", "next", beta),
             Change::Forget => ("forget", "dual", 0.0),
         };
         self.call("change", |py| (what, of, value).into_pyobject(py), nothing)
@@ -354,15 +367,29 @@ pub(crate) fn iterate_in<'py>(
     let pixels = [measured.len(), scanner.0.detector.rows, scanner.0.detector.columns];
     fits("images of the method", &pixels, 6 * size_of::<f32>())?;
     let projector = VoxelProjector::new(&scanner.0, RayModel::Joseph).map_err(raise)?;
-    let mut elsewhere = Elsewhere { object: space, views: measured.len(), raised: None };
+    let raised = Mutex::new(None);
+    let elsewhere = |views: &[usize]| Box::new(Elsewhere { object: &space, views: views.to_vec(), raised: &raised });
     let (result, watch) = run(py, || {
         let mut watch = Watch::new(callback);
         let mut work = || -> trgs::Result<()> {
-            let space = Box::new(&mut elsewhere);
+            let views: Vec<usize> = (0..measured.len()).collect();
             let mut run: Box<dyn VoxelRun + '_> = if method == Method::Tv {
-                Box::new(TvRun::in_space(&projector, &measured, &config.tv(), None, space)?)
+                let mut settings = config.tv();
+                let chooses = config.tv.weight.fixed().is_none();
+                if chooses {
+                    let mut space = |views: &[usize]| -> trgs::Result<Box<dyn Space<f32>>> { Ok(elsewhere(views)) };
+                    let mut see = |_: &str, _: Option<&Trial>| watch.see(None);
+                    let choice = choose_weight_in(&projector, &measured, &settings, &mut space, &mut see)?;
+                    settings.weight = choice.value;
+                }
+                let mut run = TvRun::in_space(&projector, &measured, &settings, None, elsewhere(&views))?;
+                if chooses {
+                    // The volumes are those of the last choice.
+                    run.restart(settings.weight)?;
+                }
+                Box::new(run)
             } else {
-                Box::new(SartRun::in_space(&projector, &measured, &config.sart(), space)?)
+                Box::new(SartRun::in_space(&projector, &measured, &config.sart(), elsewhere(&views))?)
             };
             while !run.is_finished() {
                 let Some(pass) = run.step()? else { break };
@@ -375,7 +402,7 @@ pub(crate) fn iterate_in<'py>(
         let result = work();
         (result, watch)
     })?;
-    match elsewhere.raised {
+    match raised.into_inner().expect(NEVER) {
         Some(raised) => Err(raised),
         None => watch.end(result),
     }

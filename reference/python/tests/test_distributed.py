@@ -85,6 +85,13 @@ def test_a_worker_that_dies_is_replaced_and_the_result_is_the_same(scan):
     assert len(set(killed)) == 2
 
 
+def test_a_weight_is_chosen_as_the_program_does(scan, client):
+    views = (scan.projections, scan.scanner, scan.angles)
+    found = slabs.tv(*views, weight=None, iterations=3, slabs=2, client=client)
+    same(found, trgs.reconstruct(scan, "tv", iterations=3).volume)
+    assert found.tobytes() != slabs.tv(*views, iterations=3, slabs=2, client=client).tobytes()
+
+
 def test_arguments_and_defaults_are_those_of_whole_volumes():
     for name in slabs.__all__:
         one, other = (inspect.signature(getattr(module, name)).parameters for module in (slabs, trgs))

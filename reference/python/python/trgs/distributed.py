@@ -248,7 +248,7 @@ def tv(
     scanner: _core.Scanner,
     angles: _Views,
     *,
-    weight: float = 1e-3,
+    weight: float | None = 1e-3,
     iterations: int = 40,
     tolerance: float = 1e-4,
     steps: int = 10,
@@ -261,8 +261,10 @@ def tv(
 
     Parameters
     ----------
-    projections, scanner, angles, weight, iterations, tolerance, steps, callback
+    projections, scanner, angles, iterations, tolerance, steps, callback
         As of `trgs.tv`.
+    weight : float or None
+        As of `trgs.tv`; None: chosen by views held out, as `trgs.reconstruct(scan, "tv")` does.
     slabs, client, out
         As of `fdk`.
 
@@ -276,7 +278,8 @@ def tv(
     TypeError, ValueError, ArithmeticError
         As `trgs.tv`.
     """
-    settings = {"iterations": iterations, "tv.weight": weight, "tv.tolerance": tolerance, "tv.steps": steps}
+    chosen = "auto" if weight is None else weight
+    settings = {"iterations": iterations, "tv.weight": chosen, "tv.tolerance": tolerance, "tv.steps": steps}
     return _iterated("tv", settings, projections, scanner, angles, callback, slabs, client, out)
 
 

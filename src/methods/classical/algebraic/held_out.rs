@@ -8,15 +8,17 @@
 //! together, because each determines the other. The procedure is deterministic. Of values with nearly the least error the
 //! simplest is taken: see [`mod@near`].
 
+mod choice;
 mod held;
 mod near;
 
+use super::space::{Space, some};
 use super::{CglsRun, Division, SartRun, SartSettings, TvRun, TvSettings, VoxelRun, Whole};
 use crate::classical::VoxelProjector;
+pub use choice::{Choice, Trial};
 use held::Held;
 pub use held::{Mixture, mixture};
 use near::{Squares, least_of, near, relative};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
@@ -44,62 +46,6 @@ const JUDGED_EVERY: usize = 5;
 const IN_VAIN: usize = 20;
 /// The search for a number of passes ends when the error exceeds the best by this factor.
 const PATIENCE: f64 = 1.2;
-
-/// A value of a setting and its held-out error.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Trial {
-    /// The value of the setting.
-    pub value: f64,
-    /// Residual of the held-out views relative to the measured values.
-    pub error: f64,
-}
-
-/// The chosen value of a setting, with its evidence.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Choice {
-    /// `tv.weight` or `passes`.
-    pub key: String,
-    /// The chosen value.
-    pub value: f64,
-    /// All values tried, in increasing order; empty if there are too few views to hold any out.
-    pub curve: Vec<Trial>,
-    /// Number of reconstructions without some of the views.
-    pub folds: usize,
-    /// Cost of the choice, in iterations or passes over all views.
-    pub cost: f64,
-    /// Number of iterations that belongs to the value, where it was chosen with it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub iterations: Option<usize>,
-    /// Share of the finished volume in the result, where it was chosen: the rest is the volume that the finish starts from.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub share: Option<f64>,
-}
-
-impl Choice {
-    /// Whether it can be a choice: what was read from a file is checked by this.
-    #[doc(hidden)]
-    pub fn is_valid(&self) -> bool {
-        let is_trial =
-            |trial: &Trial| trial.value > 0.0 && trial.value.is_finite() && (0.0..f64::INFINITY).contains(&trial.error);
-        self.value > 0.0
-            && [self.value, self.cost].iter().all(|value| value.is_finite())
-            && self.share.is_none_or(|share| (0.0..=1.0).contains(&share))
-            && self.curve.iter().all(is_trial)
-    }
-
-    /// Iterations and share as words, with a space before; empty where there are none.
-    #[doc(hidden)]
-    pub fn details(&self) -> String {
-        let iterations = self.iterations.map_or(String::new(), |n| format!(" with {n} iterations"));
-        let share = |share: f64| format!(" and a share of {:.0} %", 100.0 * share);
-        iterations + &self.share.filter(|share| *share < 1.0).map_or(String::new(), share)
-    }
-
-    /// The given value, where there are too few views to hold any out.
-    fn without_folds(key: &str, value: f64) -> Self {
-        Self { key: key.into(), value, curve: Vec::new(), folds: 0, cost: 0.0, iterations: None, share: None }
-    }
-}
 
 /// Observer of a choice: gets the setting's name and each trial; breaking ends it with an error.
 pub type ObserveChoice<'a> = dyn FnMut(&str, Option<&Trial>) -> ControlFlow<()> + 'a;
@@ -132,6 +78,25 @@ pub fn choose_weight<R: Real>(
     division: &Division,
     observe: &mut ObserveChoice<'_>,
 ) -> Result<Choice> {
+    let all = projector.views(projections.trajectory())?;
+    let mut space = |views: &[usize]| division.space::<R>(projector, some(&all, views));
+    choose_weight_in(projector, projections, settings, &mut space, observe)
+}
+
+/// Makes a space for the views of these numbers.
+pub type SpaceOf<'f, 'a, R> = dyn FnMut(&[usize]) -> Result<Box<dyn Space<R> + 'a>> + 'f;
+
+/// [`choose_weight`] in other spaces, whose values at first do not matter.
+///
+/// # Errors
+/// Those of [`choose_weight`] and of the spaces.
+pub fn choose_weight_in<'a, R: Real>(
+    projector: &VoxelProjector,
+    projections: &Projections,
+    settings: &TvSettings,
+    space: &mut SpaceOf<'_, 'a, R>,
+    observe: &mut ObserveChoice<'_>,
+) -> Result<Choice> {
     const KEY: &str = "tv.weight";
     let used = weight_folds(projector, projections);
     if used.is_empty() {
@@ -143,10 +108,9 @@ pub fn choose_weight<R: Real>(
     let settings = TvSettings { weight: FIRST, ..*settings };
     let weight = |power: i32| FIRST * pow(FACTOR, f64::from(power));
     for [train, held] in &used {
-        let (train, held) = (projections.select(train), projections.select(held));
         // The views held out follow those of the fit.
-        let all = [projector.views(train.trajectory())?, projector.views(held.trajectory())?].concat();
-        let space = division.space::<R>(projector, all)?;
+        let space = space(&[train.as_slice(), held].concat())?;
+        let (train, held) = (projections.select(train), projections.select(held));
         let held = Held::<R>::new(projector, &held)?;
         let mut run = TvRun::in_space(projector, &train, &settings, None, space)?;
         let mut error_of = |power: i32| {

@@ -34,7 +34,8 @@ pub use asd_pocs::{AsdPocsRun, AsdPocsSettings, asd_pocs};
 pub use cgls::{CglsRun, arrays as cgls_arrays, cgls};
 pub use division::Division;
 pub use held_out::{
-    Choice, FEWEST_TRIALS, Mixture, ObserveChoice, Passes, Trial, choose_passes, choose_weight, mixture,
+    Choice, FEWEST_TRIALS, Mixture, ObserveChoice, Passes, SpaceOf, Trial, choose_passes, choose_weight,
+    choose_weight_in, mixture,
 };
 pub use order::Order;
 pub use sart::{SartRun, SartSettings, sart};
