@@ -8,7 +8,7 @@ use ndarray::Ix3;
 use pyo3::prelude::*;
 use serde_json::json;
 use trgs::Projections;
-use trgs::classical::algebraic::{self, Observe, Order, Pass};
+use trgs::classical::algebraic::{self, Observe, Order, Pass, Trial};
 use trgs::classical::{self, RayModel, Turn, VoxelProjector, Window};
 use trgs::config::{Auto, Precision};
 use trgs::scan::plausibility;
@@ -230,6 +230,12 @@ pub(crate) fn fdk<'py>(
 
 pub(crate) fn window_and_turn(window: &str, turn: &str) -> PyResult<(Window, Turn)> {
     Ok((word("window", window, &Window::NAMED)?, word("turn", turn, &TURNS)?))
+}
+
+/// What a callback gets of a value that was tried.
+pub(crate) fn trial_event(key: &str, trial: &Trial) -> Event {
+    let values = json!({ "key": key, "value": trial.value, "error": trial.error });
+    Event { stage: "choosing", iteration: 0, iterations: 0, values }
 }
 
 /// What is reported after a pass.

@@ -1,7 +1,7 @@
 //! Scans: reading, simulation, evaluation, and reconstruction by any method.
 
 use crate::arrays::{self, copy, give, named, read, word, wrong_type, wrong_value};
-use crate::classical::{measured, pass_event};
+use crate::classical::{measured, pass_event, trial_event};
 use crate::geometry::{Grid, Scanner};
 use crate::model::Model;
 use crate::views::vectors;
@@ -682,10 +682,7 @@ fn event(progress: Progress<'_>) -> Option<Event> {
             Some(Event { stage: "pilot", iteration, iterations: record.iterations, values })
         }
         Progress::Pass(pass) => Some(pass_event(pass)),
-        Progress::Choosing(key, Some(trial)) => {
-            let values = json!({ "key": key, "value": trial.value, "error": trial.error });
-            Some(Event { stage: "choosing", iteration: 0, iterations: 0, values })
-        }
+        Progress::Choosing(key, Some(trial)) => Some(trial_event(key, trial)),
     }
 }
 

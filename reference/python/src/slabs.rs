@@ -2,7 +2,7 @@
 //! volumes that an object of Python has.
 
 use crate::arrays::{check_shape, give, read, slice, wrong_value};
-use crate::classical::{pass_event, to_reconstruct, window_and_turn};
+use crate::classical::{pass_event, to_reconstruct, trial_event, window_and_turn};
 use crate::geometry::Scanner;
 use crate::views::Views;
 use crate::work::{Watch, fits, raise, run, try_run};
@@ -374,18 +374,17 @@ pub(crate) fn iterate_in<'py>(
         let mut work = || -> trgs::Result<()> {
             let views: Vec<usize> = (0..measured.len()).collect();
             let mut run: Box<dyn VoxelRun + '_> = if method == Method::Tv {
-                let mut settings = config.tv();
-                let chooses = config.tv.weight.fixed().is_none();
-                if chooses {
-                    let mut space = |views: &[usize]| -> trgs::Result<Box<dyn Space<f32>>> { Ok(elsewhere(views)) };
-                    let mut see = |_: &str, _: Option<&Trial>| watch.see(None);
-                    let choice = choose_weight_in(&projector, &measured, &settings, &mut space, &mut see)?;
-                    settings.weight = choice.value;
-                }
+                let settings = config.tv();
+                let mut space = |views: &[usize]| -> trgs::Result<Box<dyn Space<f32>>> { Ok(elsewhere(views)) };
+                let mut see = |key: &str, trial: Option<&Trial>| watch.see(trial.map(|trial| trial_event(key, trial)));
+                let chosen = match config.tv.weight.fixed() {
+                    Some(_) => None,
+                    None => Some(choose_weight_in(&projector, &measured, &settings, &mut space, &mut see)?.value),
+                };
                 let mut run = TvRun::in_space(&projector, &measured, &settings, None, elsewhere(&views))?;
-                if chooses {
+                if let Some(weight) = chosen {
                     // The volumes are those of the last choice.
-                    run.restart(settings.weight)?;
+                    run.restart(weight)?;
                 }
                 Box::new(run)
             } else {

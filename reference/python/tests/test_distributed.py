@@ -87,8 +87,10 @@ def test_a_worker_that_dies_is_replaced_and_the_result_is_the_same(scan):
 
 def test_a_weight_is_chosen_as_the_program_does(scan, client):
     views = (scan.projections, scan.scanner, scan.angles)
-    found = slabs.tv(*views, weight=None, iterations=3, slabs=2, client=client)
-    same(found, trgs.reconstruct(scan, "tv", iterations=3).volume)
+    seen, expected = [], []
+    found = slabs.tv(*views, weight=None, iterations=3, slabs=2, client=client, callback=seen.append)
+    same(found, trgs.reconstruct(scan, "tv", iterations=3, callback=expected.append).volume)
+    assert seen == expected and {event.stage for event in seen} >= {"choosing"}
     assert found.tobytes() != slabs.tv(*views, iterations=3, slabs=2, client=client).tobytes()
 
 
