@@ -64,8 +64,8 @@ impl TvSettings {
             ));
             arrays.push(allocation(volumes, sizes.voxels, 6 * sizes.real + sizes.written()));
         } else {
-            let slabs = "slabs of two volumes and of the dual of the total variation, with those beside them";
-            arrays.push(allocation(slabs, sizes.slab(2 * (self.steps + 1)), 5 * sizes.real));
+            let slabs = "slabs of a volume and of the dual of the total variation, with those beside them";
+            arrays.push(allocation(slabs, sizes.slab(2 * (self.steps + 1)), 4 * sizes.real));
             arrays.push(allocation("volume, and as it is written", sizes.voxels, sizes.real + sizes.written()));
         }
         arrays
