@@ -2,7 +2,10 @@
 
 use super::detached::whole;
 use super::pages::Pages;
-use super::{FOREIGN, VolumeFile, images, raw, tiff};
+use super::{FOREIGN, VolumeFile, damaged, images, raw, tiff};
+use crate::limit;
+use ndarray::{Array3, Axis, Slice};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use trgs_core::error::{Error, Result};
 use trgs_core::words::counted;
@@ -12,30 +15,79 @@ pub(crate) const SLICES: [&[&str]; 4] = [&["tif", "tiff"], &["png"], &["jpg", "j
 
 pub(super) fn read(folder: &Path) -> Result<VolumeFile> {
     let files = files(folder)?;
-    let mut kinds = SLICES.iter().map(|kind| with_extension(&files, kind)).filter(|found| !found.is_empty());
-    let Some(slices) = kinds.next() else {
-        return dicom_series(folder, &files).unwrap_or_else(|| Err(nothing(folder, &files)));
-    };
-    let mut pages = Pages::default();
-    for path in &slices {
-        let content = crate::input::read(path).map_err(|source| Error::read(path, source))?;
-        add(&content, path, &mut pages)?;
+    match Slices::among(&files) {
+        Some(slices) => slices.read(&slices.paths, |_| ()),
+        None => dicom_series(folder, &files).unwrap_or_else(|| Err(nothing(folder, &files))),
     }
-    // Pages of ImageJ state the distance to other pages of their own file.
-    pages.spacing = None;
-    let others: usize = kinds.map(|other| other.len()).sum();
-    if others > 0 {
-        let kind = slices[0].extension().unwrap_or_default().to_string_lossy();
-        pages.remark(format!("images of other kinds than .{kind} are in the folder ({others}); they are not read"));
+}
+
+/// The files of slices in a folder.
+pub(super) struct Slices {
+    /// One for each z.
+    pub(super) paths: Vec<PathBuf>,
+    /// Images of other kinds.
+    others: usize,
+}
+
+impl Slices {
+    /// None where the files are no images.
+    pub(super) fn among(files: &[PathBuf]) -> Option<Self> {
+        let mut kinds = SLICES.iter().map(|kind| with_extension(files, kind)).filter(|found| !found.is_empty());
+        let paths = kinds.next()?.into_iter().map(Path::to_owned).collect();
+        Some(Self { paths, others: kinds.map(|other| other.len()).sum() })
     }
-    if let Some(gap) = gap(&slices) {
-        pages.remark(gap);
+
+    /// `[x, y, z]`, by the first file.
+    pub(super) fn shape(&self) -> Result<[usize; 3]> {
+        let (x, y, _) = self.read(&self.paths[..1], |_| ())?.values.dim();
+        Ok([x, y, self.paths.len()])
     }
-    Ok(pages.volume())
+
+    /// The whole volume without its values: each file is read and checked.
+    pub(super) fn metadata(&self) -> Result<VolumeFile> {
+        self.read(&self.paths, Pages::forget)
+    }
+
+    fn read(&self, paths: &[PathBuf], after_each: impl Fn(&mut Pages)) -> Result<VolumeFile> {
+        let mut pages = Pages::default();
+        for path in paths {
+            add(path, &mut pages)?;
+            after_each(&mut pages);
+        }
+        // Pages of ImageJ state the distance to other pages of their own file.
+        pages.spacing = None;
+        if self.others > 0 {
+            let (kind, others) = (self.paths[0].extension().unwrap_or_default().to_string_lossy(), self.others);
+            pages.remark(format!("images of other kinds than .{kind} are in the folder ({others}); they are not read"));
+        }
+        if let Some(gap) = gap(&self.paths) {
+            pages.remark(gap);
+        }
+        Ok(pages.volume())
+    }
+
+    /// The values of a box, `[x, y, z]`.
+    pub(super) fn part(&self, [x, y, z]: [Range<usize>; 3]) -> Result<Array3<f32>> {
+        let shape = [z.len(), y.len(), x.len()];
+        let mut values = limit::room("slab", shape.iter().product())?;
+        for path in &self.paths[z] {
+            let mut pages = Pages::default();
+            add(path, &mut pages)?;
+            let slice = pages.volume().values;
+            let (columns, rows, _) = slice.dim();
+            if x.end > columns || y.end > rows {
+                return Err(damaged(path, &format!("{rows} rows and {columns} columns, fewer than it had at first")));
+            }
+            let part = slice.slice_axis(Axis(0), Slice::from(x.clone()));
+            values.extend(part.slice_axis(Axis(1), Slice::from(y.clone())).t());
+        }
+        Ok(Array3::from_shape_vec(shape, values).expect("every slice has its values").reversed_axes())
+    }
 }
 
 /// Adds the one slice of a file.
-fn add(content: &[u8], path: &Path, pages: &mut Pages) -> Result<()> {
+fn add(path: &Path, pages: &mut Pages) -> Result<()> {
+    let content = &crate::input::read(path).map_err(|source| Error::read(path, source))?;
     let before = pages.count();
     match path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("tif" | "tiff") => {
@@ -74,7 +126,7 @@ fn nothing(folder: &Path, files: &[PathBuf]) -> Error {
 pub(crate) const GAP: &str = "slices seem to be missing";
 
 /// A remark on the first gap in the numbers at the end of the names, if they are otherwise evenly spaced.
-fn gap(paths: &[&Path]) -> Option<String> {
+fn gap(paths: &[PathBuf]) -> Option<String> {
     let numbered = |path: &Path| -> Option<(String, u64)> {
         let stem = path.file_stem()?.to_str()?;
         let prefix = stem.trim_end_matches(|c: char| c.is_ascii_digit());

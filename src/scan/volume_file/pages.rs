@@ -48,8 +48,14 @@ impl Pages {
 
     /// Adds the values of a checked page, or of several at once.
     pub(super) fn add(&mut self, values: impl IntoIterator<Item = f32>) {
+        let before = self.values.len();
         self.values.extend(values);
-        self.count = self.values.len() / (self.shape.0 * self.shape.1).max(1);
+        self.count += (self.values.len() - before) / (self.shape.0 * self.shape.1).max(1);
+    }
+
+    /// Forgets the values of the pages so far, but not their number and size.
+    pub(super) fn forget(&mut self) {
+        self.values.clear();
     }
 
     /// Adds a remark, once.
@@ -64,10 +70,11 @@ impl Pages {
         self.count
     }
 
-    /// The volume `[x, y, z]` = column, row, page; columns are fastest in memory.
+    /// The volume `[x, y, z]` = column, row, page; columns are fastest in memory. It has no slice where values were forgotten.
     pub(super) fn volume(self) -> VolumeFile {
         let (rows, columns) = self.shape;
-        let pages = Array3::from_shape_vec((self.count, rows, columns), self.values);
+        let count = if self.values.is_empty() { 0 } else { self.count };
+        let pages = Array3::from_shape_vec((count, rows, columns), self.values);
         let values = pages.expect("every page has the shape of the first").reversed_axes();
         let is_stated = self.in_millimetres && self.spacing.is_some();
         let mut volume = VolumeFile::new(self.spacing, None, None).in_millimetres(is_stated);

@@ -1,5 +1,6 @@
 //! Volumes of which slabs are read, so that a volume may be larger than memory.
 
+use super::folder::{Slices, files};
 use super::header::{LARGEST, surplus};
 use super::plain::Plain;
 use super::{Format, NpySide, VolumeFile, meta_image, nifti, nrrd, raw, read_in_any_order};
@@ -25,9 +26,12 @@ const IN_ORDER: [(usize, bool); 3] = [(0, false), (1, false), (2, false)];
 enum Numbers {
     Memory(Array3<f32>),
     File(Plain),
+    /// One slice across z in each file, and the shape `[x, y, z]`.
+    Folder(Slices, [usize; 3]),
 }
 
-/// A volume of which slabs are read: from its file where it holds plain numbers, else from memory.
+/// A volume of which slabs are read: from a file of plain numbers, from the files of its slices where they are many, else
+/// from memory.
 pub struct Stored {
     metadata: VolumeFile,
     numbers: Numbers,
@@ -48,16 +52,38 @@ impl From<VolumeFile> for Stored {
 /// Opens a volume; the format follows from the name.
 ///
 /// Sizes are checked against the length of the file. Values are read here only where they are compressed, text, or in
-/// several files.
+/// several files; those of a folder of slices are read again slab by slab where they are more than 1 GiB or a quarter of the
+/// limit on memory.
 ///
 /// # Errors
 /// Those of [`read`](super::read()).
 pub fn open(path: impl AsRef<Path>) -> Result<Stored> {
     let path = path.as_ref();
-    match of_file(path)? {
+    let found = if path.is_dir() { of_folder(path, in_memory())? } else { of_file(path)? };
+    match found {
         Some(stored) => Ok(stored),
         None => read_in_any_order(path).map(Stored::from),
     }
+}
+
+/// The largest volume of several passes that is kept in memory, bytes.
+fn in_memory() -> u64 {
+    CROSSING.min(limit::bytes() / PART)
+}
+
+/// Bytes of the values of a volume.
+fn bytes(shape: [usize; 3]) -> u64 {
+    shape.iter().fold(size_of::<f32>() as u64, |size, &n| size.saturating_mul(n as u64))
+}
+
+/// A volume of more than `least` bytes in the slices of a folder.
+fn of_folder(path: &Path, least: u64) -> Result<Option<Stored>> {
+    let Some(slices) = Slices::among(&files(path)?) else { return Ok(None) };
+    let shape = slices.shape()?;
+    if bytes(shape) <= least {
+        return Ok(None);
+    }
+    Ok(Some(Stored::new(slices.metadata()?, Numbers::Folder(slices, shape))))
 }
 
 /// A volume of plain numbers in one file.
@@ -127,6 +153,7 @@ impl Stored {
         match &self.numbers {
             Numbers::Memory(values) => values.dim().into(),
             Numbers::File(plain) => plain.shape,
+            Numbers::Folder(_, shape) => *shape,
         }
     }
 
@@ -141,12 +168,30 @@ impl Stored {
     /// Those of [`Self::slab`].
     pub fn kept(mut self) -> Result<Self> {
         let shape = self.shape();
-        let bytes = shape.iter().fold(size_of::<f32>() as u64, |size, &n| size.saturating_mul(n as u64));
-        if matches!(self.numbers, Numbers::Memory(_)) || bytes > CROSSING.min(limit::bytes() / PART) {
+        if matches!(self.numbers, Numbers::Memory(_)) || bytes(shape) > in_memory() {
             return Ok(self);
         }
         let values = self.slab(0, 0..shape[0])?;
         Ok(Self { most: self.most, ..VolumeFile { values, ..self.metadata }.into() })
+    }
+
+    /// The axis across which slabs are read with the fewest bytes.
+    pub fn slowest(&self) -> usize {
+        let of_numbers = match &self.numbers {
+            Numbers::Memory(_) | Numbers::File(Plain { x_is_fastest: false, .. }) => 0,
+            _ => 2,
+        };
+        self.axes.iter().position(|(axis, _)| *axis == of_numbers).expect("axes are a permutation")
+    }
+
+    /// Whether memory allows so many bytes of a file.
+    fn allow(&self, what: String, bytes: u64) -> Result<()> {
+        let path = match &self.numbers {
+            Numbers::Memory(_) => return Ok(()),
+            Numbers::File(plain) => &plain.path,
+            Numbers::Folder(slices, _) => &slices.paths[0],
+        };
+        limit::allow(what, bytes).map_err(|error| error.in_file(path))
     }
 
     /// Slices of a slab across an axis, as memory allows.
@@ -156,14 +201,14 @@ impl Stored {
     pub fn thickness(&self, axis: usize) -> Result<usize> {
         let shape = self.shape();
         let slice = (0..3).filter(|&other| other != axis).fold(4_u64, |size, i| size.saturating_mul(shape[i] as u64));
+        let of_numbers = self.axes[axis].0;
         let most = match &self.numbers {
             Numbers::Memory(_) => COPY,
-            Numbers::File(plain) => {
-                let what = format!("slices of shape {shape:?}");
-                limit::allow(what, slice.saturating_mul(PART)).map_err(|error| error.in_file(&plain.path))?;
-                if self.axes[axis].0 == if plain.x_is_fastest { 0 } else { 2 } { CROSSING } else { SLAB }
-            }
+            Numbers::File(plain) if of_numbers == if plain.x_is_fastest { 0 } else { 2 } => CROSSING,
+            Numbers::Folder(..) if of_numbers != 2 => CROSSING,
+            _ => SLAB,
         };
+        self.allow(format!("slices of shape {shape:?}"), slice.saturating_mul(PART))?;
         let count = most.min(limit::bytes() / PART) / slice.max(1);
         Ok(usize::try_from(count).unwrap_or(usize::MAX).clamp(1, self.most))
     }
@@ -184,6 +229,7 @@ impl Stored {
             Numbers::File(plain) => {
                 plain.read(ranges).map_err(|source| npy::unreadable(source, &plain.path, "file"))?
             }
+            Numbers::Folder(slices, _) => slices.part(ranges)?,
         };
         Ok(turned(values, self.axes, self.factor))
     }
@@ -206,13 +252,11 @@ impl Stored {
     /// [`Error::Memory`], and those of [`Self::slab`].
     pub fn whole(mut self) -> Result<VolumeFile> {
         let shape = self.shape();
+        // The values, and their copy in another order.
+        self.allow(format!("volume of shape {shape:?}"), bytes(shape).saturating_mul(2))?;
         let values = match self.numbers {
             Numbers::Memory(values) => turned(values, self.axes, self.factor),
-            Numbers::File(Plain { ref path, .. }) => {
-                // The values, and their copy in another order.
-                limit::allow_array("volume", &shape, 8).map_err(|error| error.in_file(path))?;
-                self.slab(0, 0..shape[0])?
-            }
+            _ => self.slab(0, 0..shape[0])?,
         };
         Ok(VolumeFile { values, ..self.metadata }.in_order())
     }

@@ -1,6 +1,6 @@
 //! Slabs of files against whole volumes.
 
-use super::super::{read, write, write_stored};
+use super::super::{read, write, write_slices, write_stored};
 use super::*;
 use glam::DVec3;
 use ndarray::concatenate;
@@ -110,6 +110,64 @@ fn slabs_of_every_file_are_those_of_the_whole_volume() {
             assert_eq!(open().whole().unwrap(), whole, "{}", path.display());
         }
     }
+}
+
+/// A folder of slices of each kind, with a gap and an image of another kind.
+fn folders() -> (TempDir, Vec<PathBuf>) {
+    let folder = tempfile::tempdir().unwrap();
+    let values = Array3::from_shape_fn(SHAPE, |(x, y, z)| number(20 * x + 5 * y + z).into());
+    let volume = VolumeFile { values, ..VolumeFile::default() };
+    let paths = ["png", "tif"].map(|kind| {
+        let path = folder.path().join(kind);
+        fs::create_dir(&path).unwrap();
+        write_slices(&path, &volume, super::super::Slices::Png).unwrap();
+        path
+    });
+    for z in 0..SHAPE[2] {
+        let slice = volume.values.slice_axis(Axis(2), Slice::from(z..=z)).to_owned();
+        // Not in the order of letters.
+        let name = format!("s{}.tif", z + 8 + z / 4);
+        write(paths[1].join(name), &VolumeFile { values: slice, ..VolumeFile::default() }).unwrap();
+    }
+    (folder, paths.into())
+}
+
+#[test]
+fn slabs_of_folders_are_those_of_the_whole_volume() {
+    let (folder, paths) = folders();
+    for path in &paths {
+        let whole = read(path).unwrap();
+        assert_eq!(whole.oddities.len(), if path.ends_with("tif") { 2 } else { 0 });
+        // What fits in memory is read once.
+        assert!(matches!(open(path).unwrap().numbers, Numbers::Memory(_)) && of_folder(path, 240).unwrap().is_none());
+        let open = |most| Stored { most, ..of_folder(path, 239).unwrap().unwrap() };
+        assert_eq!(open(1).metadata(), &VolumeFile { values: Array3::zeros((3, 4, 0)), ..whole.clone() });
+        for (axis, count) in SHAPE.into_iter().enumerate() {
+            let mut slabs = Vec::new();
+            let mut keep = |_, slab| {
+                slabs.push(slab);
+                Ok(())
+            };
+            open(2).each(axis, &mut keep).unwrap();
+            assert_eq!(slabs.len(), count.div_ceil(2));
+            let views: Vec<_> = slabs.iter().map(|slab: &Array3<f32>| slab.view()).collect();
+            assert_eq!(concatenate(Axis(axis), &views).unwrap(), whole.values);
+        }
+        assert_eq!(open(1).whole().unwrap(), whole);
+        for name in ["a.npy", "a.nii"] {
+            let [by_slabs, at_once] = ["slabs", "whole"].map(|part| folder.path().join(format!("{part}-{name}")));
+            write_stored(&by_slabs, open(1)).unwrap();
+            write(&at_once, &whole).unwrap();
+            assert!(fs::read(by_slabs).unwrap() == fs::read(at_once).unwrap());
+        }
+    }
+    // A slice of another size is an error before anything is written; one that is cut later, when it is read.
+    let mut stored = of_folder(&paths[1], 0).unwrap().unwrap();
+    let other = VolumeFile { values: Array3::zeros((3, 3, 1)), ..VolumeFile::default() };
+    write(paths[1].join("s9.tif"), &other).unwrap();
+    let message = read(&paths[1]).unwrap_err().to_string();
+    assert_eq!(of_folder(&paths[1], 0).err().unwrap().to_string(), message);
+    assert!(matches!(stored.slab(2, 1..2), Err(Error::Format { .. })) && stored.slab(2, 2..3).is_ok());
 }
 
 #[test]
