@@ -9,7 +9,7 @@
 
 mod model;
 
-use super::slice::{AXES, quantile, significant};
+use super::slice::{AXES, quantile_of, significant};
 use super::{document, escape, section};
 use crate::error::{Error, Result};
 use crate::geometry::{Grid, Projections, Scanner, Volume};
@@ -489,7 +489,7 @@ fn ends(values: &Array3<f32>) -> [f64; 2] {
 
 /// The automatic window: the 1st to the 99.9th percentile; black is 0 where that is near.
 fn window(values: &Array3<f32>) -> [f64; 2] {
-    let [low, high] = [0.01, 0.999].map(|part| significant(quantile(values.iter().copied().collect(), part), 3));
+    let [low, high] = [0.01, 0.999].map(|part| significant(quantile_of(part, values.iter().copied()), 3));
     if high <= low {
         return [low, low + 1.0];
     }
@@ -498,8 +498,8 @@ fn window(values: &Array3<f32>) -> [f64; 2] {
 
 /// The difference at full colour: the 99.5th percentile of the magnitudes.
 fn reach(first: &Array3<f32>, second: &Array3<f32>) -> f64 {
-    let differences = first.iter().zip(second).map(|(a, b)| (b - a).abs()).collect();
-    let reach = significant(quantile(differences, 0.995), 2);
+    let differences = first.iter().zip(second).map(|(a, b)| (b - a).abs());
+    let reach = significant(quantile_of(0.995, differences), 2);
     if reach > 0.0 { reach } else { 1.0 }
 }
 

@@ -1,6 +1,6 @@
 //! Conversion of volumes to surfaces, folders of slices and contact sheets.
 
-use super::volume::{converted, read};
+use super::volume::{converted, open, read};
 use super::{Convert, extension};
 use crate::cli::messages::moved;
 use crate::cli::{Output, interrupt};
@@ -73,19 +73,21 @@ pub(super) fn slices(command: &Convert, format: Slices) -> Result<Output> {
 
 /// A picture of the slices across z.
 pub(super) fn sheet(command: &Convert) -> Result<Output> {
-    let (volume, note) = read(command)?;
+    let (stored, note) = open(command)?;
+    let volume = stored.metadata().clone();
+    let mut stored = stored.kept()?;
     // Of a patient, left is on the right and the front on top; of other volumes, y runs upwards.
     let has_sides = volume.unit.is_some() && volume.origin.is_some();
     let sides = [volume.directions.x_axis.x, volume.directions.y_axis.y];
     let signs = if has_sides { sides.map(|along| if along < 0.0 { -1 } else { 1 }) } else { [1, -1] };
-    let window = Window::of(volume.values.view());
-    let (sheet, indices) = contact_sheet(volume.values.view(), MOST_SLICES, signs);
+    let window = Window::of(&mut stored)?;
+    let (sheet, indices) = contact_sheet(&mut stored, MOST_SLICES, signs)?;
     check_file(&command.out)?;
     let png = Picture::grey(&sheet, window).png();
     interrupt::shielded(|| write_atomically(&command.out, |file| file.write_all(&png)))?;
     let Window { low, high } = window;
     let shown =
         format!("{} across z from the top left, {low} to {high} as black to white", counted(indices.len(), "slice"));
-    let (shape, notes) = (volume.values.dim().into(), [shown].into_iter().chain(note).collect());
+    let (shape, notes) = (stored.shape(), [shown].into_iter().chain(note).collect());
     Ok(Output::list(&converted(&command.out, "contact sheet", &volume, shape, notes)))
 }

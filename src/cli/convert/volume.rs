@@ -17,7 +17,7 @@ pub(super) fn read(command: &Convert) -> Result<(VolumeFile, Option<String>)> {
 }
 
 /// The volume to convert, at its place and in attenuation where that is asked for; and its note.
-fn open(command: &Convert) -> Result<(Stored, Option<String>)> {
+pub(super) fn open(command: &Convert) -> Result<(Stored, Option<String>)> {
     // The folder of a run stands for its volume.
     let of_run = command.source.join("volume.npy");
     let source = if of_run.exists() { &of_run } else { &command.source };
