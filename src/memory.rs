@@ -13,6 +13,7 @@ use crate::config::{Config, DensityControl, Finish, Method, Plan, Precision, Sam
 use crate::error::{Error, Result};
 use crate::geometry::Scanner;
 use crate::projector;
+use crate::report::viewer::WHOLE;
 use crate::scan::dataset::DatasetInfo;
 use crate::setting::Setting;
 use bytesize::ByteSize;
@@ -24,15 +25,17 @@ pub use trgs_methods::memory::Allocation;
 /// Bytes of the program itself, its threads' stacks and small objects.
 const PROGRAM: u64 = 20 << 20;
 /// What arrays that are not named need, as a fraction of all others.
-const SLACK: f64 = 0.04;
-/// Memory that the allocator keeps between two uses, as a fraction of all arrays, and at most: glibc returns blocks that are
-/// larger to the system.
-const KEPT: f64 = 0.15;
-const MOST_KEPT: f64 = (32 << 20) as f64;
+const SLACK: f64 = 0.05;
+/// Memory that the allocator keeps of an earlier phase, as a fraction of its arrays but those of [`MOST_KEPT`] bytes and more.
+const KEPT: f64 = 0.2;
+/// The most that it keeps, bytes: glibc returns larger blocks to the system.
+const MOST_KEPT: usize = 32 << 20;
 /// Numbers per primitive: mean, scales, quaternion, density, ν.
 const NUMBERS: usize = 12;
 /// Views that the page of a run compares with those of the result, at most.
 pub const COMPARED_VIEWS: usize = 24;
+/// The phase that runs with primitives have.
+const ITERATION: &str = "iteration";
 /// Rows named in the message that rejects a run.
 const SHOWN: usize = 3;
 
@@ -50,12 +53,12 @@ pub struct Phase {
 pub struct Estimate {
     /// Arrays that live from the beginning to the end.
     pub lasting: Vec<Allocation>,
-    /// Phases and their temporary arrays.
+    /// Phases in the order of the run, and their temporary arrays.
     pub phases: Vec<Phase>,
 }
 
-fn sum(allocations: &[Allocation]) -> u64 {
-    allocations.iter().fold(0, |sum, allocation| sum.saturating_add(allocation.total()))
+fn sum<'a>(allocations: impl IntoIterator<Item = &'a Allocation>) -> u64 {
+    allocations.into_iter().fold(0, |sum, allocation| sum.saturating_add(allocation.total()))
 }
 
 impl Estimate {
@@ -78,15 +81,17 @@ impl Estimate {
             Method::Tv => reconstruction(tv(config, sizes)),
             Method::Naf | Method::SaxNerf | Method::Intratomo => {
                 let unit = Phase { name: "unit of density", allocations: SartSettings::default().arrays(sizes) };
-                [vec![unit], reconstruction(config.neural().arrays(sizes))].concat()
+                let steps =
+                    config.neural().phases(sizes).map(|allocations| Phase { name: "reconstruction", allocations });
+                [vec![unit], steps.to_vec()].concat()
             }
         };
         if scan.train > views {
             let all =
                 allocation("all training projections, before the choice of views", scan.train * sizes.detector, F32);
-            phases.push(Phase { name: "reading", allocations: vec![all] });
+            phases.insert(0, Phase { name: "reading", allocations: vec![all] });
         }
-        phases.extend([run.evaluation(config), run.page(config)]);
+        phases.extend([run.evaluation(config), run.views(config), run.page(config)]);
         Self {
             lasting: vec![
                 allocation("training projections", sizes.pixels, if config.model.margin > 0.0 { 2 * F32 } else { F32 }),
@@ -111,7 +116,13 @@ impl Estimate {
             return Ok((plan, estimate));
         }
         let whole = Self::new(scan, views, plan, threads);
-        whole.check(limit).map(|()| (plan.clone(), whole))
+        let without = plan.changed(|config| (config.finish, config.sampling) = (Finish::None, Sampling::Point));
+        let least = Self::new(scan, views, &without, threads).peak();
+        let refused = |error: Error| match least <= limit {
+            true => error.or_instead(format!("finish=none and sampling=point, which need {}", ByteSize(least))),
+            false => error,
+        };
+        whole.check(limit).map(|()| (plan.clone(), whole)).map_err(refused)
     }
 
     /// Estimates a file of `bytes` bytes of unknown content: the content, its arrays and the scan.
@@ -123,14 +134,24 @@ impl Estimate {
 
     /// Bytes in the phase that needs most.
     pub fn peak(&self) -> u64 {
-        let arrays = sum(&self.lasting).saturating_add(sum(&self.worst().allocations));
-        let more = SLACK * arrays as f64 + (KEPT * arrays as f64).min(MOST_KEPT);
-        PROGRAM.saturating_add(arrays).saturating_add(more as u64)
+        self.most().1
     }
 
     /// The phase that needs most.
     pub fn worst(&self) -> &Phase {
-        self.phases.iter().max_by_key(|phase| sum(&phase.allocations)).expect("every run is evaluated")
+        self.most().0
+    }
+
+    /// The phase that needs most, and the bytes of all that lives in it.
+    fn most(&self) -> (&Phase, u64) {
+        let (lasting, mut kept) = (sum(&self.lasting), 0);
+        let needs = self.phases.iter().map(|phase| {
+            let arrays = lasting.saturating_add(sum(&phase.allocations));
+            let more = SLACK * arrays as f64 + (KEPT * kept as f64).min(MOST_KEPT as f64);
+            kept = kept.max(sum(phase.allocations.iter().filter(|row| row.count < MOST_KEPT / F32)));
+            (phase, PROGRAM.saturating_add(arrays).saturating_add(more as u64))
+        });
+        needs.max_by_key(|(_, bytes)| *bytes).expect("every run is evaluated")
     }
 
     /// Rejects a run that may need more than `limit` bytes.
@@ -141,8 +162,10 @@ impl Estimate {
         if self.peak() <= limit {
             return Ok(());
         }
-        let points = "fewer primitives (" + Setting::Points + ", density_control.cap), ";
-        let instead = points + "views (" + Setting::Views + "), pixels or voxels";
+        let points = "fewer primitives (" + Setting::Points + ", density_control.cap), views (";
+        let has_primitives = self.phases.iter().any(|phase| phase.name == ITERATION);
+        let views = if has_primitives { points } else { "fewer views (".into() };
+        let instead = views + Setting::Views + "), pixels or voxels";
         Err(Error::memory("run", self, limit, self.peak()).or_instead(instead))
     }
 }
@@ -164,6 +187,15 @@ impl fmt::Display for Estimate {
 /// The arrays of TV by a configuration.
 fn tv(config: &Config, sizes: &Sizes) -> Vec<Allocation> {
     config.tv().arrays(sizes, config.tv.weight.fixed().is_none())
+}
+
+/// The volumes of the result.
+fn volumes(config: &Config, sizes: &Sizes) -> Allocation {
+    match (config.method.fits_primitives(), config.finish) {
+        (true, Finish::Tv) => allocation("volume, and that before the finish", sizes.voxels, 2 * F32),
+        (true, Finish::None) => allocation("volume", sizes.voxels, F32),
+        (false, _) => allocation("volume, and as its projections read it", sizes.voxels, 2 * F32),
+    }
 }
 
 /// The sizes that the rows of a run follow from.
@@ -235,6 +267,7 @@ impl Run {
         };
         start.push(allocation("bright voxels and the choice among them", sizes.voxels, size_of::<usize>() + 4));
         let block = |side: usize| sizes.voxels.min(side * side * side);
+        let together = projector::bytes::SLICES * whole.threads;
         // The workspace of an iteration stays for the next one, whatever runs between them.
         let kept = [
             physical,
@@ -257,10 +290,14 @@ impl Run {
             allocation("tree of neighbours, and where it has them", m, 11 * F64 + 1),
         ];
         let working = |name, allocations: &[Allocation]| with(name, m, &[&kept, allocations].concat());
+        // The next population coexists with the last one: successors, raw and physical values, moments.
+        let grown = if config.density_control.method == DensityControl::None { 0 } else { m };
+        let next = allocation("next population", grown, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
         let mut phases = vec![
             Phase { name: "unit of density", allocations: config.sart().arrays(sizes) },
             with("first volume", self.points, &start),
-            working("iteration", &[]),
+            working(ITERATION, &[]),
+            working("density control", &[next]),
             working("checkpoint", &[allocation("copy of the state", m, 3 * NUMBERS * F64 + 6 * F64 + 12)]),
             with(
                 "last volume",
@@ -269,12 +306,34 @@ impl Run {
                     physical,
                     prepared,
                     allocation("primitives on the grid", m, projector::bytes::GRID),
-                    allocation("volume, in slices, together and in single precision", whole.voxels, 2 * real + F32),
+                    allocation("slices of the volume", whole.slice * whole.slices.min(together), real),
+                    allocation("volume", whole.voxels, F32),
                 ],
             ),
         ];
+        if config.has_pilot() {
+            let run = [
+                allocation("volume of the run", whole.voxels, F32),
+                allocation("primitives of the run", m, NUMBERS * F64),
+                allocation("views of the pilot run and those held out", sizes.pixels, F32),
+            ];
+            phases.push(working("pilot run", &run));
+            let choice = |more: Vec<Allocation>| Phase {
+                name: "choice of sampling and finish",
+                allocations: [&run[..], &[allocation("primitives of the pilot run", m, NUMBERS * F64)], &more].concat(),
+            };
+            let name = "volume of the pilot run, and its interpolant as it is solved for";
+            phases.push(choice(vec![allocation(name, whole.voxels, F64 + 2 * F32)]));
+            // Weights are chosen on the voxels that the training sees, all else on those of the scan.
+            let mut allocations = tv(config, whole);
+            allocations.extend([
+                allocation("volume of the pilot run, and its interpolant", whole.voxels, 2 * F32),
+                allocation("corrected projections, and what they come from", whole.pixels, 3 * F32),
+            ]);
+            phases.push(choice(allocations));
+        }
         if config.sampling != Sampling::Point {
-            let volumes = allocation("volume, and its interpolant as it is solved for", whole.voxels, F64 + 3 * F32);
+            let volumes = allocation("volume, and its interpolant as it is solved for", whole.voxels, F64 + 2 * F32);
             phases.push(Phase { name: "sampling", allocations: vec![volumes] });
         }
         if config.finish != Finish::None {
@@ -283,47 +342,22 @@ impl Run {
             allocations.push(allocation("corrected projections", whole.pixels, F32));
             phases.push(Phase { name: "finish", allocations });
         }
-        if config.has_pilot() {
-            let run = [
-                allocation("volume of the run", whole.voxels, F32),
-                allocation("primitives of the run", m, NUMBERS * F64),
-                allocation("views of the pilot run and those held out", sizes.pixels, F32),
-            ];
-            phases.push(working("pilot run", &run));
-            // Weights are chosen on the voxels that the training sees, all else on those of the scan.
-            let mut allocations = tv(config, whole);
-            allocations.extend(run);
-            allocations.extend([
-                allocation(
-                    "volume of the pilot run, and its interpolant as it is solved for",
-                    whole.voxels,
-                    F64 + 2 * F32,
-                ),
-                allocation("primitives of the pilot run", m, NUMBERS * F64),
-                allocation("corrected projections, and what they come from", whole.pixels, 3 * F32),
-            ]);
-            phases.push(Phase { name: "choice of sampling and finish", allocations });
-        }
-        if config.density_control.method != DensityControl::None {
-            // The next population coexists with the last one: successors, raw and physical values, moments.
-            let next = allocation("next population", m, 2 * 80 + 5 * NUMBERS * F64 + 3 * F64 + 16);
-            phases.push(working("density control", &[next]));
-        }
         phases
     }
 
     fn evaluation(&self, config: &Config) -> Phase {
         let Self { sizes, .. } = self;
         let m = if config.method.fits_primitives() { self.most } else { 0 };
-        let largest = sizes.detector.max(sizes.slice);
+        // A view or a slice for each worker.
+        let compared = (sizes.detector * sizes.threads.min(self.test)).max(sizes.slice * sizes.threads);
         let allocations = vec![
-            allocation("volume and a copy in order of its values", sizes.voxels, 2 * F32),
+            volumes(config, sizes),
             allocation(
                 "test views of the result",
                 self.test * sizes.detector,
                 F32 + if m > 0 { sizes.real } else { 0 },
             ),
-            allocation("images that are compared", largest, 6 * F64 * sizes.threads),
+            allocation("images that are compared", compared, 6 * F64),
             allocation(
                 "primitives in a view",
                 m,
@@ -334,17 +368,35 @@ impl Run {
     }
 
     /// The views that the page compares with those of the result.
-    fn page(&self, config: &Config) -> Phase {
+    fn views(&self, config: &Config) -> Phase {
         let Self { sizes, .. } = self;
-        let compared = if self.test > 0 { self.test * sizes.detector } else { sizes.pixels };
-        let compared = compared.min(COMPARED_VIEWS * sizes.detector);
+        let compared = self.compared();
         let real = if config.method.fits_primitives() { sizes.real } else { 0 };
         let allocations = vec![
-            allocation("volume", sizes.voxels, F32),
+            volumes(config, sizes),
             allocation("views, those of the result and their difference", compared, 3 * F32 + real),
             allocation("differences of neighbouring pixels", sizes.pixels / 4, F64),
         ];
+        Phase { name: "views of the page", allocations }
+    }
+
+    /// The page, with its volumes and views as text.
+    fn page(&self, config: &Config) -> Phase {
+        let Self { sizes, .. } = self;
+        let beside = if config.method.fits_primitives() { volumes(config, sizes).bytes } else { F32 };
+        let shown = self.compared().min(WHOLE);
+        let allocations = vec![
+            allocation("volumes", sizes.voxels, beside),
+            allocation("volumes and views as the page holds them", 2 * (sizes.voxels.min(WHOLE) + shown), 3),
+        ];
         Phase { name: "page", allocations }
+    }
+
+    /// Pixels of the views that the page compares.
+    fn compared(&self) -> usize {
+        let Self { sizes, .. } = self;
+        let compared = if self.test > 0 { self.test * sizes.detector } else { sizes.pixels };
+        compared.min(COMPARED_VIEWS * sizes.detector)
     }
 }
 
@@ -437,6 +489,12 @@ mod tests {
     fn a_refusal_has_the_figure_its_parts_and_a_remedy() {
         let plan = Config::default().plan(&scan().scanner, 18).unwrap();
         let estimate = Estimate::new(&scan(), 18, &plan, 2);
+        let mut large = scan();
+        large.scanner.grid = Grid::cube(512);
+        let plan_of_large = Config::default().plan(&large.scanner, 18).unwrap();
+        let of = |limit: u64| Estimate::fitted(&large, 18, &plan_of_large, 2, limit << 20).unwrap_err().to_string();
+        assert!(of(1500).contains("or finish=none and sampling=point, which need 1."), "{}", of(1500));
+        assert!(!of(100).contains("finish=none"), "{}", of(100));
         estimate.check(estimate.peak()).unwrap();
         let message = estimate.check(estimate.peak() - 1).unwrap_err().to_string();
         assert!(

@@ -181,7 +181,8 @@ impl RunFolder {
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
         npy::write(&at(VOLUME), outcome.volume.values.view())?;
-        NpySide::write(&at(VOLUME), &dataset.frame.file(&outcome.volume))?;
+        let grid = &outcome.volume.grid;
+        NpySide::write(&at(VOLUME), grid.shape, &dataset.frame.metadata(grid))?;
         let (agreement, views) = views(dataset, config, outcome)?;
         let results = Results {
             evaluation: &outcome.evaluation,

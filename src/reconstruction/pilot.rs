@@ -90,8 +90,8 @@ fn choose_as<R: Kernels>(dataset: &Dataset, config: &Plan, observe: &mut Observe
     let coarse = match &*seen(dataset, &config) {
         seen if config.coarse > 1 => {
             let projector = VoxelProjector::new(&seen.scanner, config.algebraic.rays)?;
-            let values = Field::<R>::new(&primitives, config.cutoff).voxels(&seen.scanner.grid);
-            let volume = Volume::new(seen.scanner.grid, values.mapv(|value| value.to_f64() as f32))?;
+            let field = Field::<R>::new(&primitives, config.cutoff);
+            let volume = Volume::new(seen.scanner.grid, field.on(&seen.scanner.grid).voxels_in_single())?;
             Some(Scale { projector, views: views(seen), volume, factor: config.coarse as f64 })
         }
         _ => None,

@@ -116,7 +116,7 @@ impl Frame {
     }
 
     /// [`Self::file`] of a grid, without values.
-    fn metadata(&self, grid: &Grid) -> VolumeFile {
+    pub fn metadata(&self, grid: &Grid) -> VolumeFile {
         let (spacing, origin) = self.place(grid);
         VolumeFile {
             spacing: Some(spacing),

@@ -234,7 +234,7 @@ impl<'a, R: Kernels> Trainer<'a, R> {
         let mut primitives = self.activation.forward(&self.state.raw);
         primitives.parameters.density.iter_mut().for_each(|density| *density *= self.unit);
         let field = Field::<R>::new(&primitives, self.config.cutoff);
-        let volume = Volume::new(*grid, field.voxels(grid).mapv(|value| value.to_f64() as f32))?;
+        let volume = Volume::new(*grid, field.on(grid).voxels_in_single())?;
         let State { log, continued, .. } = self.state;
         Ok(TrainedModel { primitives, volume, log, unit: self.unit, continued, decision: self.decision })
     }

@@ -28,6 +28,8 @@ pub mod bytes {
     pub const VIEW: usize = size_of::<Footprint>();
     /// On a grid.
     pub const GRID: usize = size_of::<(usize, Ellipsoid)>();
+    /// Slices that each thread computes between two parts of a volume.
+    pub const SLICES: usize = super::super::volume::voxelizer::SLICES_OF_WORKER;
 }
 
 /// The density field f(x) = Σ ρT `[Eq. 1]`: primitives prepared for kernels that run in `R`.

@@ -103,8 +103,9 @@ impl NeuralSettings {
         parts(self).1.parameters()
     }
 
-    /// What a run asks of memory. The unit of density comes from SART in f32 before.
-    pub fn arrays(&self, sizes: &Sizes) -> Vec<Allocation> {
+    /// What a run asks of memory: in a step, as a checkpoint is written, and as the volume is read off. The unit of density
+    /// comes from SART in f32 before.
+    pub fn phases(&self, sizes: &Sizes) -> [Vec<Allocation>; 3] {
         let (encoding, network) = parts(self);
         let rays = self.rays + self.windows * self.window * self.window;
         let parameters = encoding.parameters() + network.parameters();
@@ -118,25 +119,22 @@ impl NeuralSettings {
         let gradients = rays.div_ceil(BUNDLE) * network.parameters();
         let kept = allocation("parameters and moments", parameters, 3 * F64);
         let samples = allocation("samples in the network", sizes.threads * together, computed * sizes.real);
-        // What lives beside them in a step, as a checkpoint is written, and as the volume is read off.
-        let phases = [
+        [
             vec![
+                kept,
                 allocation("gradient and parameters as the network has them", parameters, F64 + sizes.real),
                 allocation("points of a step and gradients to their codes", points, codes),
                 allocation("gradients of the network", gradients, F64),
                 samples,
             ],
-            vec![allocation("parameters and moments as they are written to a checkpoint", parameters, 4 * F64)],
+            vec![kept, allocation("parameters and moments as they are written to a checkpoint", parameters, 4 * F64)],
             vec![
+                kept,
                 allocation("parameters as the network has them", parameters, sizes.real),
                 samples,
                 allocation("volume", sizes.voxels, F32),
             ],
-        ];
-        let total = |phase: &Vec<Allocation>| phase.iter().map(Allocation::total).sum::<u64>();
-        let mut largest = phases.into_iter().max_by_key(total).expect("three");
-        largest.insert(0, kept);
-        largest
+        ]
     }
 }
 

@@ -375,7 +375,7 @@ fn the_samples_of_a_long_column_are_counted() {
     let sizes =
         Sizes { detector: 1, pixels: 1, voxels: 1, slice: 1, slices: 1, column: 1, real: 4, threads: 1, slabs: 1 };
     let together = |kind: Kind, pairs_neighbours: bool, column: usize| {
-        let arrays = NeuralSettings { pairs_neighbours, ..settings(kind) }.arrays(&Sizes { column, ..sizes });
+        let arrays = NeuralSettings { pairs_neighbours, ..settings(kind) }.phases(&Sizes { column, ..sizes }).concat();
         arrays.iter().find(|row| row.what == "samples in the network").unwrap().count
     };
     assert_eq!([false, true].map(|pairs| together(Kind::SaxNerf, pairs, 601)), [1202, 1024]);

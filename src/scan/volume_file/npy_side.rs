@@ -39,13 +39,13 @@ impl NpySide {
         name.into()
     }
 
-    /// Writes the side file of the array `array`, which holds the values of the volume.
+    /// Writes the side file of the array `array`, which holds the values of the volume, of this shape `[x, y, z]`.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn write(array: &Path, volume: &VolumeFile) -> Result<()> {
+    pub fn write(array: &Path, shape: [usize; 3], volume: &VolumeFile) -> Result<()> {
         let side = Self {
-            shape: volume.values.dim().into(),
+            shape,
             unit: volume.unit.map(|unit| unit.symbol().into()),
             spacing: volume.spacing.unwrap_or(DVec3::ONE).to_array(),
             origin: volume.origin.unwrap_or(DVec3::ZERO).to_array(),

@@ -18,14 +18,15 @@ use crate::projector::whitened::{
 };
 use ndarray::{Array3, ArrayView3};
 use std::array::from_fn;
+use std::convert::Infallible;
 use std::ops::Range;
 
 /// Primitives of one task.
 const CHUNK: usize = 64;
 /// Slices of one task: as many pairs as an ellipsoid computes the column ends of at a time.
 const SLAB: usize = 8;
-/// Slabs for each worker between two reports.
-const SLABS_OF_WORKER: usize = 2;
+/// Slices of each worker between two reports.
+pub(crate) const SLICES_OF_WORKER: usize = 2 * SLAB;
 
 /// The gradients of eight primitives from the sums over all their slices, in the axes of [`Ellipsoid`].
 fn primitive_gradients(sums: &[Sums; LANES], primitives: [&WhitenedPrimitive; LANES]) -> [PrimitiveGradient; LANES] {
@@ -116,7 +117,7 @@ impl<'a, R: Kernels> GridField<'a, R> {
 
     /// Slices (x) that [`Self::by_slabs`] computes together.
     pub fn slices_together(&self) -> usize {
-        (SLABS_OF_WORKER * threads::count() * SLAB).min(self.grid.shape[0])
+        (SLICES_OF_WORKER * threads::count()).min(self.grid.shape[0])
     }
 
     /// The values of [`Self::voxels`], the same bits, some slices after the others, for a volume that is larger than memory.
@@ -134,6 +135,17 @@ impl<'a, R: Kernels> GridField<'a, R> {
             give(values, last)?;
         }
         Ok(())
+    }
+
+    /// [`Self::voxels`], rounded to single precision; with few slices in `R` at a time.
+    pub fn voxels_in_single(&self) -> Array3<f32> {
+        let mut values = Vec::with_capacity(self.grid.voxels());
+        let give = |slab: &[R], _| -> Result<(), Infallible> {
+            values.extend(slab.iter().map(|value| value.to_f64() as f32));
+            Ok(())
+        };
+        let Ok(()) = self.by_slabs(give);
+        Array3::from_shape_vec(self.grid.shape, values).expect("every voxel of the grid")
     }
 
     /// The slices `x` of [`Self::voxels`], with its bits.
@@ -248,7 +260,10 @@ mod tests {
         let whole = on_grid.voxels();
         let parts = [0..5, 5..9, 9..32, 32..37].map(|x| on_grid.slices(x));
         let together = ndarray::concatenate(ndarray::Axis(0), &parts.each_ref().map(|part| part.view())).unwrap();
-        assert!(whole.iter().any(|value| *value > 0.0) && together == whole);
+        assert!(whole.iter().any(|value| *value > 0.0) && together == whole && on_grid.voxels_in_single() == whole);
+        let double = Field::<f64>::new(&primitives, 1e-3);
+        let rounded = double.on(&grid).voxels().mapv(|value| value as f32);
+        assert_eq!(double.on(&grid).voxels_in_single(), rounded);
     }
 
     #[test]
