@@ -123,8 +123,8 @@ fn reconstruct_whole(
     checkpoints: Option<Checkpoints>,
     observe: &mut Observe<'_>,
 ) -> Result<Reconstruction> {
-    let voxels::Found { volume, choice, unit } = match (config.method, config.precision) {
-        (Method::TrGs | Method::R2Gaussian, _) => {
+    let voxels::Found { volume, choice, unit } = match config.method {
+        Method::TrGs | Method::R2Gaussian => {
             let file = checkpoints.as_ref().map(|checkpoints| checkpoints.file.clone());
             let checkpoints = checkpoints.map(of_training).transpose()?;
             let mut watch = |iteration, record: Option<&Record>| observe(Progress::Iteration(iteration, record));
@@ -134,12 +134,11 @@ fn reconstruct_whole(
                 other => other,
             });
         }
-        (Method::Fdk, _) => {
+        Method::Fdk => {
             let volume = fdk(&dataset.scanner, &dataset.train, config.fdk.window, config.fdk.turn)?;
             voxels::Found { volume, choice: None, unit: None }
         }
-        (_, Precision::F32) => voxels::iterate::<f32>(dataset, config, checkpoints, observe)?,
-        (_, Precision::F64) => voxels::iterate::<f64>(dataset, config, checkpoints, observe)?,
+        _ => voxels::iterate(dataset, config, checkpoints, observe)?,
     };
     let (log, continued) = (Vec::new(), Vec::new());
     Ok(Reconstruction {
@@ -191,10 +190,7 @@ fn after_training(
     let (mut unfinished, mut choice) = (None, None);
     if config.finish == Finish::Tv {
         let start = finish::Start { primitives: &primitives, volume: &volume, sampling: sampled.sampling, chosen };
-        let (finished, chosen) = match config.precision {
-            Precision::F32 => finish::finish::<f32>(dataset, start, config, observe)?,
-            Precision::F64 => finish::finish::<f64>(dataset, start, config, observe)?,
-        };
+        let (finished, chosen) = finish::finish(dataset, start, config, observe)?;
         unfinished = Some(std::mem::replace(&mut volume, finished));
         choice = chosen;
     }

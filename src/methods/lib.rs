@@ -17,12 +17,14 @@ mod tolerances;
 
 pub mod classical;
 pub mod evaluation;
+mod in_precision;
 pub mod memory;
 pub mod neural;
 
 /// For the package `trgs`, no part of the interface.
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::classical::algebraic::held_out::{FinishSearch, choose_finish, pilot_folds};
+    pub use crate::classical::algebraic::held_out::{FinishSearch, pilot_folds};
     pub use crate::classical::density_unit::in_unit;
+    pub use crate::in_precision::{Iterative, begin, choose_finish, choose_passes, choose_weight, first_steps};
 }

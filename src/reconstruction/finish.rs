@@ -15,15 +15,15 @@
 
 use super::{Observe, Progress, project};
 use crate::classical::VoxelProjector;
-use crate::classical::algebraic::{Choice, Trial, TvRun, TvSettings, choose_weight};
+use crate::classical::algebraic::{Choice, Trial, TvSettings};
 use crate::config::{Config, Plan, Sampling};
 use crate::error::{Error, Result};
 use crate::geometry::{Projections, Scanner, Volume};
-use crate::numeric::Real;
 use crate::primitives::Primitives;
 use crate::scan::Dataset;
 use crate::setting::Text;
 use std::borrow::Cow;
+use trgs_methods::internals::{Iterative, begin, choose_weight};
 
 /// Without a pilot run: part of the weight that held-out views ask for where the volume is an interpolant. Its start is
 /// smooth already.
@@ -56,7 +56,7 @@ pub(super) struct Start<'a> {
 ///
 /// # Errors
 /// As [`crate::classical::algebraic::tv()`], and [`Error::Interrupted`] when `observe` breaks.
-pub(super) fn finish<R: Real>(
+pub(super) fn finish(
     dataset: &Dataset,
     start: Start<'_>,
     config: &Plan,
@@ -69,13 +69,14 @@ pub(super) fn finish<R: Real>(
             let iterations = choice.iterations.unwrap_or(ITERATIONS);
             (TvSettings { weight: choice.value, iterations, ..config.tv() }, Some(choice), false)
         }
-        _ => by_rule::<R>(dataset, &projector, sampling, config, observe)?,
+        _ => by_rule(dataset, &projector, sampling, config, observe)?,
     };
     let target = target(&dataset.train, &dataset.scanner, primitives, volume, sampling, &projector, config)?;
-    let mut run = TvRun::<R>::new(&projector, &target, &settings, Some(volume), config.division())?;
+    let tv = Iterative::Tv(&settings, Some(volume), config.division());
+    let mut run = begin(&tv, config.precision, &projector, &target, None)?;
     let mut residuals = Vec::new();
     while !run.is_finished() {
-        let pass = run.step()?;
+        let Some(pass) = run.step()? else { break };
         if observe(Progress::Pass(&pass)).is_break() {
             return Err(Error::Interrupted { step: pass.iteration, remedy: Text::default() });
         }
@@ -86,7 +87,7 @@ pub(super) fn finish<R: Real>(
         }
     }
     let share = choice.as_ref().and_then(|choice| choice.share).unwrap_or(config.tv.share.or(1.0)) as f32;
-    let mut finished = run.volume()?;
+    let mut finished = run.into_volume()?;
     finished.values.zip_mut_with(&volume.values, |value, &before| {
         // The finish starts from values that are not negative.
         let before = before.max(0.0);
@@ -96,7 +97,7 @@ pub(super) fn finish<R: Real>(
 }
 
 /// Settings without a pilot run, the choice of the weight, and whether the finish may end by its residual.
-fn by_rule<R: Real>(
+fn by_rule(
     dataset: &Dataset,
     projector: &VoxelProjector,
     sampling: Sampling,
@@ -112,7 +113,7 @@ fn by_rule<R: Real>(
     }
     let mut watch = |key: &str, trial: Option<&Trial>| observe(Progress::Choosing(key, trial));
     let judged = TvSettings { iterations: JUDGED_AFTER, tolerance: 0.0, ..config.tv() };
-    let chosen = choose_weight::<R>(projector, &dataset.train, &judged, config.division(), &mut watch)?;
+    let chosen = choose_weight(config.precision, projector, &dataset.train, &judged, config.division(), &mut watch)?;
     settings.weight = if interpolated { PART * chosen.value } else { chosen.value.max(LEAST) };
     Ok((settings, Some(chosen), may_end))
 }

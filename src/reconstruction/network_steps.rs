@@ -1,13 +1,12 @@
 //! The first steps of a network's training with all that they rest on, for programs that repeat them.
 
-use crate::config::{Config, Plan, Precision};
+use crate::config::{Config, Plan};
 use crate::error::{Error, Result};
-use crate::limit;
-use crate::neural::{Batch, NeuralRun};
-use crate::numeric::Real;
+use crate::neural::Batch;
 use crate::scan::Dataset;
 use crate::train::unit_of;
 use ndarray::ArrayD;
+use trgs_methods::internals::first_steps;
 
 /// Steps of a network's training.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,23 +36,7 @@ pub fn network_steps(dataset: &Dataset, config: &Config, count: usize) -> Result
     }
     let config = config.plan(&dataset.scanner, dataset.train.len())?;
     let unit = unit_of(dataset, &config)?;
-    match config.precision {
-        Precision::F32 => steps::<f32>(dataset, config, count, unit),
-        Precision::F64 => steps::<f64>(dataset, config, count, unit),
-    }
-}
-
-fn steps<R: Real>(dataset: &Dataset, config: Plan, count: usize, unit: f64) -> Result<NetworkSteps> {
-    let mut run = NeuralRun::<R>::new(&dataset.scanner, &dataset.train, &config.neural(), unit, None)?;
-    let begin = run.named_parameters();
-    let settings = config.neural();
-    let rays = settings.rays + settings.windows * settings.window * settings.window;
-    limit::allow_array("points of all steps", &[count, rays, settings.samples], 4 * size_of::<f64>())?;
-    let (mut batches, mut errors) = (Vec::with_capacity(count), Vec::with_capacity(count));
-    for _ in 0..count {
-        batches.push(run.batch());
-        errors.push(run.train());
-    }
-    let end = run.named_parameters();
+    let (scanner, views) = (&dataset.scanner, &dataset.train);
+    let ([begin, end], batches, errors) = first_steps(config.precision, scanner, views, &config.neural(), unit, count)?;
     Ok(NetworkSteps { begin, batches, errors, end, unit, config })
 }

@@ -25,9 +25,8 @@ use crate::classical::algebraic::{Choice, Trial};
 use crate::config::{Plan, Precision, Sampling, Start};
 use crate::error::Result;
 use crate::geometry::{Projections, Volume};
-use crate::numeric::Real;
 use crate::primitives::Primitives;
-use crate::projector::{Field, Kernels};
+use crate::projector::Field;
 use crate::reconstruction::Evidence;
 use crate::scan::{Dataset, interpolant};
 use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, seen, train};
@@ -72,13 +71,6 @@ impl From<Decision> for Found {
 /// # Errors
 /// Those of the training and of the method tv, and [`crate::Error::Interrupted`] when `observe` breaks.
 pub(super) fn choose(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
-    match config.precision {
-        Precision::F32 => choose_as::<f32>(dataset, config, observe),
-        Precision::F64 => choose_as::<f64>(dataset, config, observe),
-    }
-}
-
-fn choose_as<R: Kernels>(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>) -> Result<Option<Found>> {
     let projector = VoxelProjector::new(&dataset.scanner, config.algebraic.rays)?;
     let Some(folds) = pilot_folds(&projector, &dataset.train) else { return Ok(None) };
     let config = shorter(config);
@@ -90,14 +82,17 @@ fn choose_as<R: Kernels>(dataset: &Dataset, config: &Plan, observe: &mut Observe
     let coarse = match &*seen(dataset, &config) {
         seen if config.coarse > 1 => {
             let projector = VoxelProjector::new(&seen.scanner, config.algebraic.rays)?;
-            let field = Field::<R>::new(&primitives, config.cutoff);
-            let volume = Volume::new(seen.scanner.grid, field.on(&seen.scanner.grid).voxels_in_single())?;
+            let (grid, cutoff) = (seen.scanner.grid, config.cutoff);
+            let values = match config.precision {
+                Precision::F32 => Field::<f32>::new(&primitives, cutoff).on(&grid).voxels_in_single(),
+                Precision::F64 => Field::<f64>::new(&primitives, cutoff).on(&grid).voxels_in_single(),
+            };
+            let volume = Volume::new(grid, values)?;
             Some(Scale { projector, views: views(seen), volume, factor: config.coarse as f64 })
         }
         _ => None,
     };
-    let mut judge =
-        |scale: &Scale, sampling, weight| finish_of::<R>(&primitives, scale, sampling, weight, &config, observe);
+    let mut judge = |scale: &Scale, sampling, weight| finish_of(&primitives, scale, sampling, weight, &config, observe);
     let mut choice_of = |sampling| -> Result<Choice> {
         let Some(coarse) = &coarse else { return judge(&whole, sampling, None) };
         let coarse = judge(coarse, sampling, None)?;
@@ -135,7 +130,7 @@ struct Scale {
 }
 
 /// The finish of the pilot's volume, sampled as `sampling`, that the views held out ask for; its weight can be given.
-fn finish_of<R: Real>(
+fn finish_of(
     primitives: &Primitives,
     scale: &Scale,
     sampling: Sampling,
@@ -166,8 +161,16 @@ fn finish_of<R: Real>(
         let trial = trial.map(|trial| Trial { value: trial.value * factor, ..*trial });
         observe(Progress::Choosing(key, trial.as_ref()))
     };
-    let mut found =
-        choose_finish::<R>(projector, [&train, &held], start, &config.tv(), &search, config.division(), &mut watch)?;
+    let mut found = choose_finish(
+        config.precision,
+        projector,
+        [&train, &held],
+        start,
+        &config.tv(),
+        &search,
+        config.division(),
+        &mut watch,
+    )?;
     found.value *= factor;
     found.curve.iter_mut().for_each(|trial| trial.value *= factor);
     // An iteration projects so many times fewer rays through so many times fewer voxels.

@@ -4,16 +4,14 @@ use super::checkpoint::{Checkpoint, Checkpoints, VoxelCheckpoint, chooses};
 use super::{Observe, Progress};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{
-    AsdPocsRun, AsdPocsSettings, CglsRun, Choice, Passes, SartRun, Trial, TvRun, TvSettings, VoxelRun, VoxelState,
-    choose_passes, choose_weight,
+    AsdPocsSettings, Choice, Passes, SartSettings, Trial, TvSettings, VoxelRun, VoxelState,
 };
-use crate::config::{Config, Method, Plan};
+use crate::config::{Method, Plan};
 use crate::error::{Error, Result, start_again};
 use crate::geometry::Volume;
-use crate::neural::NeuralRun;
-use crate::numeric::Real;
 use crate::scan::Dataset;
 use crate::train::unit_of;
+use trgs_methods::internals::{self, Iterative, choose_passes, choose_weight};
 
 /// What an iterative method found.
 pub(super) struct Found {
@@ -25,7 +23,7 @@ pub(super) struct Found {
 }
 
 /// The volume that an iterative method finds, and what was chosen for it.
-pub(super) fn iterate<R: Real>(
+pub(super) fn iterate(
     dataset: &Dataset,
     config: &Plan,
     checkpoints: Option<Checkpoints>,
@@ -37,9 +35,8 @@ pub(super) fn iterate<R: Real>(
     // The state of volumes in slabs is in no checkpoint.
     let in_memory = config.division().slabs == 1;
     let (file, from) = checkpoints.map_or((None, None), |c| (in_memory.then_some(c.file), c.from));
-    let begin = |choice: Option<&Choice>, state: Option<&VoxelState>| {
-        begin::<R>(&projector, dataset, config, unit, choice, state)
-    };
+    let begin =
+        |choice: Option<&Choice>, state: Option<&VoxelState>| begin(&projector, dataset, config, unit, choice, state);
     let (mut run, choice, mut saved) = match from {
         Some(Checkpoint::Voxels(mut saved)) => {
             saved.check(dataset, config)?;
@@ -55,7 +52,7 @@ pub(super) fn iterate<R: Real>(
             return Err(Error::invalid("checkpoint", "one of primitives", expected, start_again()));
         }
         None => {
-            let choice = choose::<R>(&projector, dataset, config, observe)?;
+            let choice = choose(&projector, dataset, config, observe)?;
             let run = begin(choice.as_ref(), None)?;
             let saved = file.as_ref().map(|_| VoxelCheckpoint::new(dataset, config, choice.clone()));
             (run, choice, saved)
@@ -81,7 +78,7 @@ pub(super) fn iterate<R: Real>(
 }
 
 /// Chooses the number of passes or the weight of the total variation on views held out, if that is asked for.
-fn choose<R: Real>(
+fn choose(
     projector: &VoxelProjector,
     dataset: &Dataset,
     config: &Plan,
@@ -92,16 +89,16 @@ fn choose<R: Real>(
         _ if chooses(config).is_none() => return Ok(None),
         Method::Tv => {
             let (views, division) = (&dataset.train, config.division());
-            return choose_weight::<R>(projector, views, &config.tv(), division, &mut watch).map(Some);
+            return choose_weight(config.precision, projector, views, &config.tv(), division, &mut watch).map(Some);
         }
         Method::Cgls => Passes::Cgls(config.iterations),
         _ => Passes::Sart(config.sart()),
     };
-    choose_passes::<R>(projector, &dataset.train, passes, &mut watch).map(Some)
+    choose_passes(config.precision, projector, &dataset.train, passes, &mut watch).map(Some)
 }
 
 /// A run with what was chosen, from the beginning or from a state.
-fn begin<'a, R: Real>(
+fn begin<'a>(
     projector: &'a VoxelProjector,
     dataset: &'a Dataset,
     config: &Plan,
@@ -109,29 +106,19 @@ fn begin<'a, R: Real>(
     choice: Option<&Choice>,
     state: Option<&VoxelState>,
 ) -> Result<Box<dyn VoxelRun + 'a>> {
-    let views = &dataset.train;
-    if config.method.is_network() {
-        let run = NeuralRun::<R>::new(&dataset.scanner, views, &config.neural(), unit.unwrap_or(1.0), state)?;
-        return Ok(Box::new(run));
-    }
-    if config.method == Method::Tv {
-        let weight = choice.map_or(config.tv().weight, |choice| choice.value);
-        let settings = TvSettings { weight, ..config.tv() };
-        return Ok(match state {
-            Some(state) => Box::new(TvRun::<R>::resume(projector, views, &settings, state, config.division())?),
-            None => Box::new(TvRun::<R>::new(projector, views, &settings, None, config.division())?),
-        });
-    }
-    let iterations = choice.map_or(config.iterations, |choice| choice.value as usize);
-    let config = Config { iterations, ..Config::clone(config) };
-    Ok(match config.method {
-        Method::AsdPocs => {
-            let settings = AsdPocsSettings { unit: unit.unwrap_or(1.0), ..config.asd_pocs() };
-            Box::new(AsdPocsRun::<R>::new(projector, views, &settings, state)?)
+    let unit = unit.unwrap_or(1.0);
+    let begin = |method: &Iterative| internals::begin(method, config.precision, projector, &dataset.train, state);
+    let passes = choice.map_or(config.iterations, |choice| choice.value as usize);
+    match config.method {
+        _ if config.method.is_network() => begin(&Iterative::Network(&config.neural(), unit)),
+        Method::Tv => {
+            let weight = choice.map_or(config.tv().weight, |choice| choice.value);
+            begin(&Iterative::Tv(&TvSettings { weight, ..config.tv() }, None, config.division()))
         }
-        Method::Cgls => Box::new(CglsRun::<R>::new(projector, views, iterations, state)?),
-        _ => Box::new(SartRun::<R>::new(projector, views, &config.sart(), state)?),
-    })
+        Method::AsdPocs => begin(&Iterative::AsdPocs(&AsdPocsSettings { unit, ..config.asd_pocs() })),
+        Method::Cgls => begin(&Iterative::Cgls(passes)),
+        _ => begin(&Iterative::Sart(&SartSettings { iterations: passes, ..config.sart() })),
+    }
 }
 
 /// The error of a run that is stopped.

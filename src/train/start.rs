@@ -1,9 +1,9 @@
 //! The initial primitives of a run: at points of a first volume, of the dataset or at random, or those of a model.
 
-use crate::classical::algebraic::{Order, SartSettings, TvSettings, sart, tv};
+use crate::classical::algebraic::{Division, Order, SartSettings, TvSettings};
 use crate::classical::fdk::{Turn, Window, fdk};
 use crate::classical::{RayModel, VoxelProjector};
-use crate::config::{Config, DensityControl, Method, Plan, Start};
+use crate::config::{Config, DensityControl, Method, Plan, Precision, Start};
 use crate::error::{Error, Result};
 use crate::geometry::{Grid, Volume};
 use crate::numeric::elementary::exp;
@@ -14,8 +14,8 @@ use crate::scan::{Dataset, model};
 use crate::setting::Text;
 use glam::DVec3;
 use ndarray::{ArrayView1, Axis, Zip};
-use std::ops::ControlFlow;
 use std::path::Path;
+use trgs_methods::internals::{Iterative, begin};
 
 /// Iterations of SART for the first volume.
 const PASSES: usize = 5;
@@ -120,16 +120,20 @@ pub fn primitives_of_model(grid: &Grid, config: &Config) -> Result<(Primitives, 
 /// The volume whose bright voxels are the first points.
 fn first_volume(dataset: &Dataset, from: Start, smoothing: f64) -> Result<Volume> {
     let projector = VoxelProjector::new(&dataset.scanner, RayModel::Joseph)?;
-    let mut quiet = |_: &_| ControlFlow::Continue(());
+    let to_the_end = |method: &Iterative| {
+        let mut run = begin(method, Precision::F32, &projector, &dataset.train, None)?;
+        while !run.is_finished() && run.step()?.is_some() {}
+        run.into_volume()
+    };
     match from {
         Start::Sart => {
             let order = Order::AngularDistance;
             let settings = SartSettings { iterations: PASSES, order, ..SartSettings::default() };
-            sart::<f32>(&projector, &dataset.train, &settings, &mut quiet)
+            to_the_end(&Iterative::Sart(&settings))
         }
         Start::Tv => {
             let settings = TvSettings { iterations: ITERATIONS, ..TvSettings::default() };
-            tv::<f32>(&projector, &dataset.train, &settings, None, &mut quiet)
+            to_the_end(&Iterative::Tv(&settings, None, &Division::whole()))
         }
         _ => {
             let volume = fdk(&dataset.scanner, &dataset.train, Window::RamLak, Turn::Full)?;
@@ -253,7 +257,7 @@ mod tests {
         assert_eq!(of_three.model.points, 3);
         assert_eq!(initial_primitives(&scan, &of_three).unwrap(), expected);
         // The unit of this scan is not 1, and scales, densities and ν pass through their activations.
-        let found = train(&scan, &of_three, None, &mut |_, _| ControlFlow::Continue(())).unwrap();
+        let found = train(&scan, &of_three, None, &mut |_, _| std::ops::ControlFlow::Continue(())).unwrap();
         assert!(found.unit != 1.0);
         for group in Group::ALL {
             for (a, b) in found.primitives.parameters.group(group).iter().zip(expected.parameters.group(group)) {

@@ -1,6 +1,5 @@
 //! The Gaussian kernel `exp(-δ/2)`, the limit ν → ∞ of the t-kernel and the primitive of R²-Gaussian.
 
-use crate::numeric::Real;
 use std::f64::consts::{LN_2, TAU};
 
 /// Unit of δ in which the kernel is a power of two: `exp(-δ/2) = 2^-(δ/UNIT)`.
@@ -14,9 +13,4 @@ pub fn line_integral() -> f64 {
 /// The Mahalanobis distance δ at which the kernel is 2^-`bits` `[X2]`.
 pub(crate) fn reach(bits: f64) -> f64 {
     UNIT * bits
-}
-
-/// The largest δ/UNIT at which `R` can represent the kernel `2^-(δ/UNIT)`.
-pub(crate) fn horizon<R: Real>() -> f64 {
-    R::HORIZON
 }

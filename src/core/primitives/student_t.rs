@@ -1,9 +1,9 @@
 //! Constants of the Student's t kernel: its integral along a line and its support.
 
+use crate::numeric::Lanes;
 use crate::numeric::elementary::{exp2, log2};
 use crate::numeric::exponentials::expm1;
 use crate::numeric::vectors::{f64x8, splat};
-use crate::numeric::{Lanes, Real};
 use std::f64::consts::PI;
 
 /// Series of `Γ(z)/Γ(z+½)·√w` in powers of `1/w²`, w = z-¼, as exact fractions.
@@ -83,25 +83,25 @@ pub(crate) fn reaches(nu: f64x8, bits: f64) -> f64x8 {
     nu * expm1(splat(std::f64::consts::LN_2 * bits * 2.0) / (nu + splat(2.0)))
 }
 
-/// The largest δ/ν at which `R` can represent all powers of 1+δ/ν in use.
+/// The largest δ/ν at which kernels that represent 2^-`horizon` can represent all powers of 1+δ/ν in use.
 ///
 /// The largest exponent is that of the voxel gradient, (ν+3)/2 + 1.
-pub(crate) fn horizon<R: Real>(nu: f64) -> f64 {
-    exp2(R::HORIZON / ((nu + 5.0) / 2.0)) - 1.0
+pub(crate) fn horizon(nu: f64, horizon: f64) -> f64 {
+    exp2(horizon / ((nu + 5.0) / 2.0)) - 1.0
 }
 
 /// The smaller of [`reach`] and [`horizon`], both in units of ν.
 ///
-/// The horizon is smaller only for a cutoff near what `R` can represent.
-pub(crate) fn limits<R: Real>(nu: f64x8, bits: f64, reaches: f64x8) -> f64x8 {
+/// The horizon is smaller only for a cutoff near what the kernels can represent.
+pub(crate) fn limits(nu: f64x8, bits: f64, reaches: f64x8, horizon: f64) -> f64x8 {
     // Clearly different exponents of 2 decide without computing the powers.
     let within = splat(bits) / (nu + splat(2.0));
-    let held = splat(R::HORIZON) / (nu + splat(5.0));
+    let held = splat(horizon) / (nu + splat(5.0));
     if within.simd_lt(held * splat(0.999)).all() {
         return reaches;
     }
     let (nu, reaches) = (nu.to_array(), reaches.to_array());
-    f64x8::from_fn(|i| reaches[i].min(horizon::<R>(nu[i])))
+    f64x8::from_fn(|i| reaches[i].min(self::horizon(nu[i], horizon)))
 }
 
 /// `-log2 ε` of a relative cutoff; infinite without a cutoff.

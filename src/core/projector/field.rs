@@ -63,7 +63,7 @@ impl<R: Kernels> Field<R> {
     /// Replaces the primitives, with the same cutoff and in the same memory.
     pub fn renew(&mut self, primitives: &Primitives) {
         self.kernel = primitives.kernel;
-        WhitenedPrimitive::all_into::<R>(&mut self.primitives, primitives, self.cutoff);
+        WhitenedPrimitive::all_into(&mut self.primitives, primitives, self.cutoff, R::HORIZON);
     }
 
     pub(super) fn whitened(&self) -> Whitened<'_> {

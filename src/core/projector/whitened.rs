@@ -3,7 +3,7 @@
 //! Gradients are summed in these terms, and then converted to scales, quaternion, density and ν.
 
 use crate::numeric::vectors::{DMat3x8, DVec3x8, LANES, f64x8, splat};
-use crate::numeric::{Lanes, Real, threads};
+use crate::numeric::{Lanes, threads};
 use crate::primitives::rotation::Units;
 use crate::primitives::{KernelKind, Parameters, Primitives, Rows, gaussian, student_t};
 use glam::{DMat3, DQuat, DVec2, DVec3};
@@ -163,9 +163,10 @@ pub(crate) struct Whitened<'a> {
 }
 
 impl WhitenedPrimitive {
-    /// Whitens up to eight primitives, cut off where they have fallen to 2^-`bits`, for kernels in `R`.
+    /// Whitens up to eight primitives, cut off where they have fallen to 2^-`bits`, for kernels that represent
+    /// 2^-`horizon`.
     #[inline(always)]
-    fn whiten<R: Real>(whitened: &mut [Self], primitives: &Primitives, indices: [usize; LANES], bits: f64) {
+    fn whiten(whitened: &mut [Self], primitives: &Primitives, indices: [usize; LANES], bits: f64, horizon: f64) {
         let p = &primitives.parameters;
         let (rotations, norms) = Units::new(from_fn(|entry| f64x8::from_fn(|i| p.quaternion[indices[i]][entry])));
         let one = splat(1.0);
@@ -175,11 +176,11 @@ impl WhitenedPrimitive {
             KernelKind::Gaussian => {
                 let cutoff_x = gaussian::reach(bits) / gaussian::UNIT;
                 let line = (splat(gaussian::line_integral()), splat(0.0));
-                (line, splat(gaussian::UNIT), splat(cutoff_x), splat(cutoff_x.min(gaussian::horizon::<R>())))
+                (line, splat(gaussian::UNIT), splat(cutoff_x), splat(cutoff_x.min(horizon)))
             }
             KernelKind::StudentT => {
                 let cutoff_x = student_t::reaches(nu, bits) / nu;
-                (student_t::line_integrals(nu), nu, cutoff_x, student_t::limits::<R>(nu, bits, cutoff_x))
+                (student_t::line_integrals(nu), nu, cutoff_x, student_t::limits(nu, bits, cutoff_x, horizon))
             }
         };
         let radius = (max_x * unit).sqrt() / x.at_most(y.at_most(z)) * splat(1.0 + 1e-9);
@@ -210,20 +211,20 @@ impl WhitenedPrimitive {
 
     /// Whitens primitive `i` alone.
     #[cfg(test)]
-    pub(crate) fn new<R: Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
+    pub(crate) fn new<R: crate::numeric::Real>(primitives: &Primitives, i: usize, bits: f64) -> Self {
         let mut primitive = Self::default();
-        Self::whiten::<R>(std::slice::from_mut(&mut primitive), primitives, [i; LANES], bits);
+        Self::whiten(std::slice::from_mut(&mut primitive), primitives, [i; LANES], bits, R::HORIZON);
         primitive
     }
 
-    /// Whitens all primitives with a relative cutoff ε (0: none), in parallel.
-    pub(crate) fn all_into<R: Real>(whitened: &mut Vec<Self>, primitives: &Primitives, epsilon: f64) {
+    /// Whitens all primitives with a relative cutoff ε (0: none) for kernels that represent 2^-`horizon`, in parallel.
+    pub(crate) fn all_into(whitened: &mut Vec<Self>, primitives: &Primitives, epsilon: f64, horizon: f64) {
         let (bits, last) = (student_t::bits(epsilon), primitives.len().saturating_sub(1));
         whitened.resize(primitives.len(), Self::default());
         threads::for_each_chunk(whitened, CHUNK, |chunk, whitened| {
             for (first, whitened) in (chunk * CHUNK..).step_by(LANES).zip(whitened.chunks_mut(LANES)) {
                 let indices = from_fn(|i| (first + i).min(last));
-                Self::whiten::<R>(whitened, primitives, indices, bits);
+                Self::whiten(whitened, primitives, indices, bits, horizon);
             }
         });
     }
@@ -282,6 +283,7 @@ pub(crate) fn parameter_gradient(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::Real;
     use crate::numeric::rng::{Purpose, stream};
     use crate::primitives::rotation;
     use crate::tolerances::{largest, relative};
@@ -322,7 +324,7 @@ mod tests {
         for bits in [f64::INFINITY, student_t::bits(1e-2), 125.0, 300.0] {
             let primitives = Primitives::new(parameters.clone()).unwrap();
             let mut whitened = Vec::new();
-            WhitenedPrimitive::all_into::<f32>(&mut whitened, &primitives, libm::exp2(-bits));
+            WhitenedPrimitive::all_into(&mut whitened, &primitives, libm::exp2(-bits), f32::HORIZON);
             for (i, primitive) in whitened.iter().enumerate() {
                 assert_eq!(
                     format!("{primitive:?}"),
@@ -334,7 +336,7 @@ mod tests {
                 assert_eq!((primitive.rotation, primitive.norm, primitive.whitening), (rotation, norm, whitening));
                 let nu = parameters.nu[i];
                 let reach = student_t::reach(nu, bits) / nu;
-                let max_x = reach.min(student_t::horizon::<f32>(nu));
+                let max_x = reach.min(student_t::horizon(nu, f32::HORIZON));
                 assert_eq!(
                     (primitive.line, primitive.cutoff_x, primitive.max_x),
                     (student_t::line_integral(nu), reach, max_x)

@@ -29,9 +29,9 @@ pub fn profile<R: Kernels>(delta: &[f64], nu: &[f64]) -> Vec<R> {
     let mut scratch = Scratch::default();
     let one = |(&delta, &nu): (&f64, &f64)| {
         let (kernel, unit, max_x) = if nu == f64::INFINITY {
-            (KernelKind::Gaussian, gaussian::UNIT, gaussian::horizon::<R>())
+            (KernelKind::Gaussian, gaussian::UNIT, R::HORIZON)
         } else {
-            (KernelKind::StudentT, nu, student_t::horizon::<R>(nu))
+            (KernelKind::StudentT, nu, student_t::horizon(nu, R::HORIZON))
         };
         let conic = Conic {
             floor: delta / unit,

@@ -46,6 +46,51 @@ pub struct ViewField<'a, R: Real> {
     pub(crate) footprints: PoolGuard<'a, Vec<Footprint>>,
 }
 
+/// The footprints of all primitives on the detector of a view.
+fn project_all(whitened: Whitened<'_>, view: &View, projection: Projection, footprints: &mut Vec<Footprint>) {
+    footprints.resize(whitened.primitives.len(), Footprint::default());
+    threads::for_each_chunk(footprints, BIN_CHUNK, |chunk, footprints| {
+        let primitives = whitened.primitives[chunk * BIN_CHUNK..].chunks(LANES);
+        for (footprints, primitives) in footprints.chunks_mut(LANES).zip(primitives) {
+            Footprint::project(footprints, lane_refs(primitives, |p| p), view, projection);
+        }
+    });
+}
+
+/// The primitives whose supports reach each of `bands` bands.
+fn bin_all(footprints: &[Footprint], bands: usize, bins: &mut Vec<Bins>) {
+    bins.resize(footprints.len().div_ceil(BIN_CHUNK), Vec::new());
+    threads::for_each_chunk(bins, 1, |chunk, bins| {
+        let [bins] = bins else { unreachable!("a chunk of one") };
+        // Full capacity, so that another view needs no more.
+        bins.resize_with(bands, || Vec::with_capacity(BIN_CHUNK));
+        bins.iter_mut().for_each(Vec::clear);
+        let all = (chunk * BIN_CHUNK..).zip(&footprints[chunk * BIN_CHUNK..]).take(BIN_CHUNK);
+        for (i, footprint) in all.filter(|(_, footprint)| !footprint.is_empty()) {
+            for band in &mut bins[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
+                band.push(i as u32);
+            }
+        }
+    });
+}
+
+/// [`ViewField::truncation_bound`].
+fn bound_of_dropped(whitened: Whitened<'_>, footprints: &[Footprint], view: &View) -> Array2<f64> {
+    let bound = |i: usize| whitened.primitives[i].truncation_bound(whitened.cutoff);
+    let mut bounds = Array2::from_elem((view.detector.rows, view.detector.columns), 0.0);
+    for (i, footprint) in footprints.iter().enumerate().filter(|(_, footprint)| footprint.seen) {
+        bounds += bound(i);
+        for row in footprint.rows.clone() {
+            for column in footprint.columns.clone() {
+                if footprint.conic.contains(row, column) {
+                    bounds[[row, column]] -= bound(i);
+                }
+            }
+        }
+    }
+    bounds.mapv_into(|bound: f64| bound.max(0.0))
+}
+
 impl<'a, R: Kernels> ViewField<'a, R> {
     pub(crate) fn new(
         whitened: Whitened<'a>,
@@ -56,13 +101,7 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         // A parallel beam is its own affine projection: the cheaper kernel gives the same numbers.
         let projection = if matches!(view.beam, Beam::Parallel { .. }) { Projection::Affine } else { projection };
         let mut footprints = workspace.footprints.take();
-        footprints.resize(whitened.primitives.len(), Footprint::default());
-        threads::for_each_chunk(&mut footprints, BIN_CHUNK, |chunk, footprints| {
-            let primitives = whitened.primitives[chunk * BIN_CHUNK..].chunks(LANES);
-            for (footprints, primitives) in footprints.chunks_mut(LANES).zip(primitives) {
-                Footprint::project(footprints, lane_refs(primitives, |p| p), view, projection);
-            }
-        });
+        project_all(whitened, view, projection, &mut footprints);
         Self { whitened, workspace, view: *view, projection, footprints }
     }
 
@@ -109,7 +148,8 @@ impl<'a, R: Kernels> ViewField<'a, R> {
             *image = Array2::default((rows, columns));
         }
         let image = image.as_slice_mut().expect("images are in standard layout");
-        let bins = self.bins(rows.div_ceil(STRIP));
+        let mut bins = self.workspace.bins.take();
+        bin_all(&self.footprints, rows.div_ceil(STRIP), &mut bins);
         let kernel = self.kernels().forward;
         threads::for_each_chunk_in(image, STRIP * columns, &self.workspace.scratch, |band, pixels, scratch| {
             let origin = band * STRIP;
@@ -138,42 +178,10 @@ impl<'a, R: Kernels> ViewField<'a, R> {
         });
     }
 
-    /// The primitives whose supports reach each of `bands` bands.
-    fn bins(&self, bands: usize) -> PoolGuard<'_, Vec<Bins>> {
-        let mut bins = self.workspace.bins.take();
-        bins.resize(self.footprints.len().div_ceil(BIN_CHUNK), Vec::new());
-        threads::for_each_chunk(&mut bins, 1, |chunk, bins| {
-            let [bins] = bins else { unreachable!("a chunk of one") };
-            // Full capacity, so that another view needs no more.
-            bins.resize_with(bands, || Vec::with_capacity(BIN_CHUNK));
-            bins.iter_mut().for_each(Vec::clear);
-            let all = (chunk * BIN_CHUNK..).zip(&self.footprints[chunk * BIN_CHUNK..]).take(BIN_CHUNK);
-            for (i, footprint) in all.filter(|(_, footprint)| !footprint.is_empty()) {
-                for band in &mut bins[footprint.rows.start / STRIP..=(footprint.rows.end - 1) / STRIP] {
-                    band.push(i as u32);
-                }
-            }
-        });
-        bins
-    }
-
     /// A bound, per pixel, on what the cutoff dropped `[X2]`: the sum over the primitives that a pixel skipped
     /// of |ρ| · line integral · largest scale · ε. One that is left out near or behind the source has nothing to drop.
     pub fn truncation_bound(&self) -> Array2<f64> {
-        let bound = |i: usize| self.whitened.primitives[i].truncation_bound(self.whitened.cutoff);
-        let (rows, columns) = (self.view.detector.rows, self.view.detector.columns);
-        let mut bounds = Array2::from_elem((rows, columns), 0.0);
-        for (i, footprint) in self.footprints.iter().enumerate().filter(|(_, footprint)| footprint.seen) {
-            bounds += bound(i);
-            for row in footprint.rows.clone() {
-                for column in footprint.columns.clone() {
-                    if footprint.conic.contains(row, column) {
-                        bounds[[row, column]] -= bound(i);
-                    }
-                }
-            }
-        }
-        bounds.mapv_into(|bound: f64| bound.max(0.0))
+        bound_of_dropped(self.whitened, &self.footprints, &self.view)
     }
 
     /// Adds the gradient of `Σ cotangent·image`; `cotangent` is `[v, u]`.

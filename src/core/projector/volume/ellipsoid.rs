@@ -437,7 +437,7 @@ mod tests {
             nu: (0..m).map(|_| draw(2.0, 40.0)).collect(),
         });
         let mut whitened = Vec::new();
-        WhitenedPrimitive::all_into::<f32>(&mut whitened, &primitives.unwrap(), 1e-2);
+        WhitenedPrimitive::all_into(&mut whitened, &primitives.unwrap(), 1e-2, f32::HORIZON);
         let mut reaching = 0;
         for eight in whitened.chunks(LANES) {
             let together = Ellipsoid::on_grid(std::array::from_fn(|i| &eight[i]), &grid);

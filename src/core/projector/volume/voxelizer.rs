@@ -81,26 +81,30 @@ pub struct GridField<'a, R: Real> {
     pub(crate) ellipsoids: PoolGuard<'a, Vec<Chunk>>,
 }
 
+/// The ellipsoids that reach a voxel of the grid.
+fn place_all(primitives: &[WhitenedPrimitive], grid: &Grid, ellipsoids: &mut Vec<Chunk>) {
+    // Full capacity, so that another grid needs no more.
+    ellipsoids.resize_with(primitives.len().div_ceil(CHUNK), || Vec::with_capacity(CHUNK));
+    threads::for_each_chunk(ellipsoids, 1, |chunk, ellipsoids| {
+        let [ellipsoids] = ellipsoids else { unreachable!("a chunk of one") };
+        ellipsoids.clear();
+        let (mut near, mut count) = ([0; CHUNK], 0);
+        for (i, primitive) in (chunk * CHUNK..).zip(&primitives[chunk * CHUNK..]).take(CHUNK) {
+            near[count] = i;
+            count += usize::from(Ellipsoid::is_near(primitive, grid));
+        }
+        for group in near[..count].chunks(LANES) {
+            let eight = Ellipsoid::on_grid(lane_refs(group, |&i| &primitives[i]), grid);
+            let reaching = group.iter().copied().zip(eight).filter(|(_, ellipsoid)| !ellipsoid.slices().is_empty());
+            ellipsoids.extend(reaching);
+        }
+    });
+}
+
 impl<'a, R: Kernels> GridField<'a, R> {
     pub(crate) fn new(whitened: Whitened<'a>, workspace: &'a Workspace<R>, grid: &Grid) -> Self {
-        let primitives = whitened.primitives;
         let mut ellipsoids = workspace.ellipsoids.take();
-        // Full capacity, so that another grid needs no more.
-        ellipsoids.resize_with(primitives.len().div_ceil(CHUNK), || Vec::with_capacity(CHUNK));
-        threads::for_each_chunk(&mut ellipsoids, 1, |chunk, ellipsoids| {
-            let [ellipsoids] = ellipsoids else { unreachable!("a chunk of one") };
-            ellipsoids.clear();
-            let (mut near, mut count) = ([0; CHUNK], 0);
-            for (i, primitive) in (chunk * CHUNK..).zip(&primitives[chunk * CHUNK..]).take(CHUNK) {
-                near[count] = i;
-                count += usize::from(Ellipsoid::is_near(primitive, grid));
-            }
-            for group in near[..count].chunks(LANES) {
-                let eight = Ellipsoid::on_grid(lane_refs(group, |&i| &primitives[i]), grid);
-                let reaching = group.iter().copied().zip(eight).filter(|(_, ellipsoid)| !ellipsoid.slices().is_empty());
-                ellipsoids.extend(reaching);
-            }
-        });
+        place_all(whitened.primitives, grid, &mut ellipsoids);
         Self { whitened, workspace, grid: *grid, ellipsoids }
     }
 

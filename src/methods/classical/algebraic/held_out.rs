@@ -234,7 +234,7 @@ pub struct FinishSearch {
 ///
 /// # Errors
 /// As [`super::tv()`].
-pub fn choose_finish<R: Real>(
+pub(crate) fn choose_finish<R: Real>(
     projector: &VoxelProjector,
     views: [&Projections; 2],
     start: &Volume,
