@@ -58,9 +58,13 @@ pub(super) fn moved(destination: &Destination) {
 #[cfg(all(target_arch = "x86_64", not(all(target_feature = "avx2", target_feature = "fma"))))]
 pub(super) fn unused_instructions() {
     if std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma") {
+        let remedy = match std::env::var_os("TRGS_MODULE") {
+            Some(module) if module == "baseline" => "unset TRGS_MODULE",
+            _ => "build it with RUSTFLAGS=\"-C target-cpu=native\" cargo install --path .",
+        };
         tracing::warn!(
             "this program was built without AVX2 and FMA, which this CPU has: results are the same, but take many times as \
-             long; build it with RUSTFLAGS=\"-C target-cpu=native\" cargo install --path ."
+             long; {remedy}"
         );
     }
 }
