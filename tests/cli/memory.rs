@@ -17,9 +17,10 @@ const MIB: f64 = (1 << 20) as f64;
 const BASE: f64 = 8.0 * MIB;
 
 /// Where data dominate, the estimate is at most so many times the measurement. Without test views, the views of the fit are
-/// compared, and it counts arrays that do not all live together. Primitives count as if all of them were in each block and the
-/// population doubled.
+/// compared, and it counts arrays that do not all live together. The same run of a network needs 229 or 250 MiB, by the order in
+/// which its threads give memory back. Primitives count as if all of them were in each block and the population doubled.
 const CLOSE: Option<f64> = Some(1.15);
+const NETWORK: Option<f64> = Some(1.2);
 const UNTESTED: Option<f64> = Some(1.25);
 const CROWD: Option<f64> = Some(1.9);
 
@@ -119,9 +120,9 @@ fn methods_on_voxels_need_what_was_said() {
             "os-sart" => "--iterations 1 --set algebraic.subset=22",
             _ => "--iterations 1",
         };
-        let voxels = if matches!(method, "naf" | "sax-nerf") { &fewer } else { &voxels };
+        let (voxels, close) = if matches!(method, "naf" | "sax-nerf") { (&fewer, NETWORK) } else { (&voxels, CLOSE) };
         let views = if method == "tv" { &large } else { &views };
-        for (what, sandbox, largest) in [("small", &small, None), ("views", views, CLOSE), ("voxels", voxels, CLOSE)] {
+        for (what, sandbox, largest) in [("small", &small, None), ("views", views, CLOSE), ("voxels", voxels, close)] {
             assert_honest(sandbox, &format!("{method}-{what}"), &format!("--method {method} {steps}"), largest);
         }
     }
