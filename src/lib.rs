@@ -180,6 +180,6 @@ pub mod provenance;
 #[doc(hidden)]
 pub mod report;
 #[doc(hidden)]
-pub use trgs_core::{error, words};
+pub use trgs_core::{error, in_precision, words};
 #[doc(hidden)]
 pub use trgs_scan::{input, limit, output};

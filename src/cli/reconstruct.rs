@@ -20,7 +20,7 @@ use trgs::memory::Estimate;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind};
 use trgs::projector::Projection;
-use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Reconstruction, Run, evaluate};
+use trgs::reconstruction::{Checkpoint, Checkpoints, Progress, Run, evaluate};
 use trgs::scan::Dataset;
 use trgs::scan::dataset::DatasetInfo;
 use trgs::scan::plausibility::{self, AnglesFrom};
@@ -350,37 +350,22 @@ pub(super) fn reconstruct(
         };
         let found = run.reconstruct()?;
         let seconds = began.elapsed().as_secs_f64();
-        let Reconstruction { primitives, volume, around, unfinished, log, sampled, unit, choice, continued } = found;
         progress.evaluating();
-        let evaluation = evaluate(dataset, around.as_ref().unwrap_or(&volume), primitives.as_ref(), config)?;
+        let seen = found.around.as_ref().unwrap_or(&found.volume);
+        let evaluation = evaluate(dataset, seen, found.primitives.as_ref(), config)?;
         let metrics = |volume: &Volume| Metrics::compute(dataset.truth.as_ref().map(|truth| (truth, volume)), None);
-        let unfinished = unfinished.map(|volume| metrics(&volume).map(|metrics| (volume, metrics))).transpose()?;
+        let before = found.unfinished.as_ref().map(metrics).transpose()?;
         drop(progress);
         if let Some(TimedPass { pass, .. }) = passes.last().filter(|last| last.pass.iteration < last.pass.iterations) {
             tracing::info!("converged after iteration {} of {}", pass.iteration, pass.iterations);
         }
-        if let Some(sampled) = &sampled {
+        if let Some(sampled) = &found.sampled {
             let other = if sampled.sampling == Sampling::Interpolant { "point" } else { "interpolant" };
             let remedy =
                 sampled.evidence.map_or(String::new(), |_| format!("; --set sampling={other} takes the other"));
             tracing::info!("volume: {sampled}{remedy}");
         }
-        let method = config.method;
-        let outcome = Outcome {
-            method,
-            primitives,
-            volume,
-            around,
-            unfinished,
-            log,
-            passes,
-            choice,
-            seconds,
-            unit,
-            evaluation,
-            sampled,
-            continued,
-        };
+        let outcome = Outcome { method: config.method, found, before, passes, seconds, evaluation };
         folder.finish(dataset, config, &outcome, beside, keeps)?;
         Ok(outcome)
     })

@@ -18,6 +18,7 @@ use trgs::scan::npy::Element;
 use trgs::scan::{model, npy};
 use trgs::words::counted;
 use trgs::{Error, Result, limit, words};
+use trgs_core::in_precision;
 
 /// The cutoff that makes sampling fast.
 pub(super) const FAST_CUTOFF: f64 = 1e-3;
@@ -70,10 +71,7 @@ pub(super) struct KernelArgs {
 
 impl Render {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
-        match self.kernel.precision {
-            Precision::F32 => self.render::<f32>(global),
-            Precision::F64 => self.render::<f64>(global),
-        }
+        in_precision!(self.kernel.precision, R => self.render::<R>(global))
     }
 
     fn render<R: Kernels + Element>(&self, global: &Global) -> Result<Output> {

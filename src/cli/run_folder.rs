@@ -13,13 +13,12 @@ use trgs::classical::algebraic::{Choice, Pass};
 use trgs::confidence::Coverage;
 use trgs::config::{Config, Method};
 use trgs::evaluation::Metrics;
-use trgs::geometry::Volume;
 use trgs::memory::COMPARED_VIEWS;
 use trgs::numeric::threads;
 use trgs::output::{Claim, Destination, Kind, stage_folder, write_atomically};
 use trgs::primitives::Primitives;
 use trgs::provenance::{Provenance, digest_bytes, digest_file};
-use trgs::reconstruction::{Checkpoint, Evaluation, Sampled, reproject};
+use trgs::reconstruction::{Checkpoint, Evaluation, Reconstruction, Sampled, reproject};
 use trgs::report::agreement::{Agreement, Figures};
 use trgs::report::viewer::Scene;
 use trgs::report::{self, Curve, Report};
@@ -56,26 +55,13 @@ pub(super) struct Source {
 /// The result of a run.
 pub(super) struct Outcome {
     pub(super) method: Method,
-    /// `None` if the method has no primitives.
-    pub(super) primitives: Option<Primitives>,
-    pub(super) volume: Volume,
-    /// With the layer around it, where the projections come from that.
-    pub(super) around: Option<Volume>,
-    /// Volume and metrics of the primitives, if `volume` was finished on voxels.
-    pub(super) unfinished: Option<(Volume, Metrics)>,
-    pub(super) log: Vec<Record>,
+    pub(super) found: Reconstruction,
+    /// Metrics of the volume before its finish on voxels, if it has one.
+    pub(super) before: Option<Metrics>,
     /// Iterations of a method on voxels.
     pub(super) passes: Vec<TimedPass>,
-    /// The setting chosen on held-out views.
-    pub(super) choice: Option<Choice>,
     pub(super) seconds: f64,
-    /// Attenuation per scene unit that counted as 1.
-    pub(super) unit: Option<f64>,
     pub(super) evaluation: Evaluation,
-    /// How the volume was sampled from the primitives.
-    pub(super) sampled: Option<Sampled>,
-    /// Iterations after which the run was given another length.
-    pub(super) continued: Vec<usize>,
 }
 
 /// An iteration on voxels, as logged.
@@ -121,12 +107,12 @@ impl Outcome {
 
     /// The volume, and the volume before the finish.
     fn on_the_page(&self) -> impl Iterator<Item = report::Method<'_>> {
-        let found =
-            report::Method { name: self.name(), volume: Some(&self.volume), metrics: Some(&self.evaluation.metrics) };
-        let before = self.unfinished.iter().map(|(volume, metrics)| report::Method {
+        let metrics = Some(&self.evaluation.metrics);
+        let found = report::Method { name: self.name(), volume: Some(&self.found.volume), metrics };
+        let before = self.found.unfinished.iter().map(|volume| report::Method {
             name: "before the finish",
             volume: Some(volume),
-            metrics: Some(metrics),
+            metrics: self.before.as_ref(),
         });
         std::iter::once(found).chain(before)
     }
@@ -175,27 +161,27 @@ impl RunFolder {
         beside: Option<&Outcome>,
         keeps: bool,
     ) -> Result<()> {
-        self.provenance.density_unit = outcome.unit;
-        self.provenance.continued.clone_from(&outcome.continued);
+        self.provenance.density_unit = outcome.found.unit;
+        self.provenance.continued.clone_from(&outcome.found.continued);
         let staged = stage_folder(self.destination.clone())?;
         let at = |name: &str| staged.path().join(name);
         write_text(&at("config.toml"), &config.to_toml())?;
-        npy::write(&at(VOLUME), outcome.volume.values.view())?;
-        let grid = &outcome.volume.grid;
+        npy::write(&at(VOLUME), outcome.found.volume.values.view())?;
+        let grid = &outcome.found.volume.grid;
         NpySide::write(&at(VOLUME), grid.shape, &dataset.frame.metadata(grid))?;
         let (agreement, views) = views(dataset, config, outcome)?;
         let results = Results {
             evaluation: &outcome.evaluation,
-            choice: outcome.choice.as_ref(),
+            choice: outcome.found.choice.as_ref(),
             residual: agreement.figures(),
-            sampled: outcome.sampled.as_ref(),
-            unfinished: outcome.unfinished.as_ref().map(|(_, metrics)| metrics),
+            sampled: outcome.found.sampled.as_ref(),
+            unfinished: outcome.before.as_ref(),
         };
         write_text(&at("metrics.json"), &json(&results))?;
-        if let Some(primitives) = &outcome.primitives {
+        if let Some(primitives) = &outcome.found.primitives {
             model::write(at("model.npz"), &primitives.parameters)?;
         }
-        let lines: String = outcome.log.iter().map(to_line).chain(outcome.passes.iter().map(to_line)).collect();
+        let lines: String = outcome.found.log.iter().map(to_line).chain(outcome.passes.iter().map(to_line)).collect();
         if !lines.is_empty() {
             write_text(&at(LOG), &lines)?;
         }
@@ -237,9 +223,10 @@ impl RunFolder {
             next: self.next(dataset, outcome, &agreement),
             views: Some((agreement, scene)),
             curves: curves.into_iter().filter(|curve| !curve.points.is_empty()).collect(),
-            population: population(&outcome.log),
-            choice: outcome.choice.as_ref(),
+            population: population(&outcome.found.log),
+            choice: outcome.found.choice.as_ref(),
             primitives: outcome
+                .found
                 .primitives
                 .as_ref()
                 .map(|primitives| (primitives, confidence(dataset, config, primitives))),
@@ -282,7 +269,7 @@ impl RunFolder {
 
 /// Losses or residuals over the iterations.
 fn curves(outcome: &Outcome) -> [Curve<'static>; 7] {
-    let loss = |name, value| curve(name, &outcome.log, |record| record.iteration, value);
+    let loss = |name, value| curve(name, &outcome.found.log, |record| record.iteration, value);
     let of_passes = |name, value| curve(name, &outcome.passes, |timed| timed.pass.iteration, value);
     [
         loss("total", |r| Some(r.loss)),
@@ -326,8 +313,8 @@ fn facts(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Vec<(String, 
         ("Noise".into(), dataset.noise.to_string()),
         ("Seconds".into(), format!("{:.1}", outcome.seconds)),
     ];
-    facts.extend(outcome.sampled.iter().map(|sampled| ("Volume sampled".into(), sampled.to_string())));
-    if let Some(unit) = outcome.unit {
+    facts.extend(outcome.found.sampled.iter().map(|sampled| ("Volume sampled".into(), sampled.to_string())));
+    if let Some(unit) = outcome.found.unit {
         facts.push(("Density that counted as 1, per scene unit".into(), format!("{unit:.4e}")));
     }
     for metric in outcome.evaluation.metrics.of_range().into_iter().flatten() {
@@ -337,17 +324,17 @@ fn facts(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Vec<(String, 
     if let Some(last) = outcome.passes.last() {
         facts.push(("Iterations".into(), last.pass.iteration.to_string()));
     }
-    if let Some(choice) = &outcome.choice {
+    if let Some(choice) = &outcome.found.choice {
         let how = match choice.folds {
             0 => "too few views for cross-validation".into(),
             _ => format!("chosen on held-out views at the cost of {:.0} iterations over all views", choice.cost),
         };
         facts.push((choice.key.clone(), format!("{}{}, {how}", words::value(choice.value), choice.details())));
     }
-    if let Some(primitives) = &outcome.primitives {
+    if let Some(primitives) = &outcome.found.primitives {
         facts.push(("Primitives".into(), primitives.len().to_string()));
         facts.push(("Iterations".into(), config.iterations.to_string()));
-        let last = outcome.log.last();
+        let last = outcome.found.log.last();
         if let Some(c) = last.and_then(|record| record.confidence) {
             facts.push(("Mean confidence".into(), format!("{c:.3}")));
         }
@@ -365,8 +352,8 @@ fn views(dataset: &Dataset, config: &Config, outcome: &Outcome) -> Result<(Agree
     let rendered = reproject(
         dataset,
         &views,
-        outcome.around.as_ref().unwrap_or(&outcome.volume),
-        outcome.primitives.as_ref(),
+        outcome.found.around.as_ref().unwrap_or(&outcome.found.volume),
+        outcome.found.primitives.as_ref(),
         config,
     )?;
     let agreement = Agreement::new([&views, &rendered], &dataset.train, &dataset.scanner, dataset.test.is_none())?;

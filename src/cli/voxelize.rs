@@ -11,7 +11,6 @@ use ndarray::Array3;
 use serde_json::json;
 use std::io;
 use std::path::{Path, PathBuf};
-use trgs::config::Precision;
 use trgs::duration::seconds_to_voxelize;
 use trgs::geometry::Grid;
 use trgs::primitives::Primitives;
@@ -21,6 +20,7 @@ use trgs::scan::model;
 use trgs::scan::npy::{self, Element};
 use trgs::words::counted;
 use trgs::{Result, limit, words};
+use trgs_core::in_precision;
 
 /// Sample a model on a grid, and compute the gradient of a function of the volume
 #[derive(Args)]
@@ -67,10 +67,7 @@ struct PlaceArgs {
 
 impl Voxelize {
     pub(super) fn run(&self, global: &Global) -> Result<Output> {
-        match self.kernel.precision {
-            Precision::F32 => self.voxelize::<f32>(global),
-            Precision::F64 => self.voxelize::<f64>(global),
-        }
+        in_precision!(self.kernel.precision, R => self.voxelize::<R>(global))
     }
 
     fn voxelize<R: Kernels + Element>(&self, global: &Global) -> Result<Output> {

@@ -12,24 +12,9 @@ use crate::neural::{Batch, NeuralRun, NeuralSettings};
 use ndarray::ArrayD;
 use trgs_core::error::Result;
 use trgs_core::geometry::{Projections, Scanner, Volume};
+use trgs_core::in_precision;
 use trgs_core::numeric::Precision;
 use trgs_scan::limit;
-
-/// The value of an expression with the type `$real` of a precision.
-macro_rules! in_precision {
-    ($precision:expr, $real:ident => $value:expr) => {
-        match $precision {
-            Precision::F32 => {
-                type $real = f32;
-                $value
-            }
-            Precision::F64 => {
-                type $real = f64;
-                $value
-            }
-        }
-    };
-}
 
 /// An iterative method and its settings.
 pub enum Iterative<'s> {

@@ -1,6 +1,6 @@
 //! This program's own answers in both precisions: stage name → function that computes it.
 
-use super::manifest::Case;
+use super::manifest::{Case, encode, write_file};
 use super::outputs::{Outputs, gradient, one, parameters, two, valued};
 use super::question::Question;
 use super::{iteration, networks, population, recycling, run};
@@ -9,6 +9,7 @@ use rand::Rng;
 use std::path::Path;
 use trgs_core::confidence::{Coverage, Settings, nu_loss, nu_target};
 use trgs_core::error::{Error, Result};
+use trgs_core::in_precision;
 use trgs_core::loss::{Ssim, SsimTarget, image_loss, l1::l1, tv::tv};
 use trgs_core::numeric::rng::{self, Purpose};
 use trgs_core::numeric::{Precision, Real, real};
@@ -20,9 +21,6 @@ use trgs_core::wavelet::{self, Routing, WaveletLoss};
 use trgs_methods::classical::fdk::{self, Sample, Window};
 use trgs_methods::evaluation;
 use trgs_scan::noise::noisy_line_integral;
-use trgs_scan::npy;
-use trgs_scan::npz::{self, Entry};
-use trgs_scan::output::create_folder;
 
 /// The stages this program computes, in the manifest's order.
 pub const STAGES: [&str; 48] = [
@@ -82,10 +80,7 @@ pub const STAGES: [&str; 48] = [
 /// When an input is missing or means nothing, or the stage is not in [`STAGES`].
 pub fn answer(question: &Question, precision: Precision) -> Result<Outputs> {
     question.refuse_nonsense()?;
-    match precision {
-        Precision::F32 => answer_in::<f32>(question),
-        Precision::F64 => answer_in::<f64>(question),
-    }
+    in_precision!(precision, R => answer_in::<R>(question))
 }
 
 fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
@@ -229,16 +224,7 @@ fn answer_in<R: Kernels + Sample>(q: &Question) -> Result<Outputs> {
 pub fn write(folder: &Path, case: &Case, outputs: &Outputs) -> Result<()> {
     for (role, file) in &case.outputs {
         let Some(arrays) = outputs.get(role) else { continue };
-        let path = folder.join(&file.file);
-        create_folder(path.parent().expect("a file is in a folder"))?;
-        match arrays.get("") {
-            Some(array) => npy::write(&path, array.view())?,
-            None => {
-                let entries: Vec<_> =
-                    arrays.iter().map(|(key, array)| (key.as_str(), Entry::F64(array.view()))).collect();
-                npz::write(&path, &entries)?;
-            }
-        }
+        write_file(&folder.join(&file.file), &encode(arrays))?;
     }
     Ok(())
 }

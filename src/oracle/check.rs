@@ -44,10 +44,11 @@ pub struct Options<'a> {
 }
 
 /// Outcome of a case or an array, from good to bad.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     /// Within the tolerances.
+    #[default]
     Passed,
     /// The format cannot represent the numbers of the case.
     Skipped,
@@ -60,7 +61,7 @@ pub enum Status {
 }
 
 /// One array of an output.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct PartResult {
     /// The output's role, and for an archive the array's name: `grad.nu`.
     pub output: String,
@@ -91,17 +92,7 @@ pub struct PartResult {
 impl PartResult {
     /// An array without a fault.
     fn new(output: String, file: &FileRef) -> Self {
-        Self {
-            output,
-            file: file.file.clone(),
-            status: Status::Passed,
-            difference: None,
-            element: None,
-            exceeded: Vec::new(),
-            message: None,
-            looks_like: None,
-            place: None,
-        }
+        Self { output, file: file.file.clone(), ..Self::default() }
     }
 }
 

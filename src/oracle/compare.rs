@@ -10,7 +10,7 @@ use std::path::Path;
 use trgs_core::error::{Error, Result};
 
 /// The comparison of one array.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Comparison {
     /// Its name in the archive; empty for a file with a single array.
     pub array: String,
@@ -51,14 +51,7 @@ pub fn compare(
 ) -> Result<Vec<Comparison>> {
     let (truth, answer) = (read(expected.as_ref())?, read(got.as_ref())?);
     let one = |(name, e): (&String, &ndarray::ArrayD<f64>)| {
-        let mut result = Comparison {
-            array: name.clone(),
-            shape: e.shape().to_vec(),
-            difference: None,
-            message: None,
-            looks_like: None,
-            place: None,
-        };
+        let mut result = Comparison { array: name.clone(), shape: e.shape().to_vec(), ..Comparison::default() };
         match answer.get(name) {
             None => result.message = Some("only in the first file".into()),
             Some(g) if g.shape() != e.shape() => {
@@ -83,7 +76,7 @@ pub fn compare(
     for (name, g) in answer.iter().filter(|(name, _)| !truth.contains_key(*name)) {
         let message = Some("only in the second file".into());
         let (array, shape) = (name.clone(), g.shape().to_vec());
-        all.push(Comparison { array, shape, difference: None, message, looks_like: None, place: None });
+        all.push(Comparison { array, shape, message, ..Comparison::default() });
     }
     Ok(all)
 }

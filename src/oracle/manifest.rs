@@ -230,10 +230,7 @@ impl Vectors {
             }
         }
         for (path, file) in &files {
-            let path = staged.path().join(path);
-            create_folder(path.parent().expect("a file is in a folder"))?;
-            let bytes = self.bytes(file)?;
-            write_atomically(&path, |out| out.write_all(&bytes))?;
+            write_file(&staged.path().join(path), &self.bytes(file)?)?;
         }
         write_atomically(&staged.path().join(PROTOCOL_FILE), |out| out.write_all(PROTOCOL.as_bytes()))?;
         write_atomically(&staged.path().join(MANIFEST), |out| Ok(serde_json::to_writer_pretty(out, &manifest)?))?;
@@ -260,6 +257,12 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Arrays> {
     }
     let array = npy::parse(bytes, path)?.numbers.into_f64();
     Ok([(String::new(), array)].into())
+}
+
+/// Writes a file in a folder that need not exist.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+    create_folder(path.parent().expect("a file is in a folder"))?;
+    write_atomically(path, |out| out.write_all(bytes))
 }
 
 /// The bytes of a `.npy` file for a single array, otherwise of a `.npz` file.

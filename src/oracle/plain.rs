@@ -2,14 +2,14 @@
 //!
 //! `manifest.tsv` has one fact a line, its parts separated by tabs: case, kind, name, values. PROTOCOL.md lists the kinds.
 
-use super::manifest::{Arrays, Case, FileRef, PROTOCOL, PROTOCOL_FILE, Vectors, decode, encode};
+use super::manifest::{Arrays, Case, FileRef, PROTOCOL, PROTOCOL_FILE, Vectors, decode, encode, write_file};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 use trgs_core::error::{Error, Result};
-use trgs_scan::output::{Destination, Kind, create_folder, stage_folder, write_atomically};
+use trgs_scan::output::{Destination, Kind, stage_folder, write_atomically};
 
 /// The table's file name.
 pub const TABLE: &str = "manifest.tsv";
@@ -43,7 +43,7 @@ pub fn export(vectors: &Vectors, folder: impl Into<Destination>, blind: bool, ca
             for (name, part, array) in parts(role, file, vectors.arrays(file)?) {
                 line("input", &name, &part);
                 if written.insert(part.clone()) {
-                    write_array(&folder.join(part), array)?;
+                    write_file(&folder.join(part), &encode(&array))?;
                 }
             }
         }
@@ -58,7 +58,7 @@ pub fn export(vectors: &Vectors, folder: impl Into<Destination>, blind: bool, ca
                 line(kind, &name, &part);
             }
             if !blind && written.insert(part.clone()) {
-                write_array(&folder.join("expected").join(part), array)?;
+                write_file(&folder.join("expected").join(part), &encode(&array))?;
             }
         }
     }
@@ -76,11 +76,6 @@ fn parts(role: &str, file: &FileRef, arrays: Arrays) -> Vec<(String, String, Arr
         None => (role.to_owned(), file.file.clone(), [(name, array)].into()),
     };
     arrays.into_iter().map(part).collect()
-}
-
-fn write_array(path: &Path, array: Arrays) -> Result<()> {
-    create_folder(path.parent().expect("a file is in a folder"))?;
-    write_atomically(path, |out| out.write_all(&encode(&array)))
 }
 
 /// Numbers or a word, separated by spaces.

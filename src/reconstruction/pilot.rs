@@ -22,7 +22,7 @@ use super::finish::{LEAST, SHORTEST, target};
 use super::{Observe, Progress, Sampled};
 use crate::classical::VoxelProjector;
 use crate::classical::algebraic::{Choice, Trial};
-use crate::config::{Plan, Precision, Sampling, Start};
+use crate::config::{Plan, Sampling, Start};
 use crate::error::Result;
 use crate::geometry::{Projections, Volume};
 use crate::primitives::Primitives;
@@ -31,6 +31,7 @@ use crate::reconstruction::Evidence;
 use crate::scan::{Dataset, interpolant};
 use crate::train::{Decision, MOST_ITERATIONS, Record, TrainedModel, seen, train};
 use std::ops::ControlFlow;
+use trgs_core::in_precision;
 use trgs_methods::internals::{FinishSearch, choose_finish, pilot_folds};
 
 /// Iterations of the pilot as a fraction of those of the run.
@@ -83,11 +84,11 @@ pub(super) fn choose(dataset: &Dataset, config: &Plan, observe: &mut Observe<'_>
         seen if config.coarse > 1 => {
             let projector = VoxelProjector::new(&seen.scanner, config.algebraic.rays)?;
             let (grid, cutoff) = (seen.scanner.grid, config.cutoff);
-            let values = match config.precision {
-                Precision::F32 => Field::<f32>::new(&primitives, cutoff).on(&grid).voxels_in_single(),
-                Precision::F64 => Field::<f64>::new(&primitives, cutoff).on(&grid).voxels_in_single(),
-            };
-            let volume = Volume::new(grid, values)?;
+            let voxels = in_precision!(
+                config.precision,
+                R => Field::<R>::new(&primitives, cutoff).on(&grid).voxels_in_single()
+            );
+            let volume = Volume::new(grid, voxels)?;
             Some(Scale { projector, views: views(seen), volume, factor: config.coarse as f64 })
         }
         _ => None,

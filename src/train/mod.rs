@@ -28,7 +28,7 @@ pub use trace::trace;
 
 use crate::classical::density_unit::density_unit;
 use crate::confidence::{Coverage, nu_target, spearman};
-use crate::config::{Config, DensityControl, Plan, Precision, Start};
+use crate::config::{Config, DensityControl, Plan, Start};
 use crate::density::{self, NextPrimitive, adc, ar};
 use crate::error::{Error, Result};
 use crate::geometry::{Grid, Volume};
@@ -49,6 +49,7 @@ use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
+use trgs_core::in_precision;
 use trgs_methods::internals::in_unit;
 use views::ViewOrder;
 
@@ -99,10 +100,7 @@ pub fn train(
     let dataset = &*seen(dataset, config);
     let unit = unit_of(dataset, config)?;
     let dataset = &*in_unit(dataset, unit);
-    match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, checkpoints)?.run(&grid, observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, checkpoints)?.run(&grid, observe),
-    }
+    in_precision!(config.precision, R => Trainer::<R>::new(dataset, unit, config, checkpoints)?.run(&grid, observe))
 }
 
 /// The scan as the training sees it.

@@ -4,7 +4,7 @@ use super::losses::weight_of_tv;
 use super::optimiser::{burn_in, normals};
 use super::views::random_block;
 use super::{Plan, Trainer};
-use crate::config::{DensityControl, PositionOptimiser, Precision};
+use crate::config::{DensityControl, PositionOptimiser};
 use crate::error::{Error, Result};
 use crate::numeric::rng::Purpose;
 use crate::optim::schedule::pace;
@@ -17,6 +17,7 @@ use crate::scan::dataset::Dataset;
 use ndarray::{Array1, Array2, ArrayView2, Axis, stack};
 use serde_json::{Map, Value, json};
 use std::ops::ControlFlow;
+use trgs_core::in_precision;
 use trgs_methods::internals::in_unit;
 
 /// Runs a configuration up to `iteration`, counted from 1, and returns what that one starts from: a question of the oracle's
@@ -56,10 +57,8 @@ pub fn trace(
     let dataset = &*super::seen(dataset, config);
     let unit = super::unit_of(dataset, config)?;
     let dataset = &*in_unit(dataset, unit);
-    match config.precision {
-        Precision::F32 => Trainer::<f32>::new(dataset, unit, config, None)?.traced([iteration, steps], observe),
-        Precision::F64 => Trainer::<f64>::new(dataset, unit, config, None)?.traced([iteration, steps], observe),
-    }
+    let steps = [iteration, steps];
+    in_precision!(config.precision, R => Trainer::<R>::new(dataset, unit, config, None)?.traced(steps, observe))
 }
 
 impl<R: Kernels> Trainer<'_, R> {
@@ -247,7 +246,8 @@ mod tests {
     }
 
     fn config(method: Method) -> Config {
-        let mut config = Config { iterations: 12, precision: Precision::F64, cutoff: 0.0, ..Config::of(method) };
+        let mut config =
+            Config { iterations: 12, precision: trgs_core::numeric::Precision::F64, cutoff: 0.0, ..Config::of(method) };
         config.density_control.method = DensityControl::None;
         config.model.points = 40;
         config.wavelet.every = 3;

@@ -8,7 +8,7 @@ use ndarray::{Array1, Array3};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use trgs::confidence::{self, Alpha, Coverage};
-use trgs::config::Precision;
+use trgs::in_precision;
 use trgs::primitives::activation::{self, Interval};
 use trgs::primitives::{KernelKind, Primitives, student_t};
 use trgs::projector;
@@ -326,10 +326,10 @@ pub(crate) fn kernel<'py>(
         return Err(wrong_value("delta", bad, "numbers that are not negative", "give squared distances"));
     }
     check_nu(&nu)?;
-    Ok(match precision(dtype)? {
-        Precision::F32 => give(py, Array1::from(run(py, || projector::profile::<f32>(&delta, &nu))?)),
-        Precision::F64 => give(py, Array1::from(run(py, || projector::profile::<f64>(&delta, &nu))?)),
-    })
+    Ok(in_precision!(
+        precision(dtype)?,
+        R => give(py, Array1::from(run(py, || projector::profile::<R>(&delta, &nu))?))
+    ))
 }
 
 fn check_nu(nu: &[f64]) -> PyResult<()> {

@@ -10,6 +10,7 @@ use ndarray::{Array2, Array3, Ix3};
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use trgs::config::Precision;
+use trgs::in_precision;
 use trgs::projector::{self, Field, Projection};
 
 const PROJECTIONS: [(&str, Projection); 2] = [("exact", Projection::Exact), ("affine", Projection::Affine)];
@@ -70,10 +71,7 @@ pub(crate) fn project<'py>(
     dtype: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (how, views) = (how(projection, cutoff)?, Views::of(angles, scanner)?);
-    match precision(dtype)? {
-        Precision::F32 => project_in::<f32>(py, model, scanner, &views, &how),
-        Precision::F64 => project_in::<f64>(py, model, scanner, &views, &how),
-    }
+    in_precision!(precision(dtype)?, R => project_in::<R>(py, model, scanner, &views, &how))
 }
 
 fn project_in<'py, R: Number>(
@@ -334,10 +332,10 @@ pub(crate) fn voxelize_part<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     check_cutoff(cutoff)?;
     let (grid, x) = (grid_of(grid)?, slices.0..slices.1);
-    Ok(match precision(dtype)? {
-        Precision::F32 => give(py, run(py, || Field::<f32>::new(&model.0, cutoff).on(&grid).slices(x))?),
-        Precision::F64 => give(py, run(py, || Field::<f64>::new(&model.0, cutoff).on(&grid).slices(x))?),
-    })
+    Ok(in_precision!(
+        precision(dtype)?,
+        R => give(py, run(py, || Field::<R>::new(&model.0, cutoff).on(&grid).slices(x))?)
+    ))
 }
 
 /// The gradient of Σ cotangent·volume to the parameters of a model.

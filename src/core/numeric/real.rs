@@ -20,6 +20,24 @@ described! {
     }
 }
 
+/// The value of an expression with the type `$real` of a [`Precision`](crate::numeric::Precision).
+#[macro_export]
+#[doc(hidden)]
+macro_rules! in_precision {
+    ($precision:expr, $real:ident => $value:expr) => {
+        match $precision {
+            $crate::numeric::Precision::F32 => {
+                type $real = f32;
+                $value
+            }
+            $crate::numeric::Precision::F64 => {
+                type $real = f64;
+                $value
+            }
+        }
+    };
+}
+
 /// A floating-point scalar that the pixel kernels can run in.
 pub trait Real:
     Copy

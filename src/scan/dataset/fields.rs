@@ -28,32 +28,10 @@ const SHOWN: usize = 12;
 /// Fields of views that move rays; those of the scanner are [`SCANNER_FIELDS`].
 const OF_VIEWS: [&str; 4] = ["vector", "matrix", "angle", "angles"];
 /// Names of other programs for what moves something. They are not read.
-const ELSEWHERE: [&str; 24] = [
-    "tau",
-    "roll",
-    "tilt",
-    "pitch",
-    "yaw",
-    "helicalPitch",
-    "tiltAngle",
-    "rollAngle",
-    "InPlaneAngle",
-    "OutOfPlaneAngle",
-    "GantryAngle",
-    "SourceOffsetX",
-    "SourceOffsetY",
-    "ProjectionOffsetX",
-    "ProjectionOffsetY",
-    "SourceToIsocenterDistance",
-    "SourceToDetectorDistance",
-    "RadiusCylindricalDetector",
-    "sourceOffset",
-    "detectorOffset",
-    "centerOfRotation",
-    "centreOfRotation",
-    "sourceHeight",
-    "detectorHeight",
-];
+const ELSEWHERE: &str = "tau roll tilt pitch yaw helicalPitch tiltAngle rollAngle InPlaneAngle OutOfPlaneAngle GantryAngle \
+    SourceOffsetX SourceOffsetY ProjectionOffsetX ProjectionOffsetY SourceToIsocenterDistance \
+    SourceToDetectorDistance RadiusCylindricalDetector sourceOffset detectorOffset centerOfRotation \
+    centreOfRotation sourceHeight detectorHeight";
 /// Fields of generators that say how a scan was made. Nothing of them is needed to read it.
 pub(super) const OF_GENERATORS: [&str; 15] = [
     "accuracy",
@@ -100,7 +78,7 @@ pub(super) fn unread<'a>(
     let (mut remarks, mut more) = (Vec::new(), 0);
     for (name, is_neutral) in fields.into_iter().filter(|(name, _)| !read.contains(name)) {
         let near = read.iter().chain(&SCANNER_FIELDS).chain(&OF_VIEWS).find(|known| are_near(name, known));
-        let elsewhere = ELSEWHERE.iter().any(|other| plain(other) == plain(name));
+        let elsewhere = ELSEWHERE.split(' ').any(|other| plain(other) == plain(name));
         let misplaced = is_moving(name);
         let moves = elsewhere || misplaced || near.is_some_and(|near| is_moving(near));
         let hint = near.filter(|_| !misplaced).map_or_else(String::new, |near| format!("; did you mean {near}?"));

@@ -25,24 +25,8 @@ use trgs_core::error::Result;
 use trgs_core::setting::{Setting, Text};
 
 /// Words in the names of fields.
-const FIELDS: [&str; 16] = [
-    "flat",
-    "flats",
-    "flatfield",
-    "dark",
-    "darks",
-    "darkfield",
-    "white",
-    "gain",
-    "offset",
-    "bright",
-    "open",
-    "openbeam",
-    "blank",
-    "background",
-    "di",
-    "io",
-];
+const FIELDS: &str =
+    "flat flats flatfield dark darks darkfield white gain offset bright open openbeam blank background di io";
 /// Missing numbers that are listed.
 const LISTED: usize = 5;
 
@@ -78,7 +62,7 @@ fn series_of(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
     let frames = kinds.map(|kind| with_extension(&all, kind)).find(|found| !found.is_empty()).unwrap_or_default();
     // The slices of a DICOM series state their order themselves.
     if frames.len() == series.values.dim().0 {
-        let Kept { views, remarks } = choose(&frames, fields);
+        let (views, remarks) = choose(&frames, fields);
         if views.len() < frames.len() || views.windows(2).any(|pair| pair[1] < pair[0]) {
             series.values = series.values.select(Axis(0), &views);
         }
@@ -92,19 +76,14 @@ fn series_of(path: &Path, fields: &[(&str, &Path)]) -> Result<Series> {
     Ok(series)
 }
 
-/// The views among the files of a folder, as indices in order.
-struct Kept {
-    views: Vec<usize>,
-    remarks: Vec<Text>,
-}
-
 /// A file name, taken apart.
 struct Name {
     pattern: String,
     number: Option<i128>,
 }
 
-fn choose(frames: &[&Path], fields: &[(&str, &Path)]) -> Kept {
+/// The views among the files of a folder, as indices in order, and remarks.
+fn choose(frames: &[&Path], fields: &[(&str, &Path)]) -> (Vec<usize>, Vec<Text>) {
     let mut remarks = Vec::new();
     let names = name_patterns(frames, &mut remarks);
     let mut counts = BTreeMap::<&str, usize>::new();
@@ -152,7 +131,7 @@ fn choose(frames: &[&Path], fields: &[(&str, &Path)]) -> Kept {
         ));
     }
     let remarks = remarks.into_iter().map(Text::from).chain(gaps(numbers)).collect();
-    Kept { views, remarks }
+    (views, remarks)
 }
 
 /// Whether a frame is a field: `Some(true)` by its path, `Some(false)` by its content.
@@ -189,7 +168,7 @@ fn same_content(a: &Path, b: &Path) -> io::Result<bool> {
 fn is_field(pattern: &str) -> bool {
     let stem = pattern.rsplit_once('.').map_or(pattern, |(stem, _)| stem);
     let words = stem.split(|c: char| !c.is_alphabetic()).map(str::to_lowercase);
-    words.into_iter().any(|word| FIELDS.contains(&word.as_str()))
+    words.into_iter().any(|word| FIELDS.split(' ').any(|field| field == word))
 }
 
 /// Takes names apart; the number is the one that differs most among the names of a pattern.
@@ -342,7 +321,7 @@ mod tests {
         let mut paths: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
         paths.sort_by(|a, b| alphanumeric_sort::compare_path(a, b));
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        let Kept { views, remarks } = choose(&paths, &[]);
+        let (views, remarks) = choose(&paths, &[]);
         (
             views.into_iter().map(|i| file_name(paths[i])).collect(),
             remarks.iter().map(Text::to_string).collect::<Vec<_>>().join("; "),

@@ -13,34 +13,9 @@ use trgs_core::error::{Error, Result};
 const TO_PLAIN: &str = "write it again as a plain 3-D volume, for example with Slicer";
 
 /// Fields that are read, or that change neither numbers nor positions.
-const KNOWN: [&str; 26] = [
-    "dimension",
-    "type",
-    "sizes",
-    "endian",
-    "encoding",
-    "spacings",
-    "space",
-    "space dimension",
-    "space directions",
-    "space origin",
-    "space units",
-    "units",
-    "axis mins",
-    "axismins",
-    "centers",
-    "centerings",
-    "kinds",
-    "labels",
-    "content",
-    "thicknesses",
-    "measurement frame",
-    "data file",
-    "line skip",
-    "byte skip",
-    "number",
-    "sample units",
-];
+const KNOWN: &str = "dimension|type|sizes|endian|encoding|spacings|space|space dimension|space directions|space origin|\
+    space units|units|axis mins|axismins|centers|centerings|kinds|labels|content|thicknesses|measurement frame|\
+    data file|line skip|byte skip|number|sample units";
 
 /// Parses a type name, including those that NumPy does not use.
 fn number(name: &str) -> Option<Number> {
@@ -132,7 +107,7 @@ pub(super) fn describe(content: &[u8], path: &Path) -> Result<Described> {
     for key in ["old min", "oldmin", "old max", "oldmax"].iter().filter(|key| header.get(key).is_some()) {
         oddities.push(format!("{key} states the values before quantisation; numbers are read as stored"));
     }
-    let unknown = header.unknown(|key| KNOWN.contains(&key) || key.starts_with("old"));
+    let unknown = header.unknown(|key| KNOWN.split('|').any(|known| known == key) || key.starts_with("old"));
     let mut volume = VolumeFile::new(spacing, origin, directions).in_millimetres(in_millimetres);
     volume.oddities.extend(oddities.into_iter().chain(unknown));
     Ok((volume, numbers))

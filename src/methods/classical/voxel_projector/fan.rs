@@ -94,9 +94,12 @@ impl Fan {
 
     /// The interval of s in which the rays satisfy `low < coordinate < high` on both axes, x and y.
     pub(super) fn within(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
-        // The grid is in front of the source of a cone beam.
-        let start = if self.is_cone { 0.0 } else { f64::NEG_INFINITY };
-        within(self.origin, self.direction, low, high, start)
+        within(self.origin, self.direction, low, high, self.start())
+    }
+
+    /// The smallest s of the grid: it is in front of the source of a cone beam.
+    pub(super) fn start(&self) -> f64 {
+        if self.is_cone { 0.0 } else { f64::NEG_INFINITY }
     }
 }
 

@@ -4,6 +4,7 @@
 
 use super::fan::within;
 use super::joseph::Slab;
+use super::siddon::for_each_cell;
 use std::ops::Range;
 use trgs_core::geometry::{Grid, View};
 
@@ -76,38 +77,10 @@ impl SlantedRay {
 
     /// Calls `visit(voxel, length)` for the voxels of the slab by Siddon's method, counted from the slab's first.
     pub(super) fn visit_siddon(&self, slab: &Slab, mut visit: impl FnMut(usize, f64)) {
-        let ends = ends(slab);
-        let low = ends.each_ref().map(|end| end.start as f64 - 0.5);
-        let high = ends.each_ref().map(|end| end.end as f64 - 0.5);
-        let Some((mut from, end)) = within(self.origin, self.direction, low, high, f64::NEG_INFINITY) else { return };
-        let mut cell = [0, 1, 2].map(|axis| {
-            let at = (self.origin[axis] + from * self.direction[axis] + 0.5).floor();
-            at.clamp(ends[axis].start as f64, ends[axis].end as f64 - 1.0)
-        });
-        // Computed from the index of the border, so that rounding errors do not add up.
-        let crossing = |axis: usize, at: f64| {
-            let (direction, origin) = (self.direction[axis], self.origin[axis]);
-            let border = if direction > 0.0 { at + 0.5 } else { at - 0.5 };
-            if direction == 0.0 { f64::INFINITY } else { (border - origin) / direction }
-        };
         let strides = strides(slab);
-        while from < end {
-            let next = [0, 1, 2].map(|axis| crossing(axis, cell[axis]));
-            let to = end.min(next[0]).min(next[1]).min(next[2]);
-            if to > from {
-                let [x, y, z] = cell.map(|at| at as usize);
-                visit((x - slab.x.start) * strides[0] + y * strides[1] + z, to - from);
-                from = to;
-            }
-            for axis in 0..3 {
-                if next[axis] <= to {
-                    cell[axis] += self.direction[axis].signum();
-                }
-            }
-            if (0..3).any(|axis| cell[axis] < ends[axis].start as f64 || cell[axis] >= ends[axis].end as f64) {
-                break;
-            }
-        }
+        for_each_cell(self.origin, self.direction, &ends(slab), f64::NEG_INFINITY, |[x, y, z], from, to| {
+            visit((x - slab.x.start) * strides[0] + y * strides[1] + z, to - from);
+        });
     }
 }
 

@@ -117,22 +117,7 @@ impl<'a> Walk<'a> {
             return Ok((tag, known.unwrap_or(VR::UN), self.number()?));
         }
         let kind = VR::from_binary(self.take(2)?.try_into().expect("two bytes")).unwrap_or(VR::UN);
-        let is_long = matches!(
-            kind,
-            VR::OB
-                | VR::OD
-                | VR::OF
-                | VR::OL
-                | VR::OV
-                | VR::OW
-                | VR::SQ
-                | VR::SV
-                | VR::UC
-                | VR::UN
-                | VR::UR
-                | VR::UT
-                | VR::UV
-        );
+        let is_long = "OB OD OF OL OV OW SQ SV UC UN UR UT UV".contains(kind.to_string());
         let length = if is_long {
             self.short()?;
             self.number()?

@@ -2,26 +2,6 @@
 //!
 //! The library that decodes the pages allocates as much memory as their counts claim, so the counts are checked first.
 
-/// Bytes of a value of each type; readers skip other types.
-const SIZES: [(u64, u64); 16] = [
-    (1, 1),
-    (2, 1),
-    (3, 2),
-    (4, 4),
-    (5, 8),
-    (6, 1),
-    (7, 1),
-    (8, 2),
-    (9, 4),
-    (10, 8),
-    (11, 4),
-    (12, 8),
-    (13, 4),
-    (16, 8),
-    (17, 8),
-    (18, 8),
-];
-
 /// A pair of 32-bit numbers, numerator and denominator.
 const RATIONAL: u64 = 5;
 
@@ -90,8 +70,15 @@ impl Form {
 }
 
 impl Entry {
+    /// Bytes of a value; 0 for types that readers skip.
     fn size(&self) -> u64 {
-        SIZES.iter().find(|(known, _)| *known == self.kind).map_or(0, |(_, size)| *size)
+        match self.kind {
+            1 | 2 | 6 | 7 => 1,
+            3 | 8 => 2,
+            4 | 9 | 11 | 13 => 4,
+            5 | 10 | 12 | 16..=18 => 8,
+            _ => 0,
+        }
     }
 
     /// The bytes of the values.
